@@ -1,0 +1,24 @@
+"""swimid: system identification for swimming robots, from logs to published parameters.
+
+Conventions, stated once for the whole package
+----------------------------------------------
+Units
+    SI and radians everywhere inside and in every file. A column or key carries its unit
+    as a suffix (``x_m``, ``yaw_rad``, ``u_m_s``). Degrees and grams appear only where the
+    field writes them and the name then says so (``amplitude_deg``).
+Frames
+    World frame: x, y in the plane of motion, z up; yaw about z, counter-clockwise.
+    Body frame: x forward (nose), y to port, z up. Surge ``u``, sway ``v`` and yaw rate
+    ``r`` are components in the body frame. In the vertical plane z takes the place of y
+    and pitch that of yaw.
+Time
+    ``t_s``, seconds, strictly increasing, from the recording's own stamps.
+Missing data
+    NaN in arrays, an empty cell in files. Nothing is filled silently.
+Layers
+    ``cli`` -> ``verbs`` -> ``models``, ``estimators``, ``tracking``, ``signals``,
+    ``reporting`` -> ``formats`` -> ``errors``, ``notices``, ``progress``. Imports run in
+    that direction only.
+"""
+
+__version__ = "0.1.0"

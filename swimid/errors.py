@@ -1,0 +1,116 @@
+"""The errors swimid raises on purpose, each with the exit status it ends the command with.
+
+::
+
+    SwimidError
+    +-- UsageError          2  the command line is wrong
+    +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
+    +-- NoTrustworthyResult 4  the work ran, and nothing in it can be trusted
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+class SwimidError(Exception):
+    """Base of every error a user can cause. Anything else that escapes is a bug."""
+
+    exit_status = 1
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        self.message = message
+        self.hint = hint
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The error as the ``error`` member of the ``--json`` envelope."""
+        return {
+            "type": type(self).__name__,
+            "message": self.message,
+            "hint": self.hint,
+            "exit_status": self.exit_status,
+        }
+
+
+class UsageError(SwimidError, ValueError):
+    """The command line asks for something that does not exist or does not fit together."""
+
+    exit_status = 2
+
+
+class InputError(SwimidError, ValueError):
+    """An input cannot be read or is invalid.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, with the offending value and what is allowed.
+    file : path, optional
+        The file it is in.
+    line : int, optional
+        Line of a text file, counted from 1 as editors do.
+    frame : int, optional
+        Frame of a video, counted from 0.
+    column : str, optional
+        Name of the column, or dotted path of the key.
+    hint : str, optional
+        What to do about it.
+    """
+
+    exit_status = 3
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        line: int | None = None,
+        frame: int | None = None,
+        column: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.file = None if file is None else str(file)
+        self.line = line
+        self.frame = frame
+        self.column = column
+        self.reason = message
+        place = [] if self.file is None else [self.file]
+        if line is not None:
+            place.append(f"line {line}")
+        if frame is not None:
+            place.append(f"frame {frame}")
+        if column is not None:
+            place.append(f"'{column}'")
+        super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
+
+    def to_dict(self) -> dict[str, Any]:
+        return super().to_dict() | {
+            "file": self.file,
+            "line": self.line,
+            "frame": self.frame,
+            "column": self.column,
+            "reason": self.reason,
+        }
+
+
+class NoTrustworthyResult(SwimidError):
+    """The work ran to its end and gives nothing that should be used."""
+
+    exit_status = 4
+
+
+def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
+    """The allowed word most like ``word``, or None where none is close.
+
+    >>> nearest("pulling_mas_kg", ["pulling_mass_kg", "role"])
+    'pulling_mass_kg'
+    """
+    import difflib
+
+    found = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
+    return found[0] if found else None

@@ -1,0 +1,71 @@
+"""Where a result comes from: command, version, inputs and their SHA-256."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import sys
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import swimid
+from swimid.errors import InputError
+
+
+def sha256(path: str | Path) -> str:
+    """SHA-256 of a file as hexadecimal digits, read in pieces."""
+    digest = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as stream:
+            while piece := stream.read(1 << 20):
+                digest.update(piece)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    return digest.hexdigest()
+
+
+def collect(inputs: Iterable[str | Path], *, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The ``provenance`` block of a result.
+
+    Parameters
+    ----------
+    inputs : iterable of paths
+        Every file that was read. Each is named relative to the working folder.
+    settings : dict, optional
+        The options the result was made with, defaults included.
+    """
+    digests = {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+    block: dict[str, Any] = {
+        "command": command_line(),
+        "version": swimid.__version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "inputs": digests,
+        "packages": _versions(),
+    }
+    if settings:
+        block["settings"] = settings
+    return block
+
+
+def command_line() -> str:
+    """The command as it was typed, with the program's bare name."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def _versions() -> dict[str, str]:
+    names = {
+        "numpy": "numpy",
+        "scipy": "scipy",
+        "numba": "numba",
+        "pandas": "pandas",
+        "opencv": "cv2",
+        "control": "control",
+    }
+    versions = {"python": sys.version.split()[0]}
+    for label, module in names.items():
+        if module in sys.modules:
+            versions[label] = str(getattr(sys.modules[module], "__version__", "unknown"))
+    return versions

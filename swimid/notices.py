@@ -1,0 +1,88 @@
+"""Warnings with stable codes: printed at the end of a command and kept in its results.
+
+Library code calls :func:`warn`; a Python user sees an ordinary :class:`SwimidWarning`, the
+command line records them with :func:`recorded` and repeats them in the report.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+#: Every code, with what it is about. ``docs/warnings.md`` explains each.
+CODES: dict[str, str] = {
+    "SWM001": "missing samples masked",
+    "SWM002": "a unit looks wrong by a constant factor",
+    "SWM003": "uneven time steps",
+    "SWM004": "columns not used",
+    "SWM010": "parameter not identifiable from these trials",
+    "SWM011": "parameters strongly correlated",
+    "SWM012": "estimate at its bound",
+    "SWM013": "residuals are not white",
+    "SWM014": "trials scatter more than their noise",
+    "SWM015": "validation error much larger than fit error",
+    "SWM016": "the integration step is too coarse for its accuracy target",
+    "SWM020": "identified model is unstable or integrating",
+    "SWM021": "working point removed from the data",
+    "SWM022": "input does not excite the model order",
+    "SWM030": "measurement departs from the propulsion law",
+    "SWM031": "free exponent disagrees with the law",
+    "SWM032": "beat frequency contradicts the metadata",
+    "SWM040": "frames without a marker",
+    "SWM041": "no calibration: output in pixels",
+    "SWM042": "marker separation is not constant",
+    "SWM043": "video timing is irregular",
+    "SWM044": "video ends early or has damaged frames",
+    "SWM045": "marker touches the edge of the picture",
+    "SWM046": "colour drift compensated",
+    "SWM047": "track split at a long gap",
+    "SWM050": "evidence of a result is missing",
+    "SWM051": "figure reduced to fewer points",
+}
+
+
+class SwimidWarning(UserWarning):
+    """A warning with a code of :data:`CODES`."""
+
+    def __init__(self, code: str, text: str) -> None:
+        if code not in CODES:
+            raise KeyError(f"unknown warning code {code}")
+        self.code = code
+        self.text = text
+        super().__init__(f"{code} {text}")
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One recorded warning."""
+
+    code: str
+    text: str
+
+
+def warn(code: str, text: str) -> None:
+    """Warn the user; ``code`` must be one of :data:`CODES`."""
+    warnings.warn(SwimidWarning(code, text), stacklevel=2)
+
+
+@contextmanager
+def recorded() -> Iterator[list[Notice]]:
+    """Collect every :class:`SwimidWarning` raised inside, each distinct one once."""
+    notices: list[Notice] = []
+    show_others = warnings.showwarning
+
+    def keep(message: Warning | str, *rest: Any, **more: Any) -> None:
+        if isinstance(message, SwimidWarning):
+            notice = Notice(message.code, message.text)
+            if notice not in notices:
+                notices.append(notice)
+        else:
+            show_others(message, *rest, **more)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SwimidWarning)
+        warnings.showwarning = keep
+        yield notices
