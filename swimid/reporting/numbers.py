@@ -1,0 +1,260 @@
+"""Numbers and units as people read them.
+
+One place for the report and for what verbs print, so that the same estimate looks the same
+everywhere. The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
+
+>>> measured(0.70512, 0.0331)
+'0.705 ± 0.033'
+>>> measured(4.512e-5, 1.2e-6, "kg m^2")
+'(4.51 ± 0.12) × 10⁻⁵ kg·m²'
+>>> number(0.0012345678)
+'0.001235'
+>>> column_title("u_m_s")
+'u (m/s)'
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from decimal import ROUND_HALF_EVEN, Decimal
+
+#: Two-sided 95 % quantile of the normal distribution.
+Z95 = 1.959963984540054
+
+#: Shown where there is no number.
+NOTHING = "–"
+
+_SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
+#: Powers of ten from which on a number is written with a factor ``× 10ⁿ``.
+_LARGE, _SMALL = 6, -3
+#: More digits than a float64 holds say nothing.
+_MOST_DIGITS = 15
+
+#: Endings of column and key names, longest first, and the unit each stands for.
+_SUFFIXES = {
+    "kg_m2_s2": "kg m^2/s^2",
+    "rad_s2": "rad/s^2",
+    "deg_s2": "deg/s^2",
+    "N_m_rad": "N m/rad",
+    "N_s_m": "N s/m",
+    "N_s2_m2": "N s^2/m^2",
+    "kg_m3": "kg/m^3",
+    "kg_m2": "kg m^2",
+    "kg_m": "kg m",
+    "m_s2": "m/s^2",
+    "rad_s": "rad/s",
+    "deg_s": "deg/s",
+    "N_m": "N m",
+    "m_s": "m/s",
+    "rad": "rad",
+    "deg": "deg",
+    "m2": "m^2",
+    "m3": "m^3",
+    "hz": "Hz",
+    "Hz": "Hz",
+    "kg": "kg",
+    "px": "px",
+    "N": "N",
+    "W": "W",
+    "J": "J",
+    "V": "V",
+    "A": "A",
+    "m": "m",
+    "s": "s",
+}
+
+
+def _is_number(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
+    """Power of ten of the first digit of ``value`` once it is rounded to ``digits`` digits."""
+    return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """``value`` rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    exact = Decimal(repr(float(value)))
+    step = Decimal(1).scaleb(-decimals)
+    # prec of the default context (28) is enough: decimals is limited by _MOST_DIGITS.
+    rounded = exact.quantize(step, rounding=ROUND_HALF_EVEN)
+    if rounded == 0:
+        rounded = abs(rounded)
+    return f"{rounded:f}".replace("-", "−")
+
+
+def power_of_ten(exponent: int) -> str:
+    """``10`` to an integer power: ``10⁻⁷``."""
+    return "10" + str(exponent).translate(_SUPERSCRIPTS)
+
+
+def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
+    """A number to ``digits`` significant digits, trailing zeros dropped, with its unit.
+
+    Whole numbers (``int``) keep all their digits up to a million. NaN and None are shown as
+    a dash.
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if math.isinf(value):
+        return _joined("∞" if value > 0 else "−∞", unit)
+    if value == 0:
+        return _joined("0", unit)
+    if isinstance(value, int) and abs(value) < 10**_LARGE:
+        return _joined(str(value).replace("-", "−"), unit)
+    exponent = _exponent(float(value), digits)
+    if _SMALL <= exponent < _LARGE:
+        return _joined(_trimmed(_fixed(value, digits - 1 - exponent)), unit)
+    mantissa = _trimmed(_fixed(value / 10.0**exponent, digits - 1))
+    return _joined(f"{mantissa} × {power_of_ten(exponent)}", unit)
+
+
+def _trimmed(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
+    """Common power of ten and decimal places for a value and its standard error."""
+    last = _exponent(stderr, digits) - digits + 1
+    first = max(_exponent(value) if value else last, _exponent(stderr, digits))
+    last = max(last, first - _MOST_DIGITS + 1)
+    scale = 0 if _SMALL <= first < _LARGE else first
+    return scale, scale - last
+
+
+def value_text(value: float | None, stderr: float | None, digits: int = 2) -> str:
+    """The value alone, with the digits its standard error supports."""
+    return _parts(value, stderr, digits)[0]
+
+
+def stderr_text(value: float | None, stderr: float | None, digits: int = 2) -> str:
+    """The standard error alone, to ``digits`` significant digits, in the value's power of ten."""
+    return _parts(value, stderr, digits)[1]
+
+
+def _parts(value: float | None, stderr: float | None, digits: int) -> tuple[str, str]:
+    if not _is_number(value):
+        return NOTHING, NOTHING
+    assert value is not None
+    if not _is_number(stderr) or not stderr or stderr < 0:
+        return number(value, 6), NOTHING
+    scale, decimals = _layout(value, stderr, digits)
+    power = f" × {power_of_ten(scale)}" if scale else ""
+    return (
+        _fixed(value / 10.0**scale, decimals) + power,
+        _fixed(stderr / 10.0**scale, decimals) + power,
+    )
+
+
+def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
+    """``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
+
+    Without a standard error (None, NaN, infinite or zero) the value stands alone with six
+    significant digits.
+
+    Parameters
+    ----------
+    value, stderr : float or None
+        In the same unit.
+    unit : str
+        As in result files: ``"m/s^2"``, ``"1"`` for none.
+    digits : int
+        Significant digits of the standard error.
+    """
+    if not _is_number(value):
+        return NOTHING
+    assert value is not None
+    if not _is_number(stderr) or not stderr or stderr < 0:
+        return number(value, 6, unit)
+    scale, decimals = _layout(value, stderr, digits)
+    text = f"{_fixed(value / 10.0**scale, decimals)} ± {_fixed(stderr / 10.0**scale, decimals)}"
+    if scale:
+        return _joined(f"({text}) × {power_of_ten(scale)}", unit)
+    return _joined(f"({text})" if unit_text(unit) == "°" else text, unit)
+
+
+def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
+    """``low … high``, both to the digits ``stderr`` supports (four digits without one)."""
+    if not (_is_number(low) and _is_number(high)):
+        return NOTHING
+    assert low is not None and high is not None
+    if not _is_number(stderr) or not stderr or stderr < 0:
+        return _joined(f"{number(low)} … {number(high)}", unit)
+    scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
+    text = f"{_fixed(low / 10.0**scale, decimals)} … {_fixed(high / 10.0**scale, decimals)}"
+    return _joined(f"({text}) × {power_of_ten(scale)}" if scale else text, unit)
+
+
+def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
+    """Ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
+    if not (_is_number(value) and _is_number(stderr)):
+        return None
+    assert value is not None and stderr is not None
+    if stderr <= 0:
+        return None
+    return value - Z95 * stderr, value + Z95 * stderr
+
+
+def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
+    """The allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    low, high = (None, None) if bounds is None else (bounds[0], bounds[1])
+    low = None if low is None or math.isinf(low) else low
+    high = None if high is None or math.isinf(high) else high
+    if low is None and high is None:
+        return "free"
+    if high is None:
+        return f"≥ {number(low)}"
+    if low is None:
+        return f"≤ {number(high)}"
+    return f"{number(low)} … {number(high)}"
+
+
+def percent(fraction: float | None, digits: int = 3) -> str:
+    """A fraction as a percentage: 0.142 is ``14.2 %``."""
+    if not _is_number(fraction):
+        return NOTHING
+    assert fraction is not None
+    return f"{number(100.0 * fraction, digits)} %"
+
+
+def unit_text(unit: str) -> str:
+    """A unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
+    unit = unit.strip()
+    if unit in {"", "1", "-", "none", "None"}:
+        return ""
+    if unit in {"deg", "degree", "degrees"}:
+        return "°"
+    if unit == "percent":
+        return "%"
+    text = re.sub(r"(\^|\*\*)\(?([-+]?\d+)\)?", lambda m: m.group(2).translate(_SUPERSCRIPTS), unit)
+    text = re.sub(r"\s*/\s*", "/", text)
+    text = re.sub(r"\s*[*·]\s*|(?<=\S)\s+(?=\S)", "·", text)
+    return re.sub(r"\bdeg\b", "°", text)
+
+
+def _joined(text: str, unit: str) -> str:
+    printed = unit_text(unit)
+    return text if not printed else text + printed if printed == "°" else f"{text} {printed}"
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """The bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
+
+    A name without a known ending has the unit ``""``.
+    """
+    for suffix in sorted(_SUFFIXES, key=len, reverse=True):
+        if name.endswith("_" + suffix):
+            return name[: -len(suffix) - 1], _SUFFIXES[suffix]
+    return name, ""
+
+
+def column_title(name: str) -> str:
+    """A column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
+    bare, unit = split_unit(name)
+    bare = bare.replace("_", " ")
+    printed = unit_text(unit)
+    return f"{bare} ({printed})" if printed else bare
