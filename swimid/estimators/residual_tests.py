@@ -1,0 +1,506 @@
+"""Tests of what a fit leaves over: whiteness, independence of the input, coloured noise.
+
+Everything here is a pure function of arrays. A residual series is one array at a constant
+rate in which NaN marks samples that are missing or belong to no record; several records go
+in as one array with a stretch of NaN between them (:func:`joined`). A pair of samples
+counts only where both are there, so that gaps neither bias nor break a test.
+
+References
+----------
+.. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
+   Biometrika 65 (1978), 297-303. doi:10.1093/biomet/65.2.297
+.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), section 16.6.
+.. [3] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
+   autocorrelation consistent covariance matrix", Econometrica 55 (1987), 703-708.
+   doi:10.2307/1913610
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.linalg import toeplitz
+
+#: Below this p-value a residual series is called not white (or not independent of the input).
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """A correlation function with its band under the null hypothesis.
+
+    Attributes
+    ----------
+    lags : ndarray of int, shape (m,)
+        In samples.
+    values : ndarray, shape (m,)
+        Correlation coefficients, NaN where no pair of samples exists.
+    bound : ndarray, shape (m,)
+        Half-width of the 95 % band around zero.
+    pairs : ndarray of int, shape (m,)
+        Number of sample pairs behind each value.
+    """
+
+    lags: np.ndarray
+    values: np.ndarray
+    bound: np.ndarray
+    pairs: np.ndarray
+
+    @property
+    def outside(self) -> float:
+        """Share of the nonzero lags outside their band; 0.05 is expected by chance."""
+        use = (self.lags != 0) & np.isfinite(self.values)
+        return float(np.mean(np.abs(self.values[use]) > self.bound[use])) if np.any(use) else 0.0
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """A chi-square test.
+
+    Attributes
+    ----------
+    statistic : float
+    degrees : int
+        Degrees of freedom.
+    p_value : float
+        Probability of a statistic at least this large when the hypothesis holds.
+    """
+
+    __test__ = False  # not a pytest class
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the hypothesis survives at :data:`SIGNIFICANCE`."""
+        return self.p_value >= SIGNIFICANCE
+
+
+@dataclass(frozen=True)
+class AutoregressiveFit:
+    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (p,)
+        a1 .. ap; empty for a white series.
+    variance : float
+        Variance of e.
+    criteria : ndarray, shape (max_order + 1,)
+        The information criterion of each order tried.
+    samples : int
+        Number of finite samples used.
+    """
+
+    coefficients: np.ndarray
+    variance: float
+    criteria: np.ndarray
+    samples: int
+
+    @property
+    def order(self) -> int:
+        """Number of coefficients."""
+        return len(self.coefficients)
+
+    @property
+    def long_run_variance(self) -> float:
+        """Spectral density at frequency zero: variance of a sum of n samples over n, n large."""
+        return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
+
+
+def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
+    """Several series as one, with ``gap`` samples of NaN between them.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray, shape (n_i,) each
+        The series.
+    gap : int
+        At least the largest lag that will be asked for.
+
+    Returns
+    -------
+    ndarray, shape (sum n_i + gap (len(parts) - 1),)
+
+    >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
+    array([ 1., nan, nan,  2.])
+    """
+    pieces: list[np.ndarray] = []
+    for part in parts:
+        if pieces:
+            pieces.append(np.full(gap, np.nan))
+        pieces.append(np.asarray(part, dtype=float))
+    return np.concatenate(pieces) if pieces else np.empty(0)
+
+
+def default_lags(samples: int) -> int:
+    """Number of lags to test by default: 25, less for short series (a fifth of the samples)."""
+    return max(1, min(25, samples // 5))
+
+
+def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give x without its mean and with NaN set to zero, and where it is finite."""
+    x = np.asarray(x, dtype=float)
+    there = np.isfinite(x)
+    if not np.any(there):
+        return np.zeros_like(x), there
+    return np.where(there, x - np.mean(x[there]), 0.0), there
+
+
+def _lagged_means(
+    x: np.ndarray, x_there: np.ndarray, y: np.ndarray, y_there: np.ndarray, lags: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of x(k) y(k - lag) over the pairs that exist, and their number."""
+    n = len(x)
+    means = np.full(len(lags), np.nan)
+    pairs = np.zeros(len(lags), dtype=int)
+    for i, lag in enumerate(lags):
+        if abs(lag) >= n:
+            continue
+        now = slice(max(lag, 0), n + min(lag, 0))
+        then = slice(max(-lag, 0), n - max(lag, 0))
+        pairs[i] = np.count_nonzero(x_there[now] & y_there[then])
+        if pairs[i]:
+            means[i] = np.dot(x[now], y[then]) / pairs[i]
+    return means, pairs
+
+
+def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
+    """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        NaN where there is no sample. The mean is removed.
+    max_lag : int, optional
+        Default :func:`default_lags`.
+
+    Returns
+    -------
+    Correlation
+        Band 1.96 / sqrt(pairs). All NaN for a constant series.
+
+    Notes
+    -----
+    Each lag is the mean over its own pairs, not the sum over n: with gaps the pairs differ.
+
+    >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
+    array([ 1., -1.,  1.])
+    """
+    values, there = _centred(x)
+    count = int(np.count_nonzero(there))
+    lags = np.arange((default_lags(count) if max_lag is None else max_lag) + 1)
+    means, pairs = _lagged_means(values, there, values, there, lags)
+    power = means[0] if count else np.nan
+    correlations = means / power if power > 0 else np.full(len(lags), np.nan)
+    return Correlation(lags, correlations, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
+
+
+def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> TestResult:
+    """Ljung-Box test of whiteness.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Residuals, NaN where there is none.
+    lags : int, optional
+        Number of lags tested together, default :func:`default_lags`.
+    fitted : int
+        Number of noise parameters (autoregressive and moving-average) estimated from the same
+        data; taken from the degrees of freedom.
+
+    Returns
+    -------
+    TestResult
+        p-value 1 for a series that is constant or shorter than two samples: nothing speaks
+        against whiteness.
+
+    Notes
+    -----
+    Without gaps this is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps ``n - k`` becomes
+    the number of pairs at lag k and r_k their mean product.
+    """
+    correlation = autocorrelation(x, max_lag=lags)
+    n = int(correlation.pairs[0]) if len(correlation.pairs) else 0
+    r, pairs = correlation.values[1:], correlation.pairs[1:]
+    use = np.isfinite(r) & (pairs > 0)
+    degrees = max(int(np.count_nonzero(use)) - fitted, 1)
+    if n < 2 or not np.any(use):
+        return TestResult(0.0, degrees, 1.0)
+    statistic = (n + 2) / n * float(np.sum(pairs[use] * r[use] ** 2))
+    return TestResult(statistic, degrees, float(stats.chi2.sf(statistic, degrees)))
+
+
+def cross_correlation(
+    residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None, negative: bool = True
+) -> Correlation:
+    """Correlation of residuals e(k) with a source u(k - lag), lags -max_lag .. max_lag.
+
+    Parameters
+    ----------
+    residuals, source : ndarray, shape (n,)
+        At the same rate; NaN where there is no sample.
+    max_lag : int, optional
+        Default :func:`default_lags`.
+    negative : bool
+        Also lags below zero, where feedback from the output to the source shows.
+
+    Returns
+    -------
+    Correlation
+        A value at a positive lag outside its band says that the model misses a part of what the
+        source did ``lag`` samples before.
+
+    Notes
+    -----
+    Band: for independent series the variance of the correlation is
+    ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_, eq. 16.68 f.), so that a narrow-band source
+    with coloured residuals does not raise a false alarm.
+    """
+    e, e_there = _centred(residuals)
+    u, u_there = _centred(source)
+    if len(e) != len(u):
+        raise ValueError(f"residuals and source differ in length: {len(e)} and {len(u)}")
+    count = int(np.count_nonzero(e_there))
+    top = default_lags(count) if max_lag is None else max_lag
+    lags = np.arange(-top if negative else 0, top + 1)
+    means, pairs = _lagged_means(e, e_there, u, u_there, lags)
+    scale = _deviation(e, e_there) * _deviation(u, u_there)
+    values = means / scale if scale > 0 else np.full(len(lags), np.nan)
+    bound = 1.96 * np.sqrt(_bartlett_factor(residuals, source) / np.maximum(pairs, 1))
+    return Correlation(lags, values, bound, pairs)
+
+
+def _deviation(values: np.ndarray, there: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
+
+
+def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
+    """Sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate at all."""
+    count = int(np.count_nonzero(np.isfinite(e)))
+    top = default_lags(count)
+    re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
+    r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
+    r = np.nan_to_num(r)
+    # Sampling error may make the sum small or negative; white residuals give exactly 1.
+    return max(float(r[0] + 2.0 * np.sum(r[1:])), 1.0) if len(r) else 1.0
+
+
+def independence(
+    residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
+) -> TestResult:
+    """Chi-square test that residuals are independent of a source's past.
+
+    Parameters
+    ----------
+    residuals, source : ndarray, shape (n,)
+        NaN where there is no sample.
+    lags : int, optional
+        Number of lags ``first .. first + lags - 1`` tested together, default
+        :func:`default_lags`.
+    first : int
+        The first lag, 0 by default.
+
+    Returns
+    -------
+    TestResult
+        Degrees of freedom are the numerical rank of the source's covariance: a single sine
+        gives two, however many lags are asked for.
+
+    Notes
+    -----
+    ``n r' P^-1 r`` with r the vector of cross-covariances and
+    ``P = sum_j R_e(j) R_u(j)``, R_u(j) the shifted Toeplitz covariance of the source ([2]_,
+    section 16.6). Residual covariances inside the band of white noise are taken as zero.
+    """
+    e, e_there = _centred(residuals)
+    u, u_there = _centred(source)
+    count = int(np.count_nonzero(e_there))
+    number = default_lags(count) if lags is None else lags
+    wanted = np.arange(first, first + number)
+    means, pairs = _lagged_means(e, e_there, u, u_there, wanted)
+    if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
+        return TestResult(0.0, number, 1.0)
+    top = default_lags(count)
+    re = autocorrelation(residuals, max_lag=top)
+    reach = number + top
+    covariances, u_pairs = _lagged_means(u, u_there, u, u_there, np.arange(reach))
+    covariances = np.where(u_pairs > 0, np.nan_to_num(covariances), 0.0)
+    power = _deviation(e, e_there) ** 2
+    matrix = np.zeros((number, number))
+    for j in range(-top, top + 1):
+        r = re.values[abs(j)]
+        if j and not abs(r) > re.bound[abs(j)]:
+            continue
+        index = np.abs(np.arange(-(number - 1), number) + j)
+        column, row = covariances[index[number - 1 :]], covariances[index[number - 1 :: -1]]
+        matrix += power * r * toeplitz(column, row)
+    matrix = (matrix + matrix.T) / 2
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    keep = eigenvalues > 1e-6 * eigenvalues[-1]
+    projected = vectors.T @ (means * np.sqrt(pairs))
+    degrees = int(np.count_nonzero(keep))
+    if degrees == 0:
+        return TestResult(0.0, number, 1.0)
+    statistic = float(np.sum(projected[keep] ** 2 / eigenvalues[keep]))
+    return TestResult(statistic, degrees, float(stats.chi2.sf(statistic, degrees)))
+
+
+def segments(x: np.ndarray) -> list[slice]:
+    """The stretches of a series without NaN, in order.
+
+    >>> segments(np.array([1.0, np.nan, 2.0, 3.0]))
+    [slice(0, 1, None), slice(2, 4, None)]
+    """
+    there = np.concatenate(([False], np.isfinite(np.asarray(x, dtype=float)), [False]))
+    edges = np.flatnonzero(there[1:] != there[:-1])
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def fit_autoregression(
+    x: np.ndarray, *, max_order: int | None = None, order: int | None = None, criterion: str = "bic"
+) -> AutoregressiveFit:
+    """Autoregression of a series by Burg's method, always stable, over all its stretches.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        NaN where there is no sample. The mean is removed.
+    max_order : int, optional
+        Largest order tried, default :func:`default_lags`.
+    order : int, optional
+        Take this order instead of choosing one.
+    criterion : {"bic", "aic"}
+        Chooses the order.
+
+    Returns
+    -------
+    AutoregressiveFit
+
+    Raises
+    ------
+    ValueError
+        When fewer than three samples are finite.
+    """
+    values, there = _centred(x)
+    n = int(np.count_nonzero(there))
+    if n < 3:
+        raise ValueError(f"an autoregression needs at least three samples, here are {n}")
+    if criterion not in ("bic", "aic"):
+        raise ValueError(f"criterion {criterion!r}: use 'bic' or 'aic'")
+    top = min(order if order is not None else (max_order or default_lags(n)), n - 2)
+    forward = [values[part].copy() for part in segments(np.where(there, values, np.nan))]
+    backward = [part.copy() for part in forward]
+    variance = float(np.mean(values[there] ** 2))
+    a = np.empty(0)
+    penalty = np.log(n) if criterion == "bic" else 2.0
+    fits = [(a, variance)]
+    criteria = [n * np.log(max(variance, np.finfo(float).tiny))]
+    for p in range(1, top + 1):
+        over = under = 0.0
+        for f, b in zip(forward, backward, strict=True):
+            over += float(np.dot(f[1:], b[:-1]))
+            under += float(np.dot(f[1:], f[1:]) + np.dot(b[:-1], b[:-1]))
+        if under <= 0:
+            break
+        reflection = -2.0 * over / under
+        a = np.concatenate((a + reflection * a[::-1], [reflection]))
+        for i, (f, b) in enumerate(zip(forward, backward, strict=True)):
+            forward[i], backward[i] = f[1:] + reflection * b[:-1], b[:-1] + reflection * f[1:]
+        variance *= max(1.0 - reflection**2, 0.0)
+        fits.append((a, variance))
+        criteria.append(n * np.log(max(variance, np.finfo(float).tiny)) + penalty * p)
+    chosen = len(fits) - 1 if order is not None else int(np.argmin(criteria))
+    return AutoregressiveFit(fits[chosen][0], fits[chosen][1], np.array(criteria), n)
+
+
+def whitened(x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """The innovations of a series under an autoregression.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        NaN where there is no sample.
+    coefficients : ndarray, shape (p,)
+        a1 .. ap of :class:`AutoregressiveFit`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        ``x(k) + sum a_i x(k - i)``; NaN where one of these samples is missing, the first p
+        included.
+    """
+    x = np.asarray(x, dtype=float)
+    result = x.copy()
+    for i, value in enumerate(coefficients, start=1):
+        shifted = np.full(len(x), np.nan)
+        shifted[i:] = x[:-i] if i < len(x) else np.empty(0)
+        result = result + value * shifted
+    return result
+
+
+def effective_samples(x: np.ndarray) -> float:
+    """How many independent samples the mean of a correlated series is worth.
+
+    ``n variance / long-run variance`` with the long-run variance of an autoregression
+    (:func:`fit_autoregression`); between 1 and n.
+    """
+    values, there = _centred(x)
+    n = int(np.count_nonzero(there))
+    if n < 3:
+        return float(n)
+    fit = fit_autoregression(x)
+    power = float(np.mean(values[there] ** 2))
+    if power == 0:
+        return float(n)
+    return float(np.clip(n * power / fit.long_run_variance, 1.0, n))
+
+
+def long_run_covariance(scores: np.ndarray, *, lags: int | None = None) -> np.ndarray:
+    """Covariance of a sum of correlated vectors (Newey and West): the meat of a sandwich.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (n, p)
+        Row k is regressor times residual at sample k; a row with NaN is a gap.
+    lags : int, optional
+        Bandwidth L of the Bartlett window, default ``floor(4 (n / 100)^(2/9))`` but at least
+        twice the lag at which the scores still correlate.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_.
+        Positive semi-definite. With J the derivative of the model and J'J invertible, the
+        covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``.
+    """
+    scores = np.atleast_2d(np.asarray(scores, dtype=float))
+    there = np.all(np.isfinite(scores), axis=1)
+    rows = np.where(there[:, None], scores, 0.0)
+    n = int(np.count_nonzero(there))
+    if lags is None:
+        lags = max(
+            int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * _memory(np.where(there[:, None], scores, np.nan))
+        )
+    lags = min(lags, max(len(rows) - 1, 0))
+    total = rows.T @ rows
+    for lag in range(1, lags + 1):
+        product = rows[lag:].T @ rows[:-lag]
+        total += (1.0 - lag / (lags + 1)) * (product + product.T)
+    return total
+
+
+def _memory(scores: np.ndarray) -> int:
+    """The last lag before which every autocorrelation of some column is outside its band."""
+    longest = 0
+    for column in scores.T:
+        correlation = autocorrelation(column)
+        outside = np.abs(correlation.values[1:]) > correlation.bound[1:]
+        run = len(outside) if np.all(outside) else int(np.argmin(outside))
+        longest = max(longest, run)
+    return longest

@@ -1,0 +1,150 @@
+"""Residual tests against hand formulas, simulated truth and their own error rates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.signal import lfilter
+
+from swimid.estimators import residual_tests as rt
+
+
+def test_autocorrelation_of_a_known_autoregression():
+    rng = np.random.default_rng(1)
+    x = lfilter([1.0], [1.0, -0.8], rng.normal(size=50_000))
+    got = rt.autocorrelation(x, max_lag=5)
+    # Bartlett: the standard error of r_k of this process stays below 0.02 at n = 50 000.
+    assert got.values == pytest.approx(0.8 ** np.arange(6), abs=0.03)
+    assert got.bound[1] == pytest.approx(1.96 / np.sqrt(49_999))
+
+
+def test_ljung_box_equals_the_textbook_formula_without_gaps():
+    x = np.random.default_rng(2).normal(size=300)
+    c = x - x.mean()
+    n, lags = len(c), 10
+    r = np.array([np.dot(c[k:], c[:-k]) for k in range(1, lags + 1)]) / np.dot(c, c)
+    expected = n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1)))
+    got = rt.ljung_box(x, lags=lags, fitted=2)
+    assert got.statistic == pytest.approx(expected, rel=1e-12)
+    assert got.degrees == 8
+    assert got.p_value == pytest.approx(stats.chi2.sf(expected, 8))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+def test_ljung_box_false_alarm_rate(missing):
+    """White noise is rejected at 5 % in about 5 % of 400 series, gaps or not."""
+    rng = np.random.default_rng(3)
+    p = []
+    for _ in range(400):
+        x = rng.normal(size=400)
+        x[rng.random(400) < missing] = np.nan
+        p.append(rt.ljung_box(x).p_value)
+    rate = np.mean(np.array(p) < 0.05)
+    assert 0.02 < rate < 0.09  # binomial: 0.05 +- 3 x 0.011
+
+
+def test_ljung_box_detects_weak_colour():
+    x = lfilter([1.0], [1.0, -0.2], np.random.default_rng(4).normal(size=2000))
+    assert not rt.ljung_box(x).passed
+
+
+def test_constant_and_empty_series_are_not_accused():
+    assert rt.ljung_box(np.zeros(100)).p_value == 1.0
+    assert rt.ljung_box(np.empty(0)).p_value == 1.0
+    assert rt.ljung_box(np.full(50, np.nan)).p_value == 1.0
+    assert rt.independence(np.zeros(100), np.ones(100)).p_value == 1.0
+
+
+def test_cross_correlation_finds_the_missed_delay():
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=3000)
+    e = 0.3 * np.roll(u, 7) + rng.normal(size=3000)
+    got = rt.cross_correlation(e, u, max_lag=12)
+    assert got.lags[np.argmax(np.abs(got.values))] == 7
+    assert got.values[got.lags == 7][0] == pytest.approx(0.3 / np.sqrt(1.09), abs=0.06)
+    assert not rt.independence(e, u).passed
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_independence_false_alarm_rate(colour):
+    """Coloured residuals against a coloured source: still about 5 % of 400 rejected at 5 %."""
+    rng = np.random.default_rng(6)
+    p, outside = [], []
+    for _ in range(400):
+        e = lfilter([1.0], [1.0, -colour], rng.normal(size=1000))[200:]
+        u = lfilter([1.0], [1.0, -0.9], rng.normal(size=1000))[200:]
+        p.append(rt.independence(e, u, lags=10).p_value)
+        outside.append(rt.cross_correlation(e, u, max_lag=10).outside)
+    assert 0.02 < np.mean(np.array(p) < 0.05) < 0.10
+    assert np.mean(outside) < 0.08
+
+
+def test_a_single_sine_has_two_degrees_of_freedom():
+    rng = np.random.default_rng(7)
+    u = np.sin(0.3 * np.arange(5000))
+    got = rt.independence(rng.normal(size=5000), u, lags=12)
+    assert got.degrees == 2
+    assert got.passed
+
+
+def test_autoregression_recovers_order_and_coefficients():
+    rng = np.random.default_rng(8)
+    x = lfilter([1.0], [1.0, -1.2, 0.5], 0.3 * rng.normal(size=20_000))
+    x[5000:5100] = np.nan
+    got = rt.fit_autoregression(x)
+    assert got.order == 2
+    # Standard error of an AR(2) coefficient: sqrt((1 - a2^2) / n) = 0.0061.
+    assert got.coefficients == pytest.approx([-1.2, 0.5], abs=0.02)
+    assert got.variance == pytest.approx(0.09, rel=0.05)
+    assert rt.ljung_box(rt.whitened(x, got.coefficients), fitted=2).passed
+
+
+def test_autoregression_of_white_noise_has_order_zero():
+    got = rt.fit_autoregression(np.random.default_rng(9).normal(size=4000))
+    assert got.order == 0
+    assert got.long_run_variance == pytest.approx(got.variance)
+
+
+def test_autoregression_refuses_too_little():
+    with pytest.raises(ValueError, match="at least three"):
+        rt.fit_autoregression(np.array([1.0, np.nan, 2.0]))
+    with pytest.raises(ValueError, match="criterion"):
+        rt.fit_autoregression(np.arange(10.0), criterion="fpe")
+
+
+def test_whitened_marks_what_it_cannot_know():
+    x = np.array([1.0, 2.0, np.nan, 3.0, 4.0, 5.0])
+    assert np.isnan(rt.whitened(x, np.array([-0.5]))).tolist() == [True, False, True, True, False, False]
+
+
+def test_effective_samples_of_an_autoregression():
+    x = lfilter([1.0], [1.0, -0.9], np.random.default_rng(10).normal(size=100_000))
+    # n (1 - a) / (1 + a) for the mean of an AR(1) series.
+    assert rt.effective_samples(x) == pytest.approx(100_000 * 0.1 / 1.9, rel=0.1)
+    assert rt.effective_samples(np.random.default_rng(11).normal(size=1000)) == pytest.approx(1000, rel=0.01)
+
+
+def test_long_run_covariance_gives_the_variance_of_a_mean():
+    """Repeated sums of an AR(1) series against the estimate from each."""
+    rng = np.random.default_rng(12)
+    sums, guesses = [], []
+    for _ in range(300):
+        x = lfilter([1.0], [1.0, -0.6], rng.normal(size=2100))[100:]
+        sums.append(x.sum())
+        guesses.append(rt.long_run_covariance(x[:, None])[0, 0])
+    # 300 sums know their variance to 8 %; the Bartlett window underestimates a little.
+    assert np.mean(guesses) == pytest.approx(np.var(sums), rel=0.25)
+
+
+def test_long_run_covariance_is_positive_semidefinite_with_gaps():
+    rng = np.random.default_rng(13)
+    s = rng.normal(size=(500, 3)).cumsum(axis=0)
+    s[100:120] = np.nan
+    assert np.linalg.eigvalsh(rt.long_run_covariance(s)).min() > -1e-9
+
+
+def test_joined_keeps_records_apart():
+    parts = [np.ones(3), np.ones(2)]
+    both = rt.joined(parts, gap=4)
+    assert rt.segments(both) == [slice(0, 3), slice(7, 9)]
