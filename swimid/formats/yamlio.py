@@ -296,3 +296,44 @@ def _short_list(value: Any) -> bool:
 def write(path: str | Path, data: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, whole or not at all."""
     atomic.write_text(path, dumps(data))
+
+
+def dumps_flat(data: Mapping[str, Any]) -> str:
+    """YAML of a mapping with every value on its key's line."""
+    stream = io.StringIO()
+    yaml = _yaml()
+    yaml.default_flow_style = None
+    styled = CommentedMap()
+    for key, value in plain(data).items():
+        styled[key] = _flow(value)
+    if styled:
+        yaml.dump(styled, stream)
+    return stream.getvalue()
+
+
+def _flow(value: Any) -> Any:
+    from ruamel.yaml.comments import CommentedSeq
+
+    if isinstance(value, dict):
+        mapping = CommentedMap((k, _flow(v)) for k, v in value.items())
+        mapping.fa.set_flow_style()
+        return mapping
+    if isinstance(value, list):
+        sequence = CommentedSeq(_flow(v) for v in value)
+        sequence.fa.set_flow_style()
+        return sequence
+    return value
+
+
+def parse_scalar(text: str) -> Any:
+    """The value of one ``key: value`` line.
+
+    Raises
+    ------
+    ValueError
+        When it is not YAML.
+    """
+    try:
+        return plain(YAML(typ="safe", pure=True).load(text.strip()))
+    except (YAMLError, RecursionError) as error:
+        raise ValueError((str(error) or "unreadable").splitlines()[0]) from error

@@ -1,0 +1,1 @@
+"""The built-in robots, one YAML file each (see :mod:`swimid.formats.robot`)."""

@@ -1,0 +1,5 @@
+"""``python -m swimid``."""
+
+from swimid.cli.main import entry
+
+entry()

@@ -1,0 +1,268 @@
+"""What every command shares: options, output streams, exit statuses.
+
+stdout carries the result only (plain text, or one JSON document under ``--json``, on
+failure too); progress, warnings and errors go to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swimid.errors import InputError, SwimidError, UsageError
+from swimid.notices import Notice, recorded
+from swimid.progress import Progress, Step, silent
+
+if TYPE_CHECKING:
+    from swimid.verbs.outcome import Outcome
+
+#: Version of the ``--json`` envelope.
+ENVELOPE = 1
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The options every verb takes."""
+
+    output: Path | None
+    as_json: bool
+    quiet: bool
+    verbose: int
+    no_progress: bool
+    debug: bool
+    force: bool
+
+
+def shared_options(
+    output_help: str, *, output_flags: tuple[str, ...] = ("-o", "--output"), required: bool = False
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add the shared options to a command; it receives them as ``shared: Shared``.
+
+    Parameters
+    ----------
+    output_help : str
+        What ``-o`` writes.
+    output_flags : tuple of str
+        Other flags where ``--output`` means something else to this verb.
+    """
+    path = click.Path(path_type=Path)
+    options = [
+        click.option(*output_flags, "output_path", type=path, required=required, help=output_help),
+        click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document on stdout."),
+        click.option("--force", is_flag=True, help="Overwrite an output that swimid did not write."),
+        click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
+        click.option("-v", "--verbose", count=True, help="Say more about what is done."),
+        click.option("--no-progress", is_flag=True, help="No progress bars."),
+        click.option("--debug", is_flag=True, help="Show tracebacks."),
+    ]
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        from functools import wraps
+
+        @wraps(function)
+        def gather(
+            *args: Any,
+            output_path: Path | None,
+            as_json: bool,
+            force: bool,
+            quiet: bool,
+            verbose: int,
+            no_progress: bool,
+            debug: bool,
+            **rest: Any,
+        ) -> Any:
+            shared = Shared(output_path, as_json, quiet, verbose, no_progress, debug, force)
+            return function(*args, shared=shared, **rest)
+
+        for option in reversed(options):
+            gather = option(gather)
+        return gather
+
+    return decorate
+
+
+class Run:
+    """One verb being run: gives it progress, takes its outcome."""
+
+    def __init__(self, shared: Shared) -> None:
+        self.shared = shared
+        self.outcome: Outcome | None = None
+
+    @property
+    def progress(self) -> Progress:
+        """Bars on stderr when it is a terminal, else none."""
+        shared = self.shared
+        hidden = shared.no_progress or shared.quiet or not sys.stderr.isatty() or bool(os.environ.get("CI"))
+        return silent if hidden else _rich_progress
+
+    def finish(self, outcome: Outcome) -> None:
+        """Take the outcome; it is printed when the run ends."""
+        self.outcome = outcome
+
+
+@contextmanager
+def running(verb: str, shared: Shared) -> Iterator[Run]:
+    """Run a verb: print its outcome and warnings, turn errors into exit statuses.
+
+    Exit status 0 done, 2 usage, 3 input, 4 no trustworthy result, 1 a bug, 130 interrupted.
+    """
+    run = Run(shared)
+    notices: list[Notice] = []
+    try:
+        with recorded() as notices:
+            yield run
+    except SwimidError as error:
+        if shared.debug:
+            traceback.print_exc()
+        _print_warnings(notices, shared)
+        _fail(verb, shared, error.to_dict(), f"Error: {error}", notices)
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        _fail(verb, shared, _named("Interrupted", "interrupted", 130), "Interrupted.", notices)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except (click.exceptions.ClickException, click.exceptions.Exit, click.exceptions.Abort):
+        raise
+    except MemoryError as error:
+        text = f"not enough memory for this input: {error}"
+        _fail(verb, shared, _named("InputError", text, 3), f"Error: {text}", notices)
+        sys.exit(3)
+    except Exception as error:  # noqa: BLE001 - the last line of defence: a bug is reported as one
+        if shared.debug:
+            traceback.print_exc()
+        text = f"{type(error).__name__}: {error}"
+        _fail(
+            verb,
+            shared,
+            _named("Bug", text, 1),
+            f"This is a bug in swimid: {text}\n  hint: run again with --debug and report the traceback",
+            notices,
+        )
+        sys.exit(1)
+    assert run.outcome is not None
+    _print_warnings(notices, shared)
+    if shared.as_json:
+        document = {
+            "schema": ENVELOPE,
+            "ok": True,
+            "verb": verb,
+            "result": _jsonable(run.outcome.result),
+            "warnings": [{"code": n.code, "text": n.text} for n in notices],
+            "outputs": [str(path) for path in run.outcome.outputs],
+        }
+        click.echo(json.dumps(document, ensure_ascii=False))
+    elif not shared.quiet:
+        if run.outcome.summary:
+            click.echo(run.outcome.summary)
+        for path in run.outcome.outputs:
+            click.echo(f"wrote {path}", err=True)
+
+
+def _named(kind: str, message: str, status: int) -> dict[str, Any]:
+    return {"type": kind, "message": message, "exit_status": status}
+
+
+def _fail(verb: str, shared: Shared, error: dict[str, Any], text: str, notices: list[Notice]) -> None:
+    if shared.as_json:
+        document = {
+            "schema": ENVELOPE,
+            "ok": False,
+            "verb": verb,
+            "error": error,
+            "warnings": [{"code": n.code, "text": n.text} for n in notices],
+        }
+        click.echo(json.dumps(document, ensure_ascii=False))
+    click.echo(text, err=True)
+
+
+def _print_warnings(notices: list[Notice], shared: Shared) -> None:
+    if shared.quiet:
+        return
+    for notice in notices:
+        click.echo(f"warning {notice.code}: {notice.text}", err=True)
+
+
+def _jsonable(value: Any) -> Any:
+    """Plain JSON data; numbers keep every digit, NaN becomes null."""
+    import math
+
+    if isinstance(value, dict):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _jsonable(value.tolist())
+    if hasattr(value, "model_dump"):
+        return _jsonable(value.model_dump(mode="json"))
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ...] = ()) -> None:
+    """Refuse an output that would destroy an input, or a file swimid did not write.
+
+    Raises
+    ------
+    UsageError
+        The output is an input, or another's file and ``--force`` was not given.
+    InputError
+        Its folder does not exist.
+    """
+    if output is None:
+        return
+    from swimid.formats import atomic
+
+    atomic.check_writable(output, inputs=inputs)
+    if output.exists() and not shared.force and not _ours(output):
+        raise UsageError(
+            f"{output} exists and was not written by swimid", hint="name another output, or give --force"
+        )
+
+
+def _ours(path: Path) -> bool:
+    """Whether swimid wrote this file (or it is empty): a rerun may replace it."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(4096)
+            stream.seek(0, os.SEEK_END)
+            stream.seek(max(stream.tell() - 65536, 0))
+            tail = stream.read()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    return not head or b"swimid" in head or b"swimid" in tail
+
+
+@contextmanager
+def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(description, total=total)
+
+        def step(amount: int = 1) -> None:
+            bars.advance(task, amount)
+
+        yield step

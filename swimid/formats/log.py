@@ -1,0 +1,389 @@
+"""The log of one trial: CSV, or Parquet by its ending (``docs/formats.md``).
+
+First column ``t_s``, strictly increasing; missing samples are empty cells; ``#`` lines
+before the header hold YAML ``key: value`` metadata. Columns carry their unit as a suffix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from swimid.errors import InputError, nearest
+from swimid.formats import atomic, yamlio
+from swimid.notices import warn
+
+TIME = "t_s"
+#: Words that mean "missing" in a cell, beside the empty cell the format asks for.
+MISSING = ["", "nan", "NaN", "NAN", "NA", "null"]
+PARQUET_ENDINGS = (".parquet", ".pq")
+
+
+@dataclass(frozen=True)
+class Log:
+    """One trial's samples.
+
+    Attributes
+    ----------
+    path : Path
+        Where they were read.
+    metadata : dict
+        The ``# key: value`` lines.
+    columns : dict of str to ndarray, each shape (n,)
+        Numbers, NaN where missing; ``t_s`` is among them.
+    first_line : int
+        Line of the file that holds the first sample (0 for Parquet).
+    """
+
+    path: Path
+    metadata: dict[str, Any]
+    columns: dict[str, NDArray[np.float64]]
+    first_line: int = 0
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Sample times, s, shape (n,)."""
+        return self.columns[TIME]
+
+    def __getitem__(self, column: str) -> NDArray[np.float64]:
+        return self.columns[column]
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.columns
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def line(self, row: int) -> int | None:
+        """Line of the file that holds sample ``row``."""
+        return self.first_line + row if self.first_line else None
+
+
+def read(
+    path: str | Path, *, required: Sequence[str] = (), optional: Sequence[str] | None = None, min_rows: int = 2
+) -> Log:
+    """Read a log and check it.
+
+    Parameters
+    ----------
+    required : sequence of str
+        Columns that must be there, besides ``t_s``.
+    optional : sequence of str, optional
+        Further columns to take where they are there. Without it every column is taken
+        that holds numbers, and columns of text are left out.
+    min_rows : int
+        Fewest samples accepted.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column: unreadable or empty file, missing or misnamed column
+        (with the nearest name), a cell that is no number, time not increasing, a required
+        column without a single sample.
+    """
+    path = Path(path)
+    reader = _read_parquet if path.suffix.lower() in PARQUET_ENDINGS else _read_csv
+    try:
+        metadata, columns, first_line = reader(path, list(required), None if optional is None else list(optional))
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    log = Log(path, metadata, columns, first_line)
+    _check(log, required, min_rows)
+    _warn_missing(log)
+    _warn_units(log)
+    return log
+
+
+# ---------------------------------------------------------------- CSV
+
+
+def _read_csv(
+    path: Path, required: list[str], optional: list[str] | None
+) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
+    comments, header, header_line = _head(path)
+    metadata = _metadata(comments, path)
+    names = [name.strip().strip('"') for name in header.split(",")]
+    if len(names) == 1:
+        for other, word in ((";", "semicolons"), ("\t", "tabs")):
+            if other in header:
+                raise InputError(
+                    f"its columns are separated by {word}; a log has commas", file=path, line=header_line
+                )
+    if all(_is_number(name) for name in names):
+        raise InputError("the header line with the column names is missing", file=path, line=header_line)
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("two columns have this name", file=path, line=header_line, column=name)
+    _check_columns(names, required, path, header_line)
+    wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
+    frame = _parse(path, header_line, names, wanted)
+    strict = {TIME, *required, *(optional or ())}
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name in wanted:
+        numbers = pd.to_numeric(frame[name], errors="coerce")
+        bad = numbers.isna() & ~frame[name].isna()
+        if bad.any():
+            # A column of words (a status, say) is no mistake unless it was asked for.
+            if name not in strict and bad.sum() > len(frame) // 2:
+                continue
+            row = int(np.argmax(bad.to_numpy()))
+            raise InputError(
+                f"'{frame[name].iloc[row]}' is not a number",
+                file=path,
+                line=header_line + 1 + row,
+                column=name,
+                hint=_number_hint(str(frame[name].iloc[row])),
+            )
+        columns[name] = numbers.to_numpy(dtype=float, copy=True)
+    return metadata, _without_blank_end(columns), header_line + 1
+
+
+def _head(path: Path) -> tuple[list[str], str, int]:
+    """Comment lines, the header line and its number (from 1)."""
+    comments: list[str] = []
+    with path.open("rb") as stream:
+        for number, raw in enumerate(stream, start=1):
+            if len(raw) > 1_000_000 or b"\x00" in raw:
+                raise InputError("is not a text file", file=path, line=number)
+            try:
+                line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
+            except UnicodeDecodeError as error:
+                raise InputError("is not UTF-8 text", file=path, line=number) from error
+            if line.startswith("#"):
+                comments.append(line[1:])
+            elif line:
+                return comments, line, number
+    raise InputError("is empty" if not comments else "holds comments only, no header and no samples", file=path)
+
+
+def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
+    """``# key: value`` lines as YAML, each on its own; a remark that is none is left out."""
+    metadata: dict[str, Any] = {}
+    for line in comments:
+        key, colon, value = line.partition(":")
+        if not colon or not key.strip() or " " in key.strip():
+            continue
+        try:
+            parsed = yamlio.parse_scalar(value)
+        except ValueError as error:
+            raise InputError(f"its comment line is not YAML 'key: value': {error}", file=path) from error
+        metadata[key.strip()] = parsed
+    return metadata
+
+
+def _parse(path: Path, header_line: int, names: list[str], wanted: list[str]) -> pd.DataFrame:
+    settings: dict[str, Any] = {
+        "skiprows": header_line,
+        "header": None,
+        "names": names,
+        "usecols": wanted,
+        "na_values": MISSING,
+        "keep_default_na": False,
+        "skip_blank_lines": False,
+        "skipinitialspace": True,
+        "index_col": False,
+        "encoding": "utf-8",
+        "on_bad_lines": "error",
+        "float_precision": "round_trip",
+        "low_memory": False,
+    }
+    try:
+        return pd.read_csv(path, **settings)
+    except pd.errors.EmptyDataError as error:
+        raise InputError("has a header and no samples", file=path, line=header_line) from error
+    except (pd.errors.ParserError, ValueError, OverflowError) as error:
+        raise _ragged(path, header_line, len(names), error) from error
+
+
+def _ragged(path: Path, header_line: int, expected: int, error: Exception) -> InputError:
+    with path.open("r", encoding="utf-8", errors="replace") as stream:
+        for number, line in enumerate(stream, start=1):
+            if number > header_line and line.count(",") + 1 > expected:
+                return InputError(
+                    f"has {line.count(',') + 1} cells where the header names {expected} columns",
+                    file=path,
+                    line=number,
+                )
+    return InputError(f"cannot be parsed: {str(error).splitlines()[0]}", file=path)
+
+
+def _without_blank_end(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    if not columns:
+        return columns
+    filled = ~np.all([np.isnan(values) for values in columns.values()], axis=0)
+    last = int(np.max(np.nonzero(filled)[0])) + 1 if filled.any() else 0
+    return {name: values[:last] for name, values in columns.items()}
+
+
+# ---------------------------------------------------------------- Parquet
+
+
+def _read_parquet(
+    path: Path, required: list[str], optional: list[str] | None
+) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory")
+    try:
+        file = pq.ParquetFile(path)
+        names = list(file.schema_arrow.names)
+        _check_columns(names, required, path, None)
+        wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
+        table = file.read(columns=wanted)
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, PermissionError):
+            raise
+        first = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"is no readable Parquet file: {first}", file=path) from error
+    stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
+    metadata = _metadata(stored.decode("utf-8", "replace").splitlines(), path)
+    strict = {TIME, *required, *(optional or ())}
+    columns = {}
+    for name in wanted:
+        kind = table.schema.field(name).type
+        if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+            values = table.column(name).to_pandas()
+            columns[name] = values.to_numpy(dtype=float, na_value=np.nan)
+        elif name in strict:
+            raise InputError(f"holds {kind}, not numbers", file=path, column=name)
+    return metadata, columns, 0
+
+
+# ---------------------------------------------------------------- checks
+
+
+def _check_columns(names: list[str], required: Sequence[str], path: Path, line: int | None) -> None:
+    for column in (TIME, *required):
+        if column in names:
+            continue
+        close = nearest(column, names)
+        hint = f"did you mean '{close}'? " if close else ""
+        raise InputError(
+            "this column is missing",
+            file=path,
+            line=line,
+            column=column,
+            hint=f"{hint}the file has: {', '.join(names)}",
+        )
+    if names[0] != TIME:
+        raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
+
+
+def _check(log: Log, required: Sequence[str], min_rows: int) -> None:
+    time = log.time_s
+    if len(time) < min_rows:
+        count = "no samples" if len(time) == 0 else f"{len(time)} samples"
+        raise InputError(f"has {count}; at least {min_rows} are needed", file=log.path)
+    if np.isnan(time).any():
+        row = int(np.argmax(np.isnan(time)))
+        raise InputError("has no value", file=log.path, line=log.line(row), column=TIME)
+    for name, values in log.columns.items():
+        if np.isinf(values).any():
+            row = int(np.argmax(np.isinf(values)))
+            raise InputError("is infinite", file=log.path, line=log.line(row), column=name)
+    backwards = np.diff(time) <= 0
+    if backwards.any():
+        row = int(np.argmax(backwards)) + 1
+        what = "repeats" if time[row] == time[row - 1] else "goes back"
+        raise InputError(
+            f"time {what}: {time[row]!r} after {time[row - 1]!r}".replace("np.float64(", "").replace(")", ""),
+            file=log.path,
+            line=log.line(row),
+            column=TIME,
+            hint="sort the rows and drop repeated ones",
+        )
+    for name in required:
+        if np.isnan(log[name]).all():
+            raise InputError("every sample is missing", file=log.path, column=name)
+
+
+def _warn_missing(log: Log) -> None:
+    for name, values in log.columns.items():
+        missing = np.isnan(values)
+        if missing.any() and not missing.all():
+            warn(
+                "SWM001",
+                f"{log.path.name}, '{name}': {int(missing.sum())} of {len(values)} samples are missing "
+                f"(longest run {longest_run(missing)}); they are masked, not filled",
+            )
+
+
+def longest_run(flags: NDArray[np.bool_]) -> int:
+    """Length of the longest unbroken run of True.
+
+    >>> longest_run(np.array([True, False, True, True]))
+    2
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
+
+
+def _warn_units(log: Log) -> None:
+    """Values no swimming robot reaches in the unit the column claims."""
+    time = log.time_s
+    if len(time) > 2 and np.median(np.diff(time)) >= 5 and np.ptp(time) >= 2000:
+        warn("SWM002", f"{log.path.name}, 't_s': the steps look like milliseconds (a factor of 1000)")
+    for name, values in log.columns.items():
+        largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
+        jump = float(np.nanmax(np.abs(np.diff(values)))) if np.isfinite(np.diff(values)).any() else 0.0
+        if name.endswith("_rad") and (jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)):
+            warn("SWM002", f"{log.path.name}, '{name}': looks like degrees (a factor of 57.3)")
+        elif name.endswith("_rad_s") and largest > 60:
+            warn("SWM002", f"{log.path.name}, '{name}': looks like degrees per second (a factor of 57.3)")
+        elif name in ("x_m", "y_m", "z_m") and largest and np.nanmax(values) - np.nanmin(values) > 100:
+            warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres (a factor of 1000)")
+        elif name.endswith("_m_s") and largest > 20:
+            warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres per second (a factor of 1000)")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number_hint(text: str) -> str:
+    if _is_number(text.replace(",", ".")):
+        return "write the decimal point as a dot"
+    return "leave the cell empty where the sample is missing"
+
+
+# ---------------------------------------------------------------- writing
+
+
+def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
+    """Write a log, whole or not at all.
+
+    Parameters
+    ----------
+    columns : mapping of name to array_like, each shape (n,)
+        ``t_s`` first. NaN becomes an empty cell; text columns are allowed.
+    metadata : mapping, optional
+        Plain values, one ``# key: value`` line each.
+    """
+    path = Path(path)
+    frame = pd.DataFrame(dict(columns))
+    lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
+    with atomic.replacing(path) as temporary:
+        if path.suffix.lower() in PARQUET_ENDINGS:
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+
+            table = pa.Table.from_pandas(frame, preserve_index=False)
+            stored = {**(table.schema.metadata or {}), b"swimid": "\n".join(lines).encode()}
+            pq.write_table(table.replace_schema_metadata(stored), temporary)
+        else:
+            with open(temporary, "w", encoding="utf-8", newline="\n") as stream:
+                stream.writelines(f"# {line}\n" for line in lines)
+                frame.to_csv(stream, index=False, lineterminator="\n")

@@ -1,0 +1,54 @@
+"""JSON Schema of every file format, from the models that validate it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from swimid.errors import UsageError, nearest
+from swimid.formats import atomic, evidence, parameters, robot, setup, trials
+from swimid.verbs.outcome import Outcome
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """Every format by name, with its JSON Schema."""
+    models: dict[str, Any] = {
+        "trials": TypeAdapter(trials.Union),
+        "robot": robot.Robot,
+        "parameters": parameters.ParameterFile,
+        "setup": setup.Setup,
+        "evidence": evidence.Evidence,
+    }
+    return {
+        name: model.model_json_schema()
+        if isinstance(model, type) and issubclass(model, BaseModel)
+        else model.json_schema()
+        for name, model in models.items()
+    }
+
+
+def schema(name: str | None, *, output: Path | None = None) -> Outcome:
+    """The schema of one format, or the list of formats.
+
+    Raises
+    ------
+    UsageError
+        When there is no such format; names the nearest.
+    """
+    known = schemas()
+    if name is None:
+        text = "\n".join(known)
+        return Outcome("schema", text, {"formats": list(known)})
+    if name not in known:
+        close = nearest(name, list(known))
+        hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}"
+        raise UsageError(f"there is no format '{name}'", hint=hint)
+    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **known[name]}
+    text = json.dumps(document, indent=2)
+    if output is None:
+        return Outcome("schema", text, document)
+    atomic.write_text(output, text + "\n")
+    return Outcome("schema", "", document, [output])
