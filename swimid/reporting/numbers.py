@@ -181,7 +181,8 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
     """``low … high``, both to the digits ``stderr`` supports (four digits without one)."""
     if not (_is_number(low) and _is_number(high)):
         return NOTHING
-    assert low is not None and high is not None
+    assert low is not None
+    assert high is not None
     if not _is_number(stderr) or not stderr or stderr < 0:
         return _joined(f"{number(low)} … {number(high)}", unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
@@ -193,7 +194,8 @@ def confidence95(value: float | None, stderr: float | None) -> tuple[float, floa
     """Ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
     if not (_is_number(value) and _is_number(stderr)):
         return None
-    assert value is not None and stderr is not None
+    assert value is not None
+    assert stderr is not None
     if stderr <= 0:
         return None
     return value - Z95 * stderr, value + Z95 * stderr
