@@ -169,6 +169,6 @@ def robot_of(trials: _Trials, path: str | Path) -> robot_format.Robot:
 
 
 #: Any trials file, for the JSON Schema.
-Union = Annotated[
+AnyTrials = Annotated[
     FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Arma, Field(discriminator="experiment")
 ]

@@ -89,8 +89,13 @@ class Trial:
         Measured inputs on the same samples.
     settings : dict
         Known constants of this trial (a pulling mass, say), resolved against the robot.
-    time_sd_s : float or None
-        Standard deviation of the time stamps where it is known from the recording.
+    value_sd : dict of channel name to ndarray or float
+        Known shape of the measurement error (its overall size is still estimated). Without it
+        and without ``time_sd_s`` the error is taken as constant over each channel.
+    time_sd_s : float
+        Known standard deviation of the time stamps.
+    stamps_uncertain : bool
+        The stamps carry an error of unknown size: value and stamp errors are both estimated.
     """
 
     id: str
@@ -99,7 +104,9 @@ class Trial:
     measured: Mapping[str, Array]
     inputs: Mapping[str, Array] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
-    time_sd_s: float | None = None
+    value_sd: Mapping[str, Array | float] = field(default_factory=dict)
+    time_sd_s: float = 0.0
+    stamps_uncertain: bool = False
 
 
 class Model(ABC):

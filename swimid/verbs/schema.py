@@ -16,7 +16,7 @@ from swimid.verbs.outcome import Outcome
 def schemas() -> dict[str, dict[str, Any]]:
     """Every format by name, with its JSON Schema."""
     models: dict[str, Any] = {
-        "trials": TypeAdapter(trials.Union),
+        "trials": TypeAdapter(trials.AnyTrials),
         "robot": robot.Robot,
         "parameters": parameters.ParameterFile,
         "setup": setup.Setup,
