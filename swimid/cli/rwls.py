@@ -16,7 +16,7 @@ from swimid.cli.common import Shared, protect, running, shared_options
 @click.option(
     "--input-model",
     metavar="sine:A,F[,PHASE]",
-    help="Compute the input instead of reading it: A sin(2 pi F t + PHASE), A in any unit, F in Hz, PHASE in rad.",
+    help="Compute the input: A sin(2 pi F t + PHASE), A in any unit, F in Hz, PHASE in rad.",
 )
 @click.option("--na", type=click.IntRange(0, 50), help="Number of output coefficients a1..")
 @click.option("--nb", type=click.IntRange(1, 50), help="Number of input coefficients b1..")

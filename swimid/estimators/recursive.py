@@ -162,7 +162,7 @@ def recursive_least_squares(
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run(
+def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
     h: np.ndarray,
     z: np.ndarray,
     fresh: np.ndarray,

@@ -1,0 +1,138 @@
+"""Choosing the orders of an ARX model: information criteria and free-run error over a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult
+from swimid.estimators.arx import EXACT, Orders, Record, check_enough, regression
+from swimid.estimators.prediction import quality, simulate
+from swimid.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One model of the grid.
+
+    Attributes
+    ----------
+    orders : Orders
+    one_step_rmse : float
+        On the rows all candidates share, unit of the output.
+    aic, bic : float
+        Akaike's and the Bayesian information criterion.
+    free_run_nrmse : float
+        Free-run error over the deviation of the output, held-out data; infinite when the free
+        run leaves every bound.
+    stable : bool
+    """
+
+    orders: Orders
+    one_step_rmse: float
+    aic: float
+    bic: float
+    free_run_nrmse: float
+    stable: bool
+
+    def score(self, criterion: str) -> float:
+        """What ``criterion`` ("bic", "aic" or "free-run") minimises."""
+        return {"bic": self.bic, "aic": self.aic, "free-run": self.free_run_nrmse}[criterion]
+
+
+def search(
+    records: Sequence[Record],
+    held_out: Sequence[Record],
+    *,
+    max_na: int,
+    max_nb: int,
+    max_nk: int,
+    level_removed: bool = False,
+    progress: Progress = silent,
+) -> list[Candidate]:
+    """Every ARX model with na <= max_na, 1 <= nb <= max_nb, 1 <= nk <= max_nk.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The fit part.
+    held_out : sequence of Record
+        Where the free run is judged; the fit part when empty.
+    max_na, max_nb, max_nk : int
+        The grid.
+    level_removed : bool
+        See :func:`swimid.estimators.prediction.quality`.
+    progress : Progress
+        Shows the models tried.
+
+    Returns
+    -------
+    list of Candidate
+
+    Notes
+    -----
+    All candidates are fitted on the same rows, those whole for the longest lags of the grid, so
+    that their criteria can be compared. One QR factor of the widest regression serves them all.
+    ``aic = n ln(RSS / n) + 2 p``, ``bic = n ln(RSS / n) + p ln n``.
+    """
+    widest = Orders(max_na, max_nk + max_nb - 1, 1)
+    data = regression(records, widest)
+    check_enough(data, widest)
+    n = len(data)
+    factor = np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r")
+    floor = n * (EXACT * float(np.std(data.outputs))) ** 2
+    judged = list(held_out) or list(records)
+    measured = np.concatenate([r.output for r in judged])
+    grid = [
+        Orders(na, nb, nk)
+        for na in range(max_na + 1)
+        for nb in range(1, max_nb + 1)
+        for nk in range(1, max_nk + 1)
+    ]
+    found = []
+    with progress("trying orders", total=len(grid)) as step:
+        for orders in grid:
+            chosen = [*range(orders.na), *range(max_na + orders.nk - 1, max_na + orders.nk - 1 + orders.nb)]
+            theta = np.linalg.lstsq(factor[:, chosen], factor[:, -1], rcond=None)[0]
+            rss = float(np.sum((factor[:, -1] - factor[:, chosen] @ theta) ** 2))
+            # Below rounding all fits are equal; without a floor noise-free data would
+            # reward ever more parameters.
+            fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
+            run = np.concatenate([simulate(r, orders, theta) for r in judged])
+            error = quality(measured, run, level_removed=level_removed)
+            complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
+            roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
+            found.append(
+                Candidate(
+                    orders,
+                    float(np.sqrt(rss / n)),
+                    fitted + 2 * orders.count,
+                    fitted + np.log(n) * orders.count,
+                    error.nrmse if complete and np.isfinite(error.nrmse) else np.inf,
+                    bool(np.all(np.abs(roots) < 1)),
+                )
+            )
+            step()
+    return found
+
+
+def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:
+    """The candidate of least score; of equals, the one with fewest parameters.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When no candidate has a finite score.
+    """
+    finite = [c for c in candidates if np.isfinite(c.score(criterion))]
+    if not finite:
+        raise NoTrustworthyResult("no model of the order grid has a free run that stays finite")
+    return min(finite, key=lambda c: (c.score(criterion), c.orders.count, c.orders.nk))
+
+
+def on_edge(chosen: Orders, *, max_na: int, max_nb: int, max_nk: int) -> list[str]:
+    """Names of the orders that sit at the largest value of the grid."""
+    limits = {"na": max_na, "nb": max_nb, "nk": max_nk}
+    return [name for name, limit in limits.items() if getattr(chosen, name) == limit]

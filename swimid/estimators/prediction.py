@@ -1,0 +1,259 @@
+"""What an ARX or ARMAX model predicts, how well, and what its coefficients mean.
+
+One step ahead, k steps ahead, and the free run (simulation), which sees no output after its
+start. Poles, stability and frequency response come with uncertainty by the delta method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.estimators import armax, recursive
+from swimid.estimators.arx import Orders, Record, regression
+
+#: A pole at least this close to the unit circle integrates, whatever its uncertainty.
+INTEGRATING = 0.999
+#: A free run that strays this many times the output's range from it is given up.
+RUNAWAY = 100.0
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Agreement of a prediction with a measurement.
+
+    Attributes
+    ----------
+    fit_percent : float
+        ``100 (1 - |y - prediction| / |y - mean(y)|)``; 100 is perfect, 0 no better than the mean.
+    rmse : float
+        Root-mean-square error, unit of the output.
+    nrmse : float
+        rmse over the standard deviation of the measured output.
+    level : float
+        Mean error, unit of the output.
+    samples : int
+        Number of samples compared.
+    """
+
+    fit_percent: float
+    rmse: float
+    nrmse: float
+    level: float
+    samples: int
+
+
+def quality(measured: np.ndarray, predicted: np.ndarray, *, level_removed: bool = False) -> Quality:
+    """Compare over the samples both have.
+
+    Parameters
+    ----------
+    measured, predicted : ndarray, shape (n,)
+        NaN where missing.
+    level_removed : bool
+        Judge the error without its mean: for a model of deviations, on data with a working
+        point of their own.
+
+    >>> quality(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
+    100.0
+    """
+    use = np.isfinite(measured) & np.isfinite(predicted)
+    if not np.any(use):
+        return Quality(np.nan, np.nan, np.nan, np.nan, 0)
+    error = measured[use] - predicted[use]
+    level = float(np.mean(error))
+    if level_removed:
+        error = error - level
+    rmse = float(np.sqrt(np.mean(error**2)))
+    deviation = float(np.std(measured[use]))
+    nrmse = rmse / deviation if deviation > 0 else np.nan
+    return Quality(100.0 * (1.0 - nrmse), rmse, nrmse, level, int(np.count_nonzero(use)))
+
+
+def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    result = np.full(len(x), np.nan)
+    if lag < len(x):
+        result[lag:] = x[: len(x) - lag]
+    return result
+
+
+def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int) -> Iterator[np.ndarray]:
+    """Predictions 1, 2, .. ``steps`` samples ahead, one array after the other.
+
+    The input is known throughout; the output only up to the sample the prediction is made at.
+
+    Yields
+    ------
+    ndarray, shape (n,)
+        The prediction of y(k) from what was measured until k - j; NaN where that is missing.
+    """
+    a, b, c = orders.split(theta)
+    driven = np.zeros(len(record))
+    for j, value in enumerate(b):
+        driven = driven + value * _lagged(record.source, orders.nk + j)
+    errors = one_step_errors(record, orders, theta) if orders.nc else np.empty(0)
+    # Before its first row a model with C knows no error; it takes zero, as the fit does.
+    errors = np.nan_to_num(errors)
+    done: list[np.ndarray] = []  # the predictions 1, 2, .. steps ahead so far
+    for ahead in range(1, steps + 1):
+        total = driven.copy()
+        for i, value in enumerate(a, start=1):
+            total -= value * _lagged(done[ahead - i - 1] if ahead > i else record.output, i)
+        for i in range(ahead, orders.nc + 1):
+            total += c[i - 1] * np.nan_to_num(_lagged(errors, i))
+        done.append(total)
+        if ahead > orders.na:
+            done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
+        yield total
+
+
+def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
+    """The prediction ``steps`` samples ahead, shape (n,); see :func:`predictions`."""
+    result = np.full(len(record), np.nan)
+    for result in predictions(record, orders, theta, steps=steps):  # noqa: B007 - the last one is wanted
+        pass
+    return result
+
+
+def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """One-step errors on the record's samples, shape (n,); NaN where there is no whole row."""
+    data = regression([record], orders)
+    result = np.full(len(record), np.nan)
+    if len(data):
+        result[data.sample] = armax.errors_and_gradient(
+            theta, data.rows, data.outputs, data.fresh, orders.nc
+        )[0]
+    return result
+
+
+def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """Free run over a record from its first ``na`` outputs, shape (n,).
+
+    A run that strays :data:`RUNAWAY` times the range of the output away is given up: NaN.
+    """
+    a, b, _ = orders.split(theta)
+    values = record.output[np.isfinite(record.output)]
+    limit = np.inf
+    if len(values):
+        limit = float(np.max(np.abs(values)) + RUNAWAY * max(np.ptp(values), 1e-300))
+    return recursive.free_run(
+        np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
+    )
+
+
+def horizon_errors(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray, horizons: Sequence[int]
+) -> list[Quality]:
+    """Quality of the prediction at several horizons, over all records together."""
+    predicted: dict[int, list[np.ndarray]] = {h: [] for h in horizons}
+    for record in records:
+        for ahead, values in enumerate(predictions(record, orders, theta, steps=max(horizons)), start=1):
+            if ahead in predicted:
+                predicted[ahead].append(values)
+    measured = np.concatenate([r.output for r in records])
+    return [quality(measured, np.concatenate(predicted[h])) for h in horizons]
+
+
+@dataclass(frozen=True)
+class Pole:
+    """A pole in the z plane.
+
+    Attributes
+    ----------
+    value : complex
+    magnitude, stderr : float
+        Modulus and its standard error (NaN for a repeated pole, where it has none).
+    frequency_hz, damping_ratio : float
+        Of the continuous pole log(z) / Ts; NaN for z = 0.
+    """
+
+    value: complex
+    magnitude: float
+    stderr: float
+    frequency_hz: float
+    damping_ratio: float
+
+    @property
+    def integrating(self) -> bool:
+        """Whether the pole cannot be told from the unit circle, from inside or on it."""
+        near = np.isfinite(self.stderr) and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
+        return bool(near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING)
+
+    @property
+    def unstable(self) -> bool:
+        """Whether it lies on or outside the unit circle."""
+        return self.magnitude >= 1.0
+
+
+def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
+    """Roots of A, largest first, with the standard error of their modulus.
+
+    Parameters
+    ----------
+    a : ndarray, shape (na,)
+        a1 .. ana.
+    covariance : ndarray, shape (na, na), or None
+        Of a.
+    sample_time_s : float
+        Sample time, s.
+
+    Notes
+    -----
+    For a simple root z of ``p(z) = z^n + a1 z^(n-1) + ...``: ``dz/da_i = -z^(n-i) / p'(z)``.
+    """
+    n = len(a)
+    polynomial = np.concatenate(([1.0], a))
+    result = []
+    for z in np.roots(polynomial) if n else []:
+        stderr = np.nan
+        slope = np.polyval(np.polyder(polynomial), z)
+        if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
+            gradient = -(z ** np.arange(n - 1, -1, -1)) / slope
+            along = np.real(np.conj(z) / abs(z) * gradient)
+            stderr = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+        continuous = np.log(complex(z)) / sample_time_s if abs(z) > 0 else complex(np.nan, np.nan)
+        size = abs(continuous)
+        damping = float(-continuous.real / size) if size > 0 else np.nan
+        result.append(Pole(complex(z), float(abs(z)), stderr, float(size / (2 * np.pi)), damping))
+    return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
+
+
+def response_spread(
+    orders: Orders, theta: np.ndarray, covariance: np.ndarray, sample_time_s: float, omega_rad_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Standard errors of the frequency response B / A.
+
+    Parameters
+    ----------
+    orders : Orders
+        Of the model.
+    theta, covariance : ndarray, shape (p,) and (p, p)
+        Coefficients and their covariance.
+    sample_time_s : float
+        Sample time, s.
+    omega_rad_s : ndarray, shape (m,)
+        Angular frequencies, rad/s.
+
+    Returns
+    -------
+    log_gain, phase_rad : ndarray, shape (m,)
+        Standard errors of ln of the gain and of the phase, rad.
+    """
+    a, b, _ = orders.split(theta)
+    backward = np.exp(-1j * np.asarray(omega_rad_s) * sample_time_s)
+    denominator = 1.0 + sum(value * backward**i for i, value in enumerate(a, start=1))
+    powers = [backward ** (orders.nk + j) for j in range(orders.nb)]
+    numerator = sum(value * power for value, power in zip(b, powers, strict=True))
+    # d ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j.
+    gradient = np.array(
+        [-(backward**i) / denominator for i in range(1, orders.na + 1)]
+        + [power / numerator for power in powers]
+    )
+    used = covariance[: orders.na + orders.nb, : orders.na + orders.nb]
+
+    def spread(part: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(np.einsum("im,ij,jm->m", part, used, part), 0.0))
+
+    return spread(gradient.real), spread(gradient.imag)

@@ -1,0 +1,137 @@
+"""From time stamps to a constant rate: the sample time, missing samples and jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+#: A step within this share of a whole number of sample times lies on the grid.
+ON_GRID = 0.15
+#: Fewer steps on the grid than this share: the record is not uniformly sampled.
+ENOUGH = 0.8
+#: Root-mean-square jitter, in sample times, from which on it is worth a warning.
+NOTABLE_JITTER = 0.05
+#: A jump over more samples than this starts a new piece instead of being filled with NaN.
+LONGEST_FILL = 1000
+
+
+@dataclass(frozen=True)
+class Rate:
+    """The sampling of one record.
+
+    Attributes
+    ----------
+    step_s : float
+        Sample time, s.
+    jitter : float
+        Root-mean-square deviation of single steps from it, in sample times.
+    on_grid : float
+        Share of the steps that are a whole number of sample times within :data:`ON_GRID`.
+    """
+
+    step_s: float
+    jitter: float
+    on_grid: float
+
+    @property
+    def uniform(self) -> bool:
+        """Whether a constant rate describes the record at all."""
+        return self.on_grid >= ENOUGH
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An unbroken stretch on a grid of constant rate.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Time of every grid point; the measured stamp where there is a sample.
+    rows : ndarray of int, shape (n,)
+        Row of the record each grid point came from, -1 for a sample that is missing.
+    """
+
+    time_s: np.ndarray
+    rows: np.ndarray
+
+    def take(self, column: np.ndarray) -> np.ndarray:
+        """A column of the record on this grid, NaN where the sample is missing."""
+        return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
+
+
+def rate(time_s: np.ndarray) -> Rate:
+    """Sample time and regularity of a record.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,), n >= 2
+        Strictly increasing, s.
+
+    >>> rate(np.array([0.0, 0.1, 0.2, 0.4, 0.5])).step_s
+    0.1
+    """
+    steps = np.diff(np.asarray(time_s, dtype=float))
+    typical = float(np.median(steps))
+    # The mean of the ordinary steps: stamps rounded to milliseconds have a biased median.
+    typical = float(np.mean(steps[np.abs(steps - typical) <= 0.5 * typical]))
+    typical = float(f"{typical:.10g}")
+    relative = steps / typical
+    whole = np.maximum(np.round(relative), 1)
+    off = np.abs(relative - whole)
+    single = off[(whole == 1) & (off < 0.5)]
+    jitter = float(np.sqrt(np.mean(single**2))) if len(single) else 0.0
+    return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
+
+
+def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
+    """Lay a record on a grid, and cut it where the time jumps off that grid.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, s.
+    step_s : float
+        Sample time.
+
+    Returns
+    -------
+    list of Piece
+        More than one where the time jumps by no whole number of samples, or by more than
+        :data:`LONGEST_FILL`. Shorter jumps become missing samples within a piece.
+    """
+    time_s = np.asarray(time_s, dtype=float)
+    relative = np.diff(time_s) / step_s
+    whole = np.maximum(np.round(relative), 1)
+    cut = (whole > 1) & ((np.abs(relative - whole) > 2 * ON_GRID) | (whole > LONGEST_FILL))
+    result = []
+    for rows in np.split(np.arange(len(time_s)), np.flatnonzero(cut) + 1):
+        index = np.concatenate(([0], np.cumsum(whole[rows[:-1]]))).astype(int)
+        source = np.full(index[-1] + 1, -1)
+        source[index] = rows
+        grid = np.interp(np.arange(len(source)), index, time_s[rows])
+        result.append(Piece(grid, source))
+    return result
+
+
+def quantum(values: Sequence[float] | np.ndarray) -> float:
+    """Step of the last decimal place the values were written with, 0 when there is none.
+
+    Two thirds of what a log file holds are rounded decimals; below that step the data say
+    nothing.
+
+    >>> quantum(np.array([0.25, 1.5, -0.75]))
+    0.01
+    """
+    x = np.asarray(values, dtype=float)
+    x = x[np.isfinite(x) & (x != 0)]
+    if len(x) == 0:
+        return 0.0
+    x = x[:: max(len(x) // 5000, 1)]
+    for decimals in range(13):
+        scaled = x * 10.0**decimals
+        exact = np.abs(scaled - np.round(scaled)) <= 1e-14 * np.abs(scaled) + 1e-9
+        if np.mean(exact) >= 0.9 and np.max(np.abs(scaled)) < 1e14:
+            return float(10.0**-decimals)
+    return 0.0
