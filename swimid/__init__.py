@@ -16,9 +16,9 @@ Time
 Missing data
     NaN in arrays, an empty cell in files. Nothing is filled silently.
 Layers
-    ``cli`` -> ``verbs`` -> ``models``, ``estimators``, ``tracking``, ``signals``,
-    ``reporting`` -> ``formats`` -> ``errors``, ``notices``, ``progress``. Imports run in
-    that direction only.
+    ``cli`` -> ``verbs`` -> ``experiments`` -> ``estimators`` -> ``models``, ``signals``;
+    verbs also use ``tracking`` and ``reporting``; all of them ``formats``, which rests on
+    ``errors``, ``notices`` and ``progress``. Imports run in that direction only.
 """
 
 __version__ = "0.1.0"

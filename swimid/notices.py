@@ -25,6 +25,9 @@ CODES: dict[str, str] = {
     "SWM014": "trials scatter more than their noise",
     "SWM015": "validation error much larger than fit error",
     "SWM016": "the integration step is too coarse for its accuracy target",
+    "SWM017": "the trials do not start at rest at their first sample",
+    "SWM018": "part of a log left out",
+    "SWM019": "only ratios of the parameters are known",
     "SWM020": "identified model is unstable or integrating",
     "SWM021": "working point removed from the data",
     "SWM022": "input does not excite the model order",
@@ -39,6 +42,7 @@ CODES: dict[str, str] = {
     "SWM045": "marker touches the edge of the picture",
     "SWM046": "colour drift compensated",
     "SWM047": "track split at a long gap",
+    "SWM048": "calibration points are mirrored",
     "SWM050": "evidence of a result is missing",
     "SWM051": "figure reduced to fewer points",
 }

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, stats
 from scipy.linalg import matmul_toeplitz
 
 from swimid.errors import NoTrustworthyResult
+from swimid.estimators.levenberg import Solution, minimise
 from swimid.estimators.residual_tests import fit_autoregression, joined
 from swimid.models.base import Array, Model, Parameter, Trial
 from swimid.progress import Progress, silent
@@ -28,6 +29,10 @@ UNIDENTIFIABLE = 0.5
 ROUNDS = 4
 #: Trials are called inconsistent below this p-value.
 HETEROGENEITY = 1e-3
+#: The integration step is halved until halving it changes no sample by more than this many
+#: standard deviations of its noise, at most so many times.
+STEP_ERROR = 0.1
+MAX_REFINEMENTS = 6
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,10 @@ class FitResult:
     converged : bool
     message : str
     evaluations : int
-        Simulations of all trials.
+        Simulations of single trials.
+    step_error : float
+        Largest change of a simulated sample when the integration step is halved, in standard
+        deviations of its noise.
     """
 
     model: Model
@@ -124,7 +132,7 @@ class FitResult:
     converged: bool
     message: str
     evaluations: int
-    settings: dict[str, float] = field(default_factory=dict)
+    step_error: float = 0.0
 
     def stderr(self, label: str) -> float | None:
         """Standard error of one estimate, or None where there is none."""
@@ -181,9 +189,7 @@ class _Problem:
         self.upper = np.array([self.parameters[i].upper for i, _ in self.slots])
         self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
         starts = np.array([self.parameters[i].start for i, _ in self.slots])
-        # strictly inside, as the trust-region method needs
-        margin = 1e-8 * np.maximum(self.scale, np.abs(starts))
-        self.start = np.clip(starts, self.lower + margin, self.upper - margin)
+        self.start = np.clip(starts, self.lower, self.upper)
 
     def vector(self, theta: Array, trial: int) -> Array:
         values = self.base.copy()
@@ -236,21 +242,15 @@ class _Problem:
     def jacobian(self, theta: Array) -> Array:
         return np.concatenate(self.trial_jacobians(theta))
 
-    def solve(self, theta: Array, *, tolerance: float) -> optimize.OptimizeResult:
-        if not len(theta):
-            return optimize.OptimizeResult(x=theta, success=True, message="nothing to estimate")
-        inside = np.clip(theta, self.lower + 1e-12 * self.scale, self.upper - 1e-12 * self.scale)
-        return optimize.least_squares(
+    def solve(self, theta: Array, *, tolerance: float) -> Solution:
+        return minimise(
             self.residuals,
-            inside,
-            jac=self.jacobian,
-            bounds=(self.lower, self.upper),
-            x_scale=self.scale,
-            method="trf",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=1e-12,
-            max_nfev=200,
+            self.jacobian,
+            theta,
+            lower=self.lower,
+            upper=self.upper,
+            scale=self.scale,
+            tolerance=tolerance,
         )
 
 
@@ -283,12 +283,38 @@ def fit(
 
     Notes
     -----
-    Weighted nonlinear least squares by a bounded trust-region method, reweighted
+    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method, reweighted
     :data:`ROUNDS` times by the estimated noise. Covariance ``H^-1 M H^-1`` with ``H = J'J``
     and ``M = sum_trials J_k' R J_k``, R the correlation of the weighted residuals under an
     autoregression chosen by BIC; multiplied by the trials' scatter where they disagree.
     """
     parameters = tuple(parameters or model.parameters)
+    for _ in range(MAX_REFINEMENTS):
+        result = _fit_once(model, trials, parameters, progress)
+        finer = model.refined()
+        if finer is None:
+            return result
+        result = replace(result, step_error=_step_error(result, finer))
+        if result.step_error <= STEP_ERROR:
+            return result
+        model = finer
+    return result
+
+
+def _step_error(result: FitResult, finer: Model) -> float:
+    trials = {t.id: t for t in result.trials}
+    worst = 0.0
+    for name, trial in trials.items():
+        fine = finer.simulate(result.values(name), trial)
+        for s in result.series:
+            if s.trial == name:
+                worst = max(worst, float(np.nanmax(np.abs(fine[s.channel] - s.simulated) / s.sd)))
+    return worst
+
+
+def _fit_once(
+    model: Model, trials: Sequence[Trial], parameters: tuple[Parameter, ...], progress: Progress
+) -> FitResult:
     fitted = [t for t in trials if t.role == "fit"]
     if not fitted:
         raise NoTrustworthyResult("no trial has the role 'fit'")
@@ -409,7 +435,7 @@ def _result(
     problem: _Problem,
     theta: Array,
     noise: dict[str, tuple[float, float]],
-    solution: optimize.OptimizeResult,
+    solution: Solution,
     parameters: tuple[Parameter, ...],
     trials: tuple[Trial, ...],
 ) -> FitResult:
@@ -451,7 +477,7 @@ def _result(
         covariance=covariance,
         status=status,
         series=[],
-        noise={c: Noise(v, t, autoregressions[c]) for c, (v, t) in noise.items()},
+        noise={c: Noise(_value_sd(problem, c, v), t, autoregressions[c]) for c, (v, t) in noise.items()},
         scatter=scatter,
         scatter_p=scatter_p,
         samples=samples,
@@ -460,6 +486,15 @@ def _result(
         evaluations=problem.evaluations,
     )
     return replace(result, series=_series(problem, result, trials))
+
+
+def _value_sd(problem: _Problem, channel: str, constant: float) -> float:
+    """Root mean square of the samples' standard deviations, stamps apart where they are free."""
+    owners = [k for k, names in enumerate(problem.channels) if channel in names]
+    if any(problem.trials[k].stamps_uncertain for k in owners):
+        return constant
+    squares = [np.mean(problem.sd[k][problem.channels[k].index(channel)] ** 2) for k in owners]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def _autoregressions(problem: _Problem, residuals: list[Array]) -> dict[str, Array]:
@@ -610,9 +645,7 @@ def profile_interval(result: FitResult, name: str, *, level: float = 0.95) -> tu
 
     def excess(value: float) -> float:
         held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
-        found = _weighted_problem(result, held).solve(others, tolerance=1e-8)
-        residual_cost = 2.0 * float(found.cost) if len(others) else _cost(result, held)
-        return residual_cost - cost - limit
+        return _weighted_problem(result, held).solve(others, tolerance=1e-8).cost - cost - limit
 
     parameter = next(p for p in result.parameters if p.name == name)
     ends: list[float | None] = []
@@ -638,7 +671,3 @@ def _weighted_problem(result: FitResult, parameters: tuple[Parameter, ...]) -> _
         problem.sd[k] = [known[trial.id, channel] for channel in problem.channels[k]]
     return problem
 
-
-def _cost(result: FitResult, parameters: tuple[Parameter, ...]) -> float:
-    residuals = _weighted_problem(result, parameters).residuals(np.empty(0))
-    return float(residuals @ residuals)

@@ -31,6 +31,9 @@ class Trial(yamlio.Document):
     id: str = ""
     log: str
     role: Literal["fit", "validate"] = "fit"
+    #: Use the log from and up to these times only.
+    start_s: float | None = None
+    end_s: float | None = None
 
     @model_validator(mode="before")
     @classmethod

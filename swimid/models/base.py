@@ -142,6 +142,10 @@ class Model(ABC):
         width = trial.time_s + step - np.maximum(trial.time_s - step, 0)
         return {name: (late[name] - early[name]) / width for name in late}
 
+    def refined(self) -> Model | None:
+        """The same model integrated with half the step; None where nothing is integrated."""
+        return None
+
     def index(self, name: str) -> int:
         """Position of a parameter by name.
 

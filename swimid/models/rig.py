@@ -259,6 +259,10 @@ class RigModel(Model):
         )
         return {self.coordinate: x, self.speed: v}
 
+    def refined(self) -> RigModel:
+        """The same model with half the integration step."""
+        return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
+
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Speed is the rate of the displacement; the rate of the speed is its difference quotient."""
         simulated = self.simulate(values, trial)

@@ -1,0 +1,116 @@
+"""Levenberg-Marquardt for few parameters, many residuals and a box.
+
+SciPy's trust-region method decomposes the whole Jacobian in every iteration; with thousands
+of residuals and a handful of parameters the normal equations cost a tenth of that, and on
+these well-scaled problems they lose nothing that matters. Both give the same optimum (tested).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.models.base import Array
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A minimum of the sum of squares.
+
+    Attributes
+    ----------
+    x : ndarray, shape (p,)
+    cost : float
+        Sum of squared residuals there.
+    success : bool
+    message : str
+    iterations : int
+    """
+
+    x: Array
+    cost: float
+    success: bool
+    message: str
+    iterations: int
+
+
+def minimise(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    start: Array,
+    *,
+    lower: Array,
+    upper: Array,
+    scale: Array,
+    tolerance: float = 1e-10,
+    max_iterations: int = 200,
+) -> Solution:
+    """Minimise a sum of squares within bounds.
+
+    Parameters
+    ----------
+    residuals : callable, (p,) -> (n,)
+    jacobian : callable, (p,) -> (n, p)
+    start, lower, upper, scale : ndarray, shape (p,)
+        ``scale`` is the typical size of each parameter.
+    tolerance : float
+        Stop when neither the cost nor the parameters change by more than this, relatively.
+
+    Returns
+    -------
+    Solution
+
+    Notes
+    -----
+    Damping after Nielsen ("Damping parameter in Marquardt's method", 1999). Parameters that
+    lie at a bound and are pushed against it sit out the step; steps are cut at the box.
+    """
+    x = np.clip(np.asarray(start, dtype=float), lower, upper)
+    if len(x) == 0:
+        r = residuals(x)
+        return Solution(x, float(r @ r), True, "nothing to estimate", 0)
+    r = residuals(x)
+    cost = float(r @ r)
+    damping, growth = -1.0, 2.0
+    for iteration in range(1, max_iterations + 1):
+        rows = jacobian(x) * scale
+        gradient, normal = rows.T @ r, rows.T @ rows
+        blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+        free = ~blocked
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        # cosine between the residuals and each column
+        slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
+        if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
+            return Solution(x, cost, True, "the gradient vanishes", iteration)
+        h = normal[np.ix_(free, free)] / np.outer(size[free], size[free])
+        g = gradient[free] / size[free]
+        if damping < 0:
+            damping = 1e-3
+        for _ in range(40):
+            step = np.zeros(len(x))
+            step[free] = -np.linalg.solve(h + damping * np.eye(len(g)), g) / size[free] * scale[free]
+            moved = np.clip(x + step, lower, upper)
+            taken = (moved - x) / scale
+            candidate = residuals(moved)
+            new_cost = float(candidate @ candidate)
+            predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
+            small = np.all(np.abs(taken) <= tolerance * (np.abs(x / scale) + tolerance))
+            if np.isfinite(new_cost) and new_cost < cost:
+                gain = (cost - new_cost) / predicted if predicted > 0 else 0.0
+                damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+                damping = max(damping, 1e-12)
+                growth = 2.0
+                done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
+                x, r, cost = moved, candidate, new_cost
+                if done or small:
+                    return Solution(x, cost, True, "cost and parameters no longer change", iteration)
+                break
+            if small or predicted <= 1e-3 * tolerance * cost:
+                return Solution(x, cost, True, "no step lowers the cost", iteration)
+            damping *= growth
+            growth *= 2.0
+        else:
+            return Solution(x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration)
+    return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
