@@ -31,6 +31,7 @@ CODES: dict[str, str] = {
     "SWM020": "identified model is unstable or integrating",
     "SWM021": "working point removed from the data",
     "SWM022": "input does not excite the model order",
+    "SWM023": "model order chosen with a reservation",
     "SWM030": "measurement departs from the propulsion law",
     "SWM031": "free exponent disagrees with the law",
     "SWM032": "beat frequency contradicts the metadata",
@@ -43,6 +44,7 @@ CODES: dict[str, str] = {
     "SWM046": "colour drift compensated",
     "SWM047": "track split at a long gap",
     "SWM048": "calibration points are mirrored",
+    "SWM049": "a motionless thing of the marker's colour left out",
     "SWM050": "evidence of a result is missing",
     "SWM051": "figure reduced to fewer points",
 }

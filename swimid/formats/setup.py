@@ -38,7 +38,8 @@ _Fraction = Annotated[float, Field(ge=0, le=1)]
 _Span = Annotated[tuple[_Fraction, _Fraction], BeforeValidator(_tuples), AfterValidator(_ordered)]
 _Area = Annotated[tuple[_Positive, _Positive], BeforeValidator(_tuples), AfterValidator(_ordered)]
 _HueSpan = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=360)], Annotated[float, Field(ge=0, le=360)]], BeforeValidator(_tuples)
+    tuple[Annotated[float, Field(ge=0, le=360)], Annotated[float, Field(ge=0, le=360)]],
+    BeforeValidator(_tuples),
 ]
 _Points = Annotated[tuple[_Point, ...], BeforeValidator(_tuples)]
 _Box = Annotated[tuple[_Number, _Number, _Number, _Number], BeforeValidator(_tuples)]
@@ -84,7 +85,9 @@ class Marker(Document):
         if self.colour is not None and not re.fullmatch(r"#[0-9A-Fa-f]{6}", self.colour):
             raise ValueError(f"colour '{self.colour}' of marker '{self.name}' must look like \"#d01c1c\"")
         if self.start_px is not None and len(self.start_px) != self.number:
-            raise ValueError(f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points")
+            raise ValueError(
+                f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
+            )
         return self
 
     @property
@@ -146,7 +149,9 @@ class Scale(Document):
         if len(ways) > 1:
             raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
         if not ways:
-            raise ValueError("give metres_per_pixel, or points_px with distance_m, or points_px with points_m")
+            raise ValueError(
+                "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
+            )
         if self.metres_per_pixel is None and self.points_px is None:
             raise ValueError(f"{ways[0]} needs points_px")
         if self.metres_per_pixel is not None and self.points_px is not None:
@@ -159,7 +164,9 @@ class Scale(Document):
             if self.points_px[0] == self.points_px[1]:
                 raise ValueError("the two points_px are the same")
         if self.points_m is not None and (count < 4 or count != len(self.points_m)):
-            raise ValueError(f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed")
+            raise ValueError(
+                f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
+            )
         return self
 
 
@@ -247,5 +254,7 @@ def read(path: str | Path) -> Setup:
     """
     setup = validated(path, Setup)
     if setup.plane == "vertical" and setup.tail is None and len(setup.marker_names) > 1:
-        raise InputError("plane: vertical with several markers needs a tail for the pitch", file=path, column="tail")
+        raise InputError(
+            "plane: vertical with several markers needs a tail for the pitch", file=path, column="tail"
+        )
     return setup

@@ -1,0 +1,16 @@
+"""Video to pose: from coloured markers in a film to a log with honest uncertainty.
+
+``reader`` gives frames and their own time stamps; ``detect`` measures one marker in a small
+window; ``follow`` keeps every marker from frame to frame; ``plane`` turns pixels into
+metres; ``smooth`` filters with process noise estimated from the data; ``pose`` puts them
+together; ``checks`` judges the result; ``propose`` drafts a setup from a video;
+``pictures`` and ``overlay`` draw.
+
+Frames of reference
+-------------------
+Marker columns ``<name>_x_px``, ``<name>_y_px`` are image coordinates: origin in the centre
+of the upper left pixel, x to the right, y **down**. Poses are right-handed: without a
+homography the picture is flipped, so that y (z in the vertical plane) points up from the
+lowest pixel row and yaw is counter-clockwise as seen in the picture. With a homography the
+world axes are those of ``points_m``.
+"""

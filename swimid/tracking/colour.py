@@ -1,0 +1,158 @@
+"""What colour a marker has: a range on the hue circle that follows slow changes of light."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.formats.setup import HsvRange
+
+#: Share of the way a confident sight moves the model.
+ADAPTATION = 0.03
+#: Farthest the model may drift from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
+MAX_DRIFT = np.array([6.0, 40.0, 70.0])
+#: Drift worth a warning, same units.
+NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
+#: Half a turn of hue in OpenCV's 8-bit scale.
+_HALF, _TURN = 90.0, 180.0
+#: Saturation (of 255) below which a pixel is grey.
+_GREY = 30.0
+_TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+
+_Bounds = list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]
+
+
+class ColourModel:
+    """A hue arc with saturation and value bounds, moved along with exposure and white balance.
+
+    Parameters
+    ----------
+    colours : HsvRange
+        From the setup file.
+
+    Notes
+    -----
+    Hue is kept as centre and half-width: a (low, high) pair loses red, which lies at both
+    ends of the scale.
+    """
+
+    def __init__(self, colours: HsvRange) -> None:
+        low, high = (h / 2 for h in colours.hue_deg)
+        width = high - low if high >= low else high - low + _TURN
+        if colours.hue_deg == (0.0, 360.0):
+            width = _TURN
+        self._half_width = width / 2
+        self._centre = np.array(
+            [
+                (low + width / 2) % _TURN,
+                127.5 * sum(colours.saturation),
+                127.5 * sum(colours.value),
+            ]
+        )
+        self._lower = 255 * np.array([colours.saturation[0], colours.value[0]])
+        self._upper = 255 * np.array([colours.saturation[1], colours.value[1]])
+        self._first: NDArray[np.float64] | None = None
+        self.drift = np.zeros(3)
+        self.largest_drift = np.zeros(3)
+        self._strong: _Bounds = []
+        self._weak: _Bounds = []
+        self._refresh()
+
+    def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """255 where a pixel of an OpenCV HSV picture belongs, shape (rows, columns).
+
+        Pixels a little outside the range count where they touch pixels inside it (within
+        ``_TOUCH``): a range set a little too tight does not tear the marker apart, and the
+        growth stays bounded where the background is of a like colour.
+        """
+        strong = _within(hsv, self._strong)
+        near = cv2.dilate(strong, _TOUCH)
+        return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
+
+    def distance(self, hsv: NDArray[np.float64]) -> float:
+        """How far a mean colour is from the middle of the range: 0 centre, 1 rim."""
+        centre = self._centre + self.drift
+        hue = abs(_hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
+        half = np.maximum((self._upper - self._lower) / 2, 1.0)
+        return float(np.max([hue, *(np.abs(hsv[1:] - centre[1:]) / half)]))
+
+    def adapt(self, hsv: NDArray[np.float64]) -> None:
+        """Move the model a little towards the mean colour of a marker just seen."""
+        if self._first is None:
+            self._first = hsv.copy()
+        offset = hsv - self._first
+        offset[0] = _hue_difference(hsv[0], self._first[0])
+        moved = self.drift + ADAPTATION * (offset - self.drift)
+        self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
+
+    def forget(self) -> None:
+        """Move a little back to the setup's colours, while the marker is lost."""
+        if self.drift.any():
+            self._move(self.drift * (1 - ADAPTATION))
+
+    def _move(self, drift: NDArray[np.float64]) -> None:
+        changed = np.any(np.round(drift) != np.round(self.drift))
+        self.drift = drift
+        self.largest_drift = np.where(np.abs(drift) > np.abs(self.largest_drift), drift, self.largest_drift)
+        if changed:
+            self._refresh()
+
+    def _refresh(self) -> None:
+        self._strong = self._arcs(0.0, 0.0)
+        self._weak = self._arcs(0.25 * self._half_width + 3.0, 20.0)
+
+    def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
+        """Bounds for ``cv2.inRange``: one box of colours, or two where the hue arc crosses 0."""
+        shift = np.round(self.drift)
+        # A bound at the end of the scale stays there: it means "any".
+        low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
+        high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
+        # Hue means nothing on grey: the widened range still asks for some saturation.
+        low[0] = max(low[0], min(self._lower[0], _GREY))
+        centre, half = self._centre[0] + shift[0], self._half_width + hue_slack
+        if half >= _HALF:
+            arcs = [(0.0, 179.0)]
+        else:
+            first, last = (centre - half) % _TURN, (centre + half) % _TURN
+            arcs = [(first, last)] if first <= last else [(first, 179.0), (0.0, last)]
+        return [
+            (
+                np.array([np.ceil(a), *np.floor(low)], dtype=np.uint8),
+                np.array([np.floor(b), *np.ceil(high)], dtype=np.uint8),
+            )
+            for a, b in arcs
+        ]
+
+    @property
+    def drifted(self) -> bool:
+        """Whether the light changed enough to say so."""
+        return bool(np.any(np.abs(self.largest_drift) > NOTABLE_DRIFT))
+
+
+def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
+    found = cv2.inRange(hsv, *bounds[0])
+    for low, high in bounds[1:]:
+        cv2.bitwise_or(found, cv2.inRange(hsv, low, high), found)
+    return found
+
+
+def _hue_difference(a: float, b: float) -> float:
+    """a - b on the circle of 180 steps, in [-90, 90)."""
+    return (a - b + _HALF) % _TURN - _HALF
+
+
+def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
+    """HSV, on OpenCV's 8-bit scale but not rounded, of one BGR colour (0 .. 255)."""
+    blue, green, red = (float(c) for c in bgr)
+    largest, smallest = max(red, green, blue), min(red, green, blue)
+    chroma = largest - smallest
+    if chroma <= 0:
+        return np.array([0.0, 0.0, largest])
+    if largest == red:
+        sector = ((green - blue) / chroma) % 6
+    elif largest == green:
+        sector = (blue - red) / chroma + 2
+    else:
+        sector = (red - green) / chroma + 4
+    return np.array([30 * sector, 255 * chroma / largest, largest])

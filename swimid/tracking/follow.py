@@ -1,0 +1,500 @@
+"""Every marker from frame to frame: windows about predictions, the whole picture when lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from swimid.formats.setup import Marker, Setup
+from swimid.tracking import detect
+from swimid.tracking.colour import ColourModel
+from swimid.tracking.detect import Blob
+from swimid.tracking.reader import Frame
+
+#: Words of the status column, by code.
+STATUS = ("lost", "window", "grown", "full")
+LOST, WINDOW, GROWN, FULL = range(4)
+
+#: Area without one in the setup: px, and share of the picture.
+SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
+#: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
+DECIMATION = 4
+#: Frames between looks for other things of the marker's colour.
+LOOK_AROUND_FRAMES = 90
+#: A sighting this short, alone between losses, is not believed.
+SHORTEST_RUN = 3
+
+
+@dataclass
+class Target:
+    """What is known of one marker while it is followed. Lengths in px, times in s."""
+
+    name: str
+    x: float = math.nan
+    y: float = math.nan
+    vx: float = 0.0
+    vy: float = 0.0
+    time: float = -math.inf
+    sights: int = 0
+    missed: int = 0
+    radius: float = 0.0
+    area: float = 0.0
+    contrast: float = 0.0
+    surprise: float = 0.0
+
+    def predicted(self, time: float) -> tuple[float, float]:
+        """Where it should be, with its last speed."""
+        dt = time - self.time
+        return self.x + self.vx * dt, self.y + self.vy * dt
+
+    def reach(self, dt: float) -> float:
+        """How far beyond the marker's own size it may be from the prediction after ``dt``."""
+        steps = 1 + self.missed
+        moved = math.hypot(self.vx, self.vy) * dt
+        start = 12.0 + self.radius if self.sights < 3 else 6.0
+        return start + (0.3 * moved + 3.0 * self.surprise) + (steps - 1) * 0.5 * self.radius
+
+    def see(self, blob: Blob, time: float) -> None:
+        """Take a sighting: move there, learn speed, size and contrast."""
+        if self.sights and time > self.time:
+            dt = time - self.time
+            px, py = self.predicted(time)
+            error = math.hypot(blob.x - px, blob.y - py)
+            if self.sights == 1:
+                self.vx, self.vy = (blob.x - self.x) / dt, (blob.y - self.y) / dt
+            elif error > 8 * self.radius + 40:
+                self.vx = self.vy = 0.0  # found again elsewhere: its speed is not known
+            else:
+                self.vx += 0.5 * (blob.x - px) / dt
+                self.vy += 0.5 * (blob.y - py) / dt
+            self.surprise += 0.3 * (min(error, 4 * self.radius + 20) - self.surprise)
+        blend = 0.15 if self.sights else 1.0
+        if not blob.at_edge or not self.sights:
+            self.contrast += blend * (blob.contrast - self.contrast)
+        self.area += blend * (blob.area - self.area)
+        self.radius += blend * (blob.radius - self.radius)
+        self.x, self.y, self.time = blob.x, blob.y, time
+        self.sights += 1
+        self.missed = 0
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """Every marker in every frame, in image pixels.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    names : list of str
+        The m markers.
+    x, y, area, confidence : ndarray, shape (m, n)
+        NaN where not found (confidence 0). The centre is sub-pixel, y down.
+    status : ndarray of int, shape (m, n)
+        Index into :data:`STATUS`.
+    at_edge : ndarray of bool, shape (m, n)
+        The marker touches the edge of the picture.
+    drift : dict of str to ndarray, shape (3,)
+        Largest drift of each marker kind's colour: hue (2 deg), saturation, value (of 255).
+    rivals : dict of str to int
+        Other things of the colour that were about.
+    """
+
+    times: NDArray[np.float64]
+    names: list[str]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    area: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+    status: NDArray[np.int64]
+    at_edge: NDArray[np.bool_]
+    drift: dict[str, NDArray[np.float64]]
+    rivals: dict[str, int]
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Where each marker was really seen, shape (m, n)."""
+        return self.status > LOST
+
+
+@dataclass
+class _Group:
+    """Markers of one colour."""
+
+    marker: Marker
+    model: ColourModel
+    targets: list[Target]
+    area_px: tuple[float, float]
+    #: Other things of the colour at the last look around, and where the markers were then.
+    rivals: list[Blob] = field(default_factory=list)
+    seen_from: list[tuple[float, float]] = field(default_factory=list)
+    #: Those that stood still between two looks while a marker moved: part of the scene.
+    scenery: list[Blob] = field(default_factory=list)
+    most_rivals: int = 0
+    next_look: int = 0
+    pause: int = 8
+
+
+class Follower:
+    """Follows all markers of a setup through a video, frame by frame.
+
+    Parameters
+    ----------
+    setup : Setup
+    width, height : int
+        Size of the picture.
+    """
+
+    def __init__(self, setup: Setup, width: int, height: int) -> None:
+        self.setup = setup
+        self.size = (width, height)
+        self.groups = [
+            _Group(
+                marker,
+                ColourModel(marker.colour_range()),
+                [Target(name) for name in marker.names],
+                marker.area_px or (SMALLEST_AREA_PX, LARGEST_AREA_SHARE * width * height),
+            )
+            for marker in setup.markers
+        ]
+        self._rows: list[list[tuple[float, float, float, float, int, bool]]] = []
+        self._times: list[float] = []
+        self._frame = 0
+
+    def run(self, frames: Iterable[tuple[float, Frame]]) -> None:
+        """Follow through all frames."""
+        for time, frame in frames:
+            self.step(time, frame)
+
+    def step(self, time: float, frame: Frame) -> None:
+        """Find every marker in the next frame."""
+        row: list[tuple[float, float, float, float, int, bool]] = []
+        for group in self.groups:
+            sights = self._follow(group, time, frame)
+            for target in group.targets:
+                blob, status = sights.get(target.name, (None, LOST))
+                if blob is None:
+                    target.missed += 1
+                    row.append((math.nan, math.nan, math.nan, 0.0, LOST, False))
+                    continue
+                likeness = min(blob.area / target.area, target.area / blob.area) if target.area else 1.0
+                target.see(blob, time)
+                row.append((blob.x, blob.y, blob.area, blob.confidence * likeness**0.5, status, blob.at_edge))
+                if blob.confidence > 0.5 and not blob.at_edge:
+                    group.model.adapt(blob.hsv)
+            if not sights:
+                group.model.forget()
+        self._rows.append(row)
+        self._times.append(time)
+        self._frame += 1
+
+    def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
+        """What was found so far; ``times`` replaces the times given with the frames."""
+        table = np.array(self._rows, dtype=float)  # (n, m, 6)
+        names = [t.name for g in self.groups for t in g.targets]
+        if not len(table):
+            table = np.zeros((0, len(names), 6))
+        track = RawTrack(
+            times=np.array(self._times) if times is None else times,
+            names=names,
+            x=table[:, :, 0].T.copy(),
+            y=table[:, :, 1].T.copy(),
+            area=table[:, :, 2].T.copy(),
+            confidence=table[:, :, 3].T.copy(),
+            status=table[:, :, 4].T.astype(int),
+            at_edge=table[:, :, 5].T.astype(bool),
+            drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
+            rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
+        )
+        for i in range(len(names)):
+            _drop_flashes(track, i)
+        return track
+
+    # ------------------------------------------------------------ one colour, one frame
+
+    def _follow(self, group: _Group, time: float, frame: Frame) -> dict[str, tuple[Blob, int]]:
+        known = [t for t in group.targets if t.sights]
+        sights = self._in_windows(group, known, time, frame)
+        lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
+        if lost:
+            taken = [blob for blob, _ in sights.values()]
+            for target, blob in self._in_picture(group, lost, taken, time, frame):
+                sights[target.name] = (blob, FULL)
+        elif self._frame >= group.next_look:
+            self._look_around(group, [blob for blob, _ in sights.values()], frame)
+        return sights
+
+    def _in_windows(
+        self, group: _Group, known: list[Target], time: float, frame: Frame
+    ) -> dict[str, tuple[Blob, int]]:
+        """Each known target in a window about its prediction."""
+        candidates: list[Blob] = []
+        statuses: list[int] = []
+        for target in known:
+            if target.missed and time - target.time > self.setup.max_gap_s:
+                continue
+            blobs, status = self._window(group, target, time, frame)
+            for blob in blobs:
+                if not any(math.hypot(b.x - blob.x, b.y - blob.y) < 2 for b in candidates):
+                    candidates.append(blob)
+                    statuses.append(status)
+        if not candidates:
+            return {}
+        cost = np.full((len(known), len(candidates)), 1e6)
+        for i, target in enumerate(known):
+            px, py = target.predicted(time)
+            allowed = target.radius + 2 * target.reach(time - target.time)
+            for j, blob in enumerate(candidates):
+                away = math.hypot(blob.x - px, blob.y - py)
+                if away <= allowed + target.radius and self._alike(group, target, blob):
+                    cost[i, j] = (away / allowed) ** 2 + 0.3 * abs(math.log(blob.area / target.area))
+        found = {}
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[i, j] < 1e6:
+                found[known[i].name] = (candidates[j], statuses[j])
+        if len(known) > 1:
+            self._drop_merged(known, found, time)
+        return found
+
+    def _window(self, group: _Group, target: Target, time: float, frame: Frame) -> tuple[list[Blob], int]:
+        """Blobs in the target's window, grown until nothing that matters is cut by its border."""
+        cx, cy = target.predicted(time)
+        half = 1.3 * target.radius + target.reach(time - target.time) + 4
+        status = WINDOW
+        for _ in range(3):
+            blobs, cut = self._blobs(group, frame, cx, cy, half)
+            if any(self._alike(group, target, blob) for blob in blobs):
+                return blobs, status
+            if cut is not None:
+                cx, cy = 0.5 * (cut[0] + cut[2]), 0.5 * (cut[1] + cut[3])
+            half *= 2
+            status = GROWN
+        return [], LOST
+
+    def _blobs(
+        self, group: _Group, frame: Frame, cx: float, cy: float, half: float
+    ) -> tuple[list[Blob], tuple[int, int, int, int] | None]:
+        """Whole blobs in a window, and the box of the largest one the window cuts."""
+        width, height = self.size
+        x0, x1 = max(int(cx - half), 0), min(int(cx + half) + 2, width)
+        y0, y1 = max(int(cy - half), 0), min(int(cy + half) + 2, height)
+        if x1 - x0 < 3 or y1 - y0 < 3:
+            return [], None
+        window = frame[y0:y1, x0:x1]
+        mask = detect.marker_mask(window, group.model)
+        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
+        found, labels = detect.patches(mask, group.area_px, inside=inside)
+        blobs = []
+        cut: detect.Patch | None = None
+        for patch in found:
+            if patch.clipped:
+                cut = patch if cut is None or patch.area > cut.area else cut
+                continue
+            blob = detect.measure(window, labels, patch, origin=(x0, y0), picture=self.size)
+            if (
+                blob is not None
+                and self._allowed(blob)
+                and not any(_same_place(blob, s) for s in group.scenery)
+            ):
+                blobs.append(blob)
+        box = None
+        if cut is not None:
+            box = (x0 + cut.left, y0 + cut.top, x0 + cut.left + cut.width, y0 + cut.top + cut.height)
+        return blobs, box
+
+    def _allowed(self, blob: Blob) -> bool:
+        region = self.setup.region_px
+        if region is not None and not _within(blob, region):
+            return False
+        return not any(_within(blob, box) for box in self.setup.ignore_px)
+
+    def _alike(self, group: _Group, target: Target, blob: Blob, gone: float = 0.0) -> bool:
+        """Whether a blob may be the target by its size and contrast."""
+        if not target.sights:
+            return True
+        alone = len(group.targets) == 1
+        # Equal markers that touch look like one of twice the size.
+        low, high = (0.3, 3.0) if alone else (0.55, 1.45)
+        if alone and gone > self.setup.max_gap_s:
+            low, high = 0.1, 10.0  # it may come back nearer or farther; the setup's range holds
+        if blob.at_edge:
+            low = 0.1
+        ratio = blob.area / target.area
+        return low <= ratio <= high and blob.contrast >= 0.4 * target.contrast
+
+    def _drop_merged(self, known: list[Target], found: dict[str, tuple[Blob, int]], time: float) -> None:
+        """Where equal markers meet and fewer blobs than markers are seen, none of them is known."""
+        for i, first in enumerate(known):
+            for second in known[i + 1 :]:
+                if (first.name in found) == (second.name in found):
+                    continue
+                if self._together(first, second, found, time):
+                    found.pop(first.name, None)
+                    found.pop(second.name, None)
+
+    def _together(
+        self, first: Target, second: Target, found: dict[str, tuple[Blob, int]], time: float
+    ) -> bool:
+        places = []
+        for target in (first, second):
+            blob = found.get(target.name)
+            places.append((blob[0].x, blob[0].y) if blob else target.predicted(time))
+        away = math.hypot(places[0][0] - places[1][0], places[0][1] - places[1][1])
+        return away < first.radius + second.radius + 4
+
+    def _hidden(
+        self, target: Target, known: list[Target], sights: dict[str, tuple[Blob, int]], time: float
+    ) -> bool:
+        """Whether the target is known to be behind or at its like: no use searching for it."""
+        if not target.sights or time - target.time > self.setup.max_gap_s:
+            return False
+        return any(
+            other is not target and other.name not in sights and self._together(target, other, sights, time)
+            for other in known
+        )
+
+    # ------------------------------------------------------------ the whole picture
+
+    def _in_picture(
+        self, group: _Group, lost: list[Target], taken: list[Blob], time: float, frame: Frame
+    ) -> list[tuple[Target, Blob]]:
+        """Lost targets anywhere in the picture, in the same frame."""
+        blobs = [
+            b for b in self._scan(group, frame, max((t.area for t in lost), default=0.0)) if _is_new(b, taken)
+        ]
+        if not blobs:
+            return []
+        fresh = [t for t in lost if not t.sights]
+        pairs: list[tuple[Target, Blob]] = []
+        if fresh:
+            if len(blobs) < len(fresh) and len(fresh) > 1:
+                fresh = []  # names are given when all are there, from left to right
+            chosen = self._first_choice(group, fresh, blobs)
+            pairs += chosen
+            blobs = [b for b in blobs if all(b is not c for _, c in chosen)]
+            if chosen and len(chosen) == len(group.targets):
+                self._note_rivals(group, blobs)
+        missing = [t for t in lost if t.sights]
+        if missing and blobs:
+            cost = np.full((len(missing), len(blobs)), 1e6)
+            for i, target in enumerate(missing):
+                for j, blob in enumerate(blobs):
+                    cost[i, j] = self._return_cost(group, target, blob, time)
+            for i, j in zip(*linear_sum_assignment(cost), strict=True):
+                if cost[i, j] < 1e6:
+                    pairs.append((missing[i], blobs[j]))
+        return pairs
+
+    def _return_cost(self, group: _Group, target: Target, blob: Blob, time: float) -> float:
+        gone = time - target.time
+        if not self._alike(group, target, blob, gone):
+            return 1e6
+        px, py = target.predicted(time) if gone <= self.setup.max_gap_s else (target.x, target.y)
+        away = math.hypot(blob.x - px, blob.y - py)
+        if gone <= self.setup.max_gap_s and target.sights >= 3:
+            near = 4 * target.radius + 20 + 2 * target.missed * target.radius
+            near += 2 * math.hypot(target.vx, target.vy) * gone
+            return away if away <= near else 1e6
+        if any(math.hypot(blob.x - r.x, blob.y - r.y) < 0.7 * r.radius for r in group.rivals):
+            return 1e6
+        return 1e3 + away / (1e-3 + blob.confidence)
+
+    def _first_choice(
+        self, group: _Group, fresh: list[Target], blobs: list[Blob]
+    ) -> list[tuple[Target, Blob]]:
+        if not fresh:
+            return []
+        starts = group.marker.start_px
+        if starts is not None:
+            places = dict(zip(group.marker.names, starts, strict=True))
+            away = np.array(
+                [[math.hypot(b.x - places[t.name][0], b.y - places[t.name][1]) for b in blobs] for t in fresh]
+            )
+            return [(fresh[i], blobs[j]) for i, j in zip(*linear_sum_assignment(away), strict=True)]
+
+        def merit(blob: Blob) -> float:
+            fit = 1.5 - min(group.model.distance(blob.hsv), 1.0)
+            return math.sqrt(blob.contrast * blob.area) * fit * (0.3 if blob.at_edge else 1.0)
+
+        best = sorted(blobs, key=merit, reverse=True)[: len(fresh)]
+        best.sort(key=lambda blob: blob.x)
+        return list(zip(fresh, best, strict=False))
+
+    def _look_around(self, group: _Group, taken: list[Blob], frame: Frame) -> None:
+        """Remember what else has this colour, so that it is not taken for a lost marker."""
+        area = max((t.area for t in group.targets), default=0.0)
+        self._note_rivals(group, [b for b in self._scan(group, frame, area) if _is_new(b, taken)])
+
+    def _note_rivals(self, group: _Group, rivals: list[Blob]) -> None:
+        here = [(t.x, t.y) for t in group.targets]
+        moved = any(
+            math.hypot(x - x0, y - y0) > t.radius + 2
+            for t, (x, y), (x0, y0) in zip(group.targets, here, group.seen_from, strict=False)
+        )
+        if moved:
+            still = [b for b in rivals if any(_same_place(b, old) for old in group.rivals)]
+            group.scenery += [b for b in still if not any(_same_place(b, old) for old in group.scenery)]
+        if moved or not group.seen_from or math.isnan(group.seen_from[0][0]):
+            group.rivals, group.seen_from = rivals, here
+        group.most_rivals = max(group.most_rivals, len(rivals))
+        group.next_look = self._frame + group.pause
+        group.pause = min(2 * group.pause, LOOK_AROUND_FRAMES)
+
+    def _scan(self, group: _Group, frame: Frame, area: float) -> list[Blob]:
+        """Blobs of the whole picture: found on every n-th pixel, measured on all."""
+        step = max(min(int(math.sqrt(area or 4 * group.area_px[0]) / 3.5), DECIMATION), 1)
+        blobs = self._scan_at(group, frame, step)
+        if not blobs and not area and step > 1:
+            blobs = self._scan_at(group, frame, 1)
+        return blobs
+
+    def _scan_at(self, group: _Group, frame: Frame, step: int) -> list[Blob]:
+        small = frame if step == 1 else np.ascontiguousarray(frame[::step, ::step])
+        mask = detect.marker_mask(small, group.model)
+        least = group.area_px[0] / step**2
+        rough, _ = detect.patches(mask, (0.4 * least, 1e9), inside=(False,) * 4)
+        rough.sort(key=lambda patch: -patch.area)
+        blobs: list[Blob] = []
+        for patch in rough[:24]:
+            cx, cy = step * (patch.left + 0.5 * patch.width), step * (patch.top + 0.5 * patch.height)
+            half = 0.5 * step * max(patch.width, patch.height) + 2 * step + detect.MARGIN
+            found, _ = self._blobs(group, frame, cx, cy, half)
+            blobs += [b for b in found if _is_new(b, blobs)]
+        return blobs
+
+
+def _within(blob: Blob, box: tuple[float, float, float, float]) -> bool:
+    return box[0] <= blob.x <= box[2] and box[1] <= blob.y <= box[3]
+
+
+def _same_place(blob: Blob, other: Blob) -> bool:
+    """Whether two blobs, seen at different times, are the same motionless thing."""
+    away = math.hypot(blob.x - other.x, blob.y - other.y)
+    return away < 0.25 * other.radius + 1.5 and 0.4 < blob.area / other.area < 2.5
+
+
+def _is_new(blob: Blob, others: list[Blob]) -> bool:
+    return all(math.hypot(blob.x - o.x, blob.y - o.y) > 2 for o in others)
+
+
+def _drop_flashes(track: RawTrack, marker: int) -> None:
+    """Take back sightings of less than ``SHORTEST_RUN`` frames alone between longer losses."""
+    seen = track.status[marker] > LOST
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], seen.astype(np.int8), [0]))))
+    starts, ends = edges[::2], edges[1::2]
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        before = start - (ends[k - 1] if k else 0)
+        after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end
+        alone = (before > SHORTEST_RUN or start == 0) and (after > SHORTEST_RUN or end == len(seen))
+        if end - start < SHORTEST_RUN and alone and not (start == 0 and end == len(seen)):
+            part = slice(start, end)
+            for values in (track.x, track.y, track.area):
+                values[marker, part] = np.nan
+            track.confidence[marker, part] = 0.0
+            track.status[marker, part] = LOST
+            track.at_edge[marker, part] = False

@@ -1,0 +1,178 @@
+"""Pixels to the plane of motion: lens, scale or homography, height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError
+from swimid.formats.setup import Setup
+from swimid.notices import warn
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The map from image pixels to world coordinates.
+
+    Attributes
+    ----------
+    unit : str
+        ``"m"``, or ``"px"`` without a scale.
+    matrix : ndarray, shape (3, 3)
+        Homography from undistorted pixels to the world.
+    lens : (ndarray, ndarray) or None
+        Camera matrix and distortion.
+    shrink : float
+        Factor towards ``foot`` for markers above the plane.
+    foot : ndarray, shape (2,)
+        World point below the camera.
+    residual_px, residual : float
+        Root mean square error of the calibration points, in px and world units; 0 where
+        the map is exact.
+    """
+
+    unit: str
+    matrix: Array
+    lens: tuple[Array, Array] | None
+    shrink: float
+    foot: Array
+    residual_px: float = 0.0
+    residual: float = 0.0
+
+    def to_world(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """World coordinates of image points; NaN stays NaN."""
+        known = np.isfinite(x) & np.isfinite(y)
+        world = np.full((2, len(x)), np.nan)
+        if known.any():
+            points = _undistorted(np.stack([x[known], y[known]], axis=1), self.lens)
+            mapped = _mapped(points, self.matrix)
+            world[:, known] = (self.foot + self.shrink * (mapped - self.foot)).T
+        return world[0], world[1]
+
+    def to_image(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Image points of world coordinates; the inverse of :meth:`to_world`."""
+        known = np.isfinite(x) & np.isfinite(y)
+        image = np.full((2, len(x)), np.nan)
+        if known.any():
+            world = np.stack([x[known], y[known]], axis=1)
+            points = _mapped(self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix))
+            if self.lens is not None:
+                matrix, distortion = self.lens
+                rays = _mapped(points, np.linalg.inv(matrix))
+                rays = np.column_stack([rays, np.ones(len(rays))])
+                points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)[0].reshape(
+                    -1, 2
+                )
+            image[:, known] = points.T
+        return image[0], image[1]
+
+    def size_of_pixel(self, x: float, y: float) -> float:
+        """World length of one pixel about an image point (geometric mean of the two directions)."""
+        xs, ys = np.array([x, x + 1, x]), np.array([y, y, y + 1])
+        wx, wy = self.to_world(xs, ys)
+        cross = (wx[1] - wx[0]) * (wy[2] - wy[0]) - (wx[2] - wx[0]) * (wy[1] - wy[0])
+        return float(np.sqrt(abs(cross)))
+
+
+def _undistorted(points: Array, lens: tuple[Array, Array] | None) -> Array:
+    if lens is None:
+        return points
+    matrix, distortion = lens
+    return cv2.undistortPoints(points.reshape(-1, 1, 2), matrix, distortion, P=matrix).reshape(-1, 2)
+
+
+def _mapped(points: Array, matrix: Array) -> Array:
+    return cv2.perspectiveTransform(points.reshape(-1, 1, 2).astype(float), matrix).reshape(-1, 2)
+
+
+def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> Plane:
+    """The plane of a setup for a picture size.
+
+    Raises
+    ------
+    InputError
+        When the calibration points lie on a line or fit no plane.
+    """
+    lens = None
+    if setup.camera is not None:
+        lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
+    scale = setup.scale
+    factor, unit = 1.0, "px"
+    residual_px = residual = 0.0
+    if scale is None:
+        warn(
+            "SWM041",
+            "the setup has no scale: positions are in pixels (columns end in _px) and speeds in pixels per "
+            "second; give scale in the setup for metres",
+        )
+    elif scale.points_m is None:
+        unit = "m"
+        if scale.metres_per_pixel is not None:
+            factor = scale.metres_per_pixel
+        else:
+            assert scale.points_px is not None and scale.distance_m is not None
+            ends = _undistorted(np.array(scale.points_px), lens)
+            factor = scale.distance_m / float(np.hypot(*(ends[1] - ends[0])))
+    # Images are left-handed (y down): flipped, so that yaw is counter-clockwise.
+    matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
+    if scale is not None and scale.points_m is not None:
+        unit = "m"
+        image = _undistorted(np.array(scale.points_px, dtype=float), lens)
+        world = np.array(scale.points_m, dtype=float)
+        matrix, residual_px, residual = _homography(image, world, file)
+    camera_centre = np.array([[(width - 1) / 2, (height - 1) / 2]]) if lens is None else lens[0][:2, 2][None]
+    shrink = 1.0
+    if scale is not None and scale.heights is not None:
+        shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
+    return Plane(
+        unit=unit,
+        matrix=matrix,
+        lens=lens,
+        shrink=shrink,
+        foot=_mapped(camera_centre, matrix)[0],
+        residual_px=residual_px,
+        residual=residual,
+    )
+
+
+def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, float, float]:
+    for name, points in (("points_px", image), ("points_m", world)):
+        if _thin(points):
+            raise InputError(
+                "the points lie on a line; four corners of an area are needed", file=file, column=name
+            )
+    matrix, _ = cv2.findHomography(image, world)
+    if matrix is None or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-15:
+        raise InputError("no plane fits these points", file=file, column="scale.points_m")
+    sides = (np.column_stack([image, np.ones(len(image))]) @ matrix[2]) / matrix[2, 2]
+    if np.any(sides <= 0):
+        raise InputError(
+            "the points are not in the same order in the picture and in the world",
+            file=file,
+            column="scale.points_m",
+            hint="list points_px and points_m corner by corner, both going round the same way",
+        )
+    if np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
+        warn(
+            "SWM048",
+            "the calibration points map the picture to a world seen from its back: x, y as given, and yaw is "
+            "counter-clockwise from x to y there, clockwise in the picture",
+        )
+    error = _mapped(image, matrix) - world
+    back = _mapped(world, np.linalg.inv(matrix)) - image
+    return matrix, float(np.sqrt(np.mean(np.sum(back**2, 1)))), float(np.sqrt(np.mean(np.sum(error**2, 1))))
+
+
+def _thin(points: Array) -> bool:
+    """Whether all points, or all but one, lie on a line."""
+    for leave in range(len(points)):
+        rest = np.delete(points, leave, axis=0) if len(points) <= 4 else points
+        singular = np.linalg.svd(rest - rest.mean(0), compute_uv=False)
+        if singular[1] < 1e-3 * singular[0]:
+            return True
+    return False

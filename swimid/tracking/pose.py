@@ -1,0 +1,208 @@
+"""Raw marker pixels to the log: pose, speeds and their standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from swimid.errors import NoTrustworthyResult
+from swimid.formats.setup import Setup
+from swimid.tracking.follow import STATUS, RawTrack
+from swimid.tracking.plane import Plane
+from swimid.tracking.smooth import Smoothed, smooth
+
+Array = NDArray[np.float64]
+
+#: A stretch with fewer measurements than this has no speed and is left out.
+SHORTEST_SEGMENT = 5
+#: A centroid is not believed to be better than this, px.
+LEAST_NOISE_PX = 0.01
+#: Variance of a marker cut by the picture's edge, over that of a whole one.
+EDGE_WEIGHT = 25.0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Path of the reference point, and heading where two markers give one.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    measured : ndarray of bool, shape (n,)
+        Every marker the pose needs was seen.
+    segment : ndarray of int, shape (n,)
+        1, 2, ...; 0 before the first sight, after the last, and in gaps over the limit.
+    raw : ndarray, shape (2, n)
+        Measured world position of the reference point.
+    path : Smoothed
+        Two coordinates, world units.
+    raw_angle : ndarray, shape (n,), or None
+        Measured heading (pitch in the vertical plane), rad, unwrapped.
+    angle : Smoothed or None
+    markers : ndarray, shape (m, 2, n)
+        Measured world position of every marker.
+    separation : ndarray, shape (n,), or None
+        Distance of head and tail marker, world units.
+    plane : Plane
+    """
+
+    times: Array
+    measured: NDArray[np.bool_]
+    segment: NDArray[np.int64]
+    raw: Array
+    path: Smoothed
+    raw_angle: Array | None
+    angle: Smoothed | None
+    markers: Array
+    separation: Array | None
+    plane: Plane
+
+    @property
+    def interpolated(self) -> NDArray[np.bool_]:
+        """Inside a segment, and predicted rather than measured."""
+        return (self.segment > 0) & ~self.measured
+
+
+def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
+    """Pose from raw pixels.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When no stretch has enough measurements.
+    """
+    times = track.times
+    markers = np.array([plane.to_world(x, y) for x, y in zip(track.x, track.y, strict=True)])
+    head = track.names.index(setup.head_name)
+    tail = None if setup.tail is None else track.names.index(setup.tail)
+    measured = track.found[head].copy()
+    if tail is not None:
+        measured &= track.found[tail]
+    segment, segments = _segments(times, measured, setup.max_gap_s)
+    if not segments:
+        raise NoTrustworthyResult(
+            f"the markers are seen together in {int(measured.sum())} frames, never in {SHORTEST_SEGMENT} close "
+            "enough to each other to give a speed"
+        )
+    measured &= segment > 0
+    seen = track.found[head]
+    middle_x, middle_y = np.nanmedian(track.x[head, seen]), np.nanmedian(track.y[head, seen])
+    pixel = plane.size_of_pixel(float(middle_x), float(middle_y))
+    weights = _weights(track, head)
+    raw = np.where(segment > 0, markers[head], np.nan)
+    angle = raw_angle = separation = None
+    if tail is not None:
+        forward = markers[head] - markers[tail]
+        separation = np.hypot(forward[0], forward[1])
+        raw_angle = np.where(measured, _unwrapped(np.arctan2(forward[1], forward[0])), np.nan)
+        both = np.maximum(weights, _weights(track, tail))
+        least = 1.4 * LEAST_NOISE_PX * pixel / max(float(np.nanmedian(separation)), 1e-12)
+        angle = smooth(times, raw_angle[None], both, segments, least_sd=least)
+        ahead, aside = setup.reference_offset_m
+        if ahead or aside:
+            # Tilted by the smoothed heading: the raw one would add its noise to the path.
+            cos, sin = np.cos(angle.position[0]), np.sin(angle.position[0])
+            raw = raw + np.stack([ahead * cos - aside * sin, ahead * sin + aside * cos])
+    path = smooth(times, raw, weights, segments, least_sd=LEAST_NOISE_PX * pixel)
+    return Pose(
+        times=times,
+        measured=measured,
+        segment=segment,
+        raw=raw,
+        path=path,
+        raw_angle=raw_angle,
+        angle=angle,
+        markers=markers,
+        separation=separation,
+        plane=plane,
+    )
+
+
+def _segments(
+    times: Array, measured: NDArray[np.bool_], max_gap_s: float
+) -> tuple[NDArray[np.int64], list[tuple[int, int]]]:
+    number = np.zeros(len(times), dtype=np.int64)
+    seen = np.flatnonzero(measured)
+    if not len(seen):
+        return number, []
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    # A gap is the time without a measurement: neighbours are one step apart, not a gap.
+    split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
+    segments = []
+    for part in np.split(seen, split + 1):
+        if len(part) >= SHORTEST_SEGMENT:
+            segments.append((int(part[0]), int(part[-1]) + 1))
+            number[part[0] : part[-1] + 1] = len(segments)
+    return number, segments
+
+
+def _weights(track: RawTrack, marker: int) -> Array:
+    """Variance of each centroid over that of a typical one, shape (n,)."""
+    seen = track.found[marker]
+    weights = np.ones(len(track.times))
+    if seen.any():
+        usual = float(np.median(track.confidence[marker, seen]))
+        weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
+    weights[track.at_edge[marker]] *= EDGE_WEIGHT
+    return weights
+
+
+def _unwrapped(angle: Array) -> Array:
+    """The angle without jumps of a turn, NaN passed over."""
+    out = angle.copy()
+    seen = np.isfinite(angle)
+    out[seen] = np.unwrap(angle[seen])
+    return out
+
+
+def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
+    """The columns of the log, in order."""
+    unit = pose.plane.unit
+    up, angle_name, side = ("y", "yaw", "v") if setup.plane == "horizontal" else ("z", "pitch", "w")
+    vx, vy = pose.path.velocity
+    out: dict[str, Any] = {"t_s": pose.times}
+    out[f"x_{unit}"], out[f"{up}_{unit}"] = pose.path.position
+    if pose.angle is not None:
+        angle = pose.angle.position[0]
+        out[f"{angle_name}_rad"] = angle
+        out[f"u_{unit}_s"] = vx * np.cos(angle) + vy * np.sin(angle)
+        out[f"{side}_{unit}_s"] = vy * np.cos(angle) - vx * np.sin(angle)
+        out[f"{angle_name}_rate_rad_s"] = pose.angle.velocity[0]
+    out[f"vx_{unit}_s"], out[f"v{up}_{unit}_s"] = vx, vy
+    out[f"x_sd_{unit}"], out[f"{up}_sd_{unit}"] = pose.path.position_sd
+    speed_sd = np.sqrt(np.mean(pose.path.velocity_sd**2, axis=0))
+    if pose.angle is not None:
+        turn_sd = pose.angle.position_sd[0]
+        out[f"{angle_name}_sd_rad"] = turn_sd
+        # A wrong heading mixes surge and sway.
+        out[f"u_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"{side}_{unit}_s"])
+        out[f"{side}_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"u_{unit}_s"])
+        out[f"{angle_name}_rate_sd_rad_s"] = pose.angle.velocity_sd[0]
+    out[f"vx_sd_{unit}_s"], out[f"v{up}_sd_{unit}_s"] = pose.path.velocity_sd
+    out[f"x_raw_{unit}"], out[f"{up}_raw_{unit}"] = pose.raw
+    if pose.raw_angle is not None:
+        out[f"{angle_name}_raw_rad"] = pose.raw_angle
+    out["frame"] = np.arange(len(pose.times))
+    out["found"] = pose.measured.astype(int)
+    out["interpolated"] = pose.interpolated.astype(int)
+    out["segment"] = pd.array(np.where(pose.segment > 0, pose.segment, -1), dtype="Int64")
+    out["segment"][pose.segment == 0] = pd.NA
+    roles = [track.names.index(name) for name in (setup.head_name, setup.tail) if name is not None]
+    worst = np.min(track.status[roles], axis=0)
+    best = np.max(track.status[roles], axis=0)
+    out["status"] = np.array(STATUS)[np.where(worst == 0, 0, best)]
+    out["confidence"] = np.min(track.confidence[roles], axis=0)
+    for i, name in enumerate(track.names):
+        out[f"{name}_x_px"], out[f"{name}_y_px"] = track.x[i], track.y[i]
+        if unit == "m":
+            out[f"{name}_x_m"], out[f"{name}_{up}_m"] = pose.markers[i]
+        out[f"{name}_area_px"] = track.area[i]
+        out[f"{name}_confidence"] = track.confidence[i]
+        out[f"{name}_status"] = np.array(STATUS)[track.status[i]]
+        out[f"{name}_at_edge"] = track.at_edge[i].astype(int)
+    return out

@@ -1,0 +1,175 @@
+"""Frames of a video with the stamps they carry."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+# FFmpeg's own remarks on damaged frames would stand on stderr between swimid's messages.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+
+import cv2
+
+from swimid.errors import InputError
+from swimid.notices import warn
+
+Frame = NDArray[np.uint8]
+
+#: A step of the stamps this far from the median step is irregular.
+JITTER = 0.25
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What the container says about a video."""
+
+    path: Path
+    width: int
+    height: int
+    #: Mean rate the container claims, Hz; 0 where it claims none.
+    frame_rate_hz: float
+    #: Number of frames the container claims; 0 where it claims none.
+    frames: int
+    #: Rotation tag, degrees.
+    rotation_deg: int
+
+
+class Video:
+    """A video that is read once, from its first frame to its last.
+
+    Parameters
+    ----------
+    path : path
+    frame_rate_hz : float, optional
+        True frame rate where the stamps of the container lie; frame i is then at
+        i / frame_rate_hz.
+    apply_rotation : bool
+        Turn the picture as the rotation tag says. Set explicitly, because the default
+        changed between OpenCV versions.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no frame of it decodes.
+    """
+
+    def __init__(
+        self, path: str | Path, *, frame_rate_hz: float | None = None, apply_rotation: bool = True
+    ) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            what = "is a folder, not a video" if self.path.is_dir() else "cannot be read: no such file"
+            raise InputError(what, file=self.path, hint="check the path")
+        if self.path.stat().st_size == 0:
+            raise InputError("is empty", file=self.path)
+        # On few cores decoding uses them all; threads for small images only cost.
+        cv2.setNumThreads(1)
+        self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not self._capture.isOpened():
+            raise InputError(
+                "is not a video that can be decoded, or its index is missing (a recording cut short)",
+                file=self.path,
+                hint="check that a player plays it; a cut recording can be repaired with "
+                "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
+            )
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
+        first_ok, self._first = self._capture.read()
+        if not first_ok or self._first is None:
+            self._capture.release()
+            raise InputError(
+                "no frame of this file can be decoded",
+                file=self.path,
+                frame=0,
+                hint="check that a player plays it",
+            )
+        self.first_stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        height, width = self._first.shape[:2]
+        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.info = VideoInfo(
+            path=self.path,
+            width=width,
+            height=height,
+            frame_rate_hz=rate if np.isfinite(rate) and rate > 0 else 0.0,
+            frames=int(count) if 0 < count < 1e9 else 0,
+            rotation_deg=int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)),
+        )
+        self._rate = frame_rate_hz
+        self._stamps: list[float] = []
+
+    def frames(self) -> Iterator[tuple[float, Frame]]:
+        """Every frame as (time in s, picture in BGR). The picture is overwritten by the next."""
+        capture, frame, index = self._capture, self._first, 0
+        self._stamps = []
+        while frame is not None:
+            stamp = self.first_stamp_s if index == 0 else capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            self._stamps.append(stamp)
+            time = index / self._rate if self._rate else stamp - self.first_stamp_s
+            yield time, frame
+            index += 1
+            ok, frame = capture.read(frame)
+            if not ok:
+                break
+        capture.release()
+        self._check_length(index)
+
+    def times(self) -> NDArray[np.float64]:
+        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
+
+        Stamps that stand still or run backwards are replaced by even steps, with a warning.
+        """
+        count = len(self._stamps)
+        if self._rate:
+            return np.arange(count) / self._rate
+        stamps = np.array(self._stamps) - (self._stamps[0] if count else 0.0)
+        steps = np.diff(stamps)
+        if count > 1 and np.any(steps <= 0):
+            rate = self.info.frame_rate_hz
+            bad = int(np.argmax(steps <= 0)) + 1
+            if not rate:
+                raise InputError(
+                    "its frames carry no usable time stamps",
+                    file=self.path,
+                    frame=bad,
+                    hint="give the true frame rate with --fps",
+                )
+            warn(
+                "SWM043",
+                f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
+                f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
+            )
+            return np.arange(count) / rate
+        return stamps
+
+    def _check_length(self, count: int) -> None:
+        claimed = self.info.frames
+        # Some containers count one or two frames more than they hold.
+        if claimed and count < claimed - max(2, 0.01 * claimed):
+            warn(
+                "SWM044",
+                f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or cut "
+                f"after frame {count - 1}",
+            )
+
+
+def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
+    """Spread of the time steps.
+
+    Returns
+    -------
+    share : float
+        Share of steps further than ``JITTER`` from the median step.
+    largest : float
+        Longest step over the median step.
+    """
+    steps = np.diff(times)
+    if len(steps) < 2:
+        return 0.0, 1.0
+    middle = float(np.median(steps))
+    return float(np.mean(np.abs(steps - middle) > JITTER * middle)), float(steps.max() / middle)

@@ -1,0 +1,107 @@
+"""One video from its first frame to its last, with a second look where the first was fooled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from swimid.formats.setup import Setup
+from swimid.notices import warn
+from swimid.progress import Step
+from swimid.tracking.follow import Follower, RawTrack
+from swimid.tracking.pictures import FrameKeeper
+from swimid.tracking.reader import Frame, Video, VideoInfo
+
+#: Least share of frames, and least way in marker radii, for a second look to be preferred.
+_LEAST_SHARE, _LEAST_WAY = 0.05, 3.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Raw result of following a video.
+
+    Attributes
+    ----------
+    track : RawTrack
+    info : VideoInfo
+    setup : Setup
+        With the boxes that were left out in a second look.
+    kept : dict of int to frame
+        A few frames for the report.
+    first_stamp_s : float
+        The container's stamp of the first frame, which is t = 0.
+    """
+
+    track: RawTrack
+    info: VideoInfo
+    setup: Setup
+    kept: dict[int, Frame]
+    first_stamp_s: float
+
+
+def follow(path: Path, setup: Setup, *, step: Step) -> Run:
+    """Follow the markers of ``setup`` through a video.
+
+    A thing of the marker's colour that never moves, while something else of the colour is
+    about, is not the marker: the video is then read again with that thing left out, and the
+    second result is taken when it moves.
+    """
+    first = _once(path, setup, step)
+    boxes = _motionless(first)
+    if not boxes:
+        return first
+    second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step)
+    for name in second.track.names:
+        if _way(second.track, name) < _LEAST_WAY and name in _static_names(first):
+            return first
+    listed = "; ".join(f"[{', '.join(f'{v:.0f}' for v in box)}]" for box in boxes)
+    warn(
+        "SWM049",
+        f"{path.name}: a thing of the marker's colour never moves and was left out (box {listed}); "
+        "write it into ignore_px of the setup to save the second reading",
+    )
+    return second
+
+
+def _once(path: Path, setup: Setup, step: Step) -> Run:
+    video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
+    follower = Follower(setup, video.info.width, video.info.height)
+    keeper = FrameKeeper()
+    for index, (time, frame) in enumerate(video.frames()):
+        follower.step(time, frame)
+        keeper.take(index, frame)
+        step()
+    return Run(follower.track(video.times()), video.info, setup, keeper.chosen(), video.first_stamp_s)
+
+
+def _static_names(run: Run) -> list[str]:
+    """Markers that are alone of their colour in the setup, are seen, never move, and had rivals."""
+    return [
+        marker.name
+        for marker in run.setup.markers
+        if marker.number == 1 and marker.name in run.track.rivals and _way(run.track, marker.name) < 1.0
+    ]
+
+
+def _motionless(run: Run) -> list[tuple[float, float, float, float]]:
+    boxes = []
+    for name in _static_names(run):
+        i = run.track.names.index(name)
+        seen = run.track.found[i]
+        x, y = float(np.nanmedian(run.track.x[i])), float(np.nanmedian(run.track.y[i]))
+        half = 0.7 * float(np.sqrt(np.nanmedian(run.track.area[i, seen]))) + 3
+        boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
+    return boxes
+
+
+def _way(track: RawTrack, name: str) -> float:
+    """How far a marker gets from its usual place, in its own radii; 0 where hardly seen."""
+    i = track.names.index(name)
+    seen = track.found[i]
+    if seen.mean() < _LEAST_SHARE:
+        return 0.0
+    away = np.hypot(track.x[i] - np.nanmedian(track.x[i]), track.y[i] - np.nanmedian(track.y[i]))
+    radius = max(float(np.sqrt(np.nanmedian(track.area[i, seen]) / np.pi)), 1.0)
+    return float(np.nanpercentile(away, 95)) / radius

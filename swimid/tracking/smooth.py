@@ -1,0 +1,264 @@
+"""Kalman filter and Rauch-Tung-Striebel smoother with uneven steps, gaps and estimated noise.
+
+The state of one coordinate is position and speed (driven by white acceleration) or
+position, speed and acceleration (driven by white jerk). The strength of the driving noise
+and the measurement noise are found by maximum likelihood of the innovations; of the two
+models the likelier is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+Array = NDArray[np.float64]
+
+#: Variance of the unknown start, over the measurement variance (and per step for its rates).
+_DIFFUSE = 1e7
+#: Range searched for the driving noise over the measurement noise in one step, log10.
+_LOWEST, _HIGHEST = -9.0, 4.0
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """One or more coordinates, smoothed together.
+
+    Attributes
+    ----------
+    position, velocity, position_sd, velocity_sd : ndarray, shape (d, n)
+    measurement_sd : float
+        Estimated noise of a measurement of weight 1, in the coordinate's unit.
+    process_noise : float
+        Power of the driving white noise: unit^2/s^3 for order 2, unit^2/s^5 for order 3.
+    order : int
+        2: white acceleration, 3: white jerk.
+    innovation : ndarray, shape (d, n)
+        Normalised innovation of each measurement, NaN where none.
+    """
+
+    position: Array
+    velocity: Array
+    position_sd: Array
+    velocity_sd: Array
+    measurement_sd: float
+    process_noise: float
+    order: int
+    innovation: Array
+
+
+@njit(cache=True)
+def _matrices(dt, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    transition = np.eye(order)
+    noise = np.zeros((order, order))
+    transition[0, 1] = dt
+    if order == 2:
+        noise[0, 0] = q * dt**3 / 3
+        noise[0, 1] = noise[1, 0] = q * dt**2 / 2
+        noise[1, 1] = q * dt
+    else:
+        transition[0, 2] = dt * dt / 2
+        transition[1, 2] = dt
+        noise[0, 0] = q * dt**5 / 20
+        noise[0, 1] = noise[1, 0] = q * dt**4 / 8
+        noise[0, 2] = noise[2, 0] = q * dt**3 / 6
+        noise[1, 1] = q * dt**3 / 3
+        noise[1, 2] = noise[2, 1] = q * dt**2 / 2
+        noise[2, 2] = q * dt
+    return transition, noise
+
+
+@njit(cache=True)
+def kalman(times, values, variances, q, order, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Kalman filter of one coordinate.
+
+    Parameters
+    ----------
+    times, values, variances : ndarray, shape (n,)
+        NaN in ``values`` is a missing measurement.
+    q : float
+        Power of the driving noise.
+    order : int
+        2 or 3.
+    start : ndarray, shape (order, order)
+        Covariance of the state at times[0]; its mean is the first measurement at rest.
+
+    Returns
+    -------
+    means, covariances : ndarray, shapes (n, order), (n, order, order)
+        Filtered.
+    innovations, innovation_variances : ndarray, shape (n,)
+        NaN where there is no measurement.
+    """
+    n = len(times)
+    means = np.zeros((n, order))
+    covariances = np.zeros((n, order, order))
+    innovations = np.full(n, np.nan)
+    innovation_variances = np.full(n, np.nan)
+    mean = np.zeros(order)
+    for k in range(n):
+        if not np.isnan(values[k]):
+            mean[0] = values[k]
+            break
+    covariance = start.copy()
+    for k in range(n):
+        if k > 0:
+            transition, noise = _matrices(times[k] - times[k - 1], q, order)
+            mean = transition @ mean
+            covariance = transition @ covariance @ transition.T + noise
+        if not np.isnan(values[k]):
+            expected = covariance[0, 0] + variances[k]
+            innovations[k] = values[k] - mean[0]
+            innovation_variances[k] = expected
+            gain = covariance[:, 0] / expected
+            mean = mean + gain * innovations[k]
+            # Joseph form: stays positive where the start is diffuse.
+            keep = np.eye(order)
+            keep[:, 0] -= gain
+            covariance = keep @ covariance @ keep.T + variances[k] * np.outer(gain, gain)
+        means[k] = mean
+        covariances[k] = covariance
+    return means, covariances, innovations, innovation_variances
+
+
+@njit(cache=True)
+def rts(times, means, covariances, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
+    n = len(times)
+    smooth = means.copy()
+    spread = covariances.copy()
+    for k in range(n - 2, -1, -1):
+        transition, noise = _matrices(times[k + 1] - times[k], q, order)
+        predicted = transition @ covariances[k] @ transition.T + noise
+        gain = np.linalg.solve(predicted, transition @ covariances[k]).T
+        smooth[k] = means[k] + gain @ (smooth[k + 1] - transition @ means[k])
+        spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted) @ gain.T
+    return smooth, spread
+
+
+def _start(order: int, variance: float, step: float) -> Array:
+    return np.diag([_DIFFUSE * variance / step ** (2 * i) for i in range(order)])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    log_likelihood: float
+    ratio: float
+    variance: float
+    order: int
+
+
+def _likelihood(
+    pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
+) -> tuple[float, float]:
+    """Concentrated log-likelihood and the measurement variance it implies.
+
+    With the driving noise given over the measurement variance, the latter scales all
+    innovation variances alike and its best value is the mean of the squared normalised
+    innovations. The first ``order`` innovations of each piece only fix the unknown start.
+    """
+    squares, logs, count = 0.0, 0.0, 0
+    q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
+    for times, values, weights in pieces:
+        _, _, innovations, expected = kalman(times, values, weights, q, order, start)
+        seen = np.flatnonzero(~np.isnan(innovations))[order:]
+        squares += float(np.sum(innovations[seen] ** 2 / expected[seen]))
+        logs += float(np.sum(np.log(expected[seen])))
+        count += len(seen)
+    if count == 0:
+        return -np.inf, np.nan
+    variance = max(squares / count, 1e-300)
+    return -0.5 * (count * np.log(variance) + logs + count), variance
+
+
+def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> _Fit:
+    def score(exponent: float) -> float:
+        return _likelihood(pieces, 10.0**exponent, order, step)[0]
+
+    grid = np.arange(_LOWEST, _HIGHEST + 0.5, 1.0)
+    middle = int(np.argmax([score(g) for g in grid]))
+    bounds = (grid[max(middle - 1, 0)], grid[min(middle + 1, len(grid) - 1)])
+    found = minimize_scalar(lambda g: -score(g), bounds=bounds, method="bounded", options={"xatol": 0.02})
+    best, variance = _likelihood(pieces, 10.0**found.x, order, step)
+    return _Fit(best, float(10.0**found.x), variance, order)
+
+
+def smooth(
+    times: Array,
+    values: Array,
+    weights: Array,
+    segments: list[tuple[int, int]],
+    *,
+    least_sd: float = 0.0,
+) -> Smoothed:
+    """Smooth coordinates that share their noise, segment by segment.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        s, strictly increasing.
+    values : ndarray, shape (d, n)
+        Measurements, NaN where missing.
+    weights : ndarray, shape (n,)
+        Variance of each measurement over that of a good one.
+    segments : list of (start, end)
+        Stretches to smooth, ``end`` exclusive; outside of them the result is NaN.
+    least_sd : float
+        The measurement noise is not believed to be below this.
+
+    Returns
+    -------
+    Smoothed
+
+    Notes
+    -----
+    Maximum likelihood of the innovations, the measurement variance concentrated out:
+    Harvey, A. C. (1989), *Forecasting, structural time series models and the Kalman
+    filter*, section 3.4. Smoother: Rauch, Tung & Striebel (1965), AIAA J. 3(8), 1445-1450,
+    doi:10.2514/3.3166.
+    """
+    d, n = values.shape
+    out = {name: np.full((d, n), np.nan) for name in ("position", "velocity", "p_sd", "v_sd", "innovation")}
+    pieces = [
+        (times[a:b], row[a:b], weights[a:b])
+        for a, b in segments
+        for row in values
+        if np.count_nonzero(~np.isnan(row[a:b])) >= 6
+    ]
+    typical = float(np.median(np.diff(times))) if n > 1 else 1.0
+    if pieces:
+        fit = max((_best(pieces, order, typical) for order in (2, 3)), key=lambda f: f.log_likelihood)
+    else:
+        fit = _Fit(0.0, 1e-2, max(least_sd, 1e-12) ** 2, 2)
+    variance = max(fit.variance, least_sd**2)
+    power = fit.ratio * fit.variance / typical ** (2 * fit.order - 1)
+    for a, b in segments:
+        for i in range(d):
+            row = values[i, a:b]
+            if np.isnan(row).all():
+                continue
+            start = _start(fit.order, variance, typical)
+            means, covariances, innovations, expected = kalman(
+                times[a:b], row, variance * weights[a:b], power, fit.order, start
+            )
+            means, covariances = rts(times[a:b], means, covariances, power, fit.order)
+            out["position"][i, a:b] = means[:, 0]
+            out["velocity"][i, a:b] = means[:, 1]
+            out["p_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))
+            out["v_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 1, 1], 0))
+            normalised = innovations / np.sqrt(expected)
+            normalised[np.flatnonzero(~np.isnan(normalised))[: fit.order]] = np.nan
+            out["innovation"][i, a:b] = normalised
+    return Smoothed(
+        position=out["position"],
+        velocity=out["velocity"],
+        position_sd=out["p_sd"],
+        velocity_sd=out["v_sd"],
+        measurement_sd=float(np.sqrt(variance)),
+        process_noise=float(power),
+        order=fit.order,
+        innovation=out["innovation"],
+    )
