@@ -74,7 +74,7 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
-def _fixed(value: float, decimals: int) -> str:
+def fixed(value: float, decimals: int) -> str:
     """``value`` rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
     exact = Decimal(repr(float(value)))
     step = Decimal(1).scaleb(-decimals)
@@ -108,8 +108,8 @@ def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
         return _joined(str(value).replace("-", "−"), unit)
     exponent = _exponent(float(value), digits)
     if _SMALL <= exponent < _LARGE:
-        return _joined(_trimmed(_fixed(value, digits - 1 - exponent)), unit)
-    mantissa = _trimmed(_fixed(value / 10.0**exponent, digits - 1))
+        return _joined(_trimmed(fixed(value, digits - 1 - exponent)), unit)
+    mantissa = _trimmed(fixed(value / 10.0**exponent, digits - 1))
     return _joined(f"{mantissa} × {power_of_ten(exponent)}", unit)
 
 
@@ -145,8 +145,8 @@ def _parts(value: float | None, stderr: float | None, digits: int) -> tuple[str,
     scale, decimals = _layout(value, stderr, digits)
     power = f" × {power_of_ten(scale)}" if scale else ""
     return (
-        _fixed(value / 10.0**scale, decimals) + power,
-        _fixed(stderr / 10.0**scale, decimals) + power,
+        fixed(value / 10.0**scale, decimals) + power,
+        fixed(stderr / 10.0**scale, decimals) + power,
     )
 
 
@@ -171,7 +171,7 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
     if not _is_number(stderr) or not stderr or stderr < 0:
         return number(value, 6, unit)
     scale, decimals = _layout(value, stderr, digits)
-    text = f"{_fixed(value / 10.0**scale, decimals)} ± {_fixed(stderr / 10.0**scale, decimals)}"
+    text = f"{fixed(value / 10.0**scale, decimals)} ± {fixed(stderr / 10.0**scale, decimals)}"
     if scale:
         return _joined(f"({text}) × {power_of_ten(scale)}", unit)
     return _joined(f"({text})" if unit_text(unit) == "°" else text, unit)
@@ -186,7 +186,7 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
     if not _is_number(stderr) or not stderr or stderr < 0:
         return _joined(f"{number(low)} … {number(high)}", unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
-    text = f"{_fixed(low / 10.0**scale, decimals)} … {_fixed(high / 10.0**scale, decimals)}"
+    text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
     return _joined(f"({text}) × {power_of_ten(scale)}" if scale else text, unit)
 
 
