@@ -9,7 +9,8 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators.arx import EXACT, Orders, Record, check_enough, regression
-from swimid.estimators.prediction import quality, simulate
+from swimid.estimators.metrics import score
+from swimid.estimators.prediction import simulate
 from swimid.progress import Progress, silent
 
 
@@ -24,9 +25,8 @@ class Candidate:
         On the rows all candidates share, unit of the output.
     aic, bic : float
         Akaike's and the Bayesian information criterion.
-    free_run_nrmse : float
-        Free-run error over the deviation of the output, held-out data; infinite when the free
-        run leaves every bound.
+    free_run_fit : float
+        Fit of the free run on held-out data, per cent; minus infinity when it runs away.
     stable : bool
     """
 
@@ -34,12 +34,12 @@ class Candidate:
     one_step_rmse: float
     aic: float
     bic: float
-    free_run_nrmse: float
+    free_run_fit: float
     stable: bool
 
     def score(self, criterion: str) -> float:
         """What ``criterion`` ("bic", "aic" or "free-run") minimises."""
-        return {"bic": self.bic, "aic": self.aic, "free-run": self.free_run_nrmse}[criterion]
+        return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit}[criterion]
 
 
 def search(
@@ -63,7 +63,7 @@ def search(
     max_na, max_nb, max_nk : int
         The grid.
     level_removed : bool
-        See :func:`swimid.estimators.prediction.quality`.
+        Judge the free run without its mean error.
     progress : Progress
         Shows the models tried.
 
@@ -101,7 +101,9 @@ def search(
             # reward ever more parameters.
             fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
             run = np.concatenate([simulate(r, orders, theta) for r in judged])
-            error = quality(measured, run, level_removed=level_removed)
+            error = score(measured, run)
+            if level_removed:
+                error = score(measured, run + error.bias)
             complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
             found.append(
@@ -110,7 +112,7 @@ def search(
                     float(np.sqrt(rss / n)),
                     fitted + 2 * orders.count,
                     fitted + np.log(n) * orders.count,
-                    error.nrmse if complete and np.isfinite(error.nrmse) else np.inf,
+                    error.fit_percent if complete and np.isfinite(error.fit_percent) else -np.inf,
                     bool(np.all(np.abs(roots) < 1)),
                 )
             )
