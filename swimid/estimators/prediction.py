@@ -19,7 +19,7 @@ from swimid.estimators.metrics import Score, score
 INTEGRATING = 0.999
 #: The standard error of a pole that is less certain than this says nothing about integration:
 #: the linearisation behind it fails, for nearly double poles above all.
-BLURRED = 0.1
+BLURRED = 0.05
 #: A free run that strays this many times the output's range from it is given up.
 RUNAWAY = 100.0
 

@@ -18,9 +18,12 @@ from swimid.estimators.prediction import simulate
 
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0
-#: |t| that is enough where the data sit far from zero and the free run gains by it: there a
-#: missing constant hides in the other coefficients and shows weakly.
+#: |t| that is enough where the data sit far from zero and the free run gains by it. There a
+#: missing constant hides in the other coefficients (A(1) goes to zero: a pole at 1 that is not
+#: in the robot), and shows weakly or not at all in t.
 WEAK_T = 2.0
+#: Gain of the free run, as a share of its error, that is enough far from zero without any t.
+CLEAR_GAIN = 0.1
 #: Mean of the output over its standard deviation from which on that counts as far.
 FAR = 3.0
 
@@ -63,9 +66,10 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         C plays no part.
     mode : {"auto", "none", "mean"}
         auto removes the means when a constant term beside A and B has a t value above
-        :data:`CLEAR_T` in size; above :data:`WEAK_T` when the output's mean is more than
-        :data:`FAR` deviations from zero and the free run over the fit part gets better. Data
-        without an offset stay as they are.
+        :data:`CLEAR_T` in size. Where the output's mean is more than :data:`FAR` deviations
+        from zero, it also does when the free run over the fit part gets better, by
+        :data:`CLEAR_GAIN` or with t above :data:`WEAK_T`. Data without an offset stay as they
+        are.
 
     Returns
     -------
@@ -83,20 +87,23 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         size = abs(point.t) if abs(constant) > EXACT * level else 0.0
         if size <= CLEAR_T:
             far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
-            if not (size > WEAK_T and far and _free_run_gains(records, orders, point)):
+            gain = _free_run_gain(records, orders, point) if far and len(data) > orders.count else 0.0
+            if gain <= (0.0 if size > WEAK_T else CLEAR_GAIN):
                 return replace(point, source=0.0, output=0.0, removed=False)
     return point
 
 
-def _free_run_gains(records: Sequence[Record], orders: Orders, point: WorkingPoint) -> bool:
-    """Whether the free run over the fit part is closer with the working point removed."""
-    sums = []
+def _free_run_gain(records: Sequence[Record], orders: Orders, point: WorkingPoint) -> float:
+    """By what share the free-run error over the fit part falls with the working point removed."""
+    rms = []
     for part in (list(records), shifted(records, point)):
         data = regression(part, replace(orders, nc=0))
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
         errors = np.concatenate([r.output - simulate(r, replace(orders, nc=0), theta) for r in part])
-        sums.append(float(np.nanmean(errors**2)) if np.isfinite(errors).any() else float("inf"))
-    return sums[1] < sums[0]
+        rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
+    if not np.isfinite(rms[1]) or rms[0] == 0:
+        return 0.0
+    return 1.0 - rms[1] / rms[0] if np.isfinite(rms[0]) else 1.0
 
 
 def _mean(parts: list[np.ndarray]) -> float:

@@ -276,12 +276,12 @@ def _styled(value: Any, depth: int) -> Any:
     if isinstance(value, dict):
         styled = CommentedMap((k, _styled(v, depth + 1)) for k, v in value.items())
         leaves = [v for v in value.values() if isinstance(v, dict | list)]
-        if depth > 1 and value and all(_short_list(v) for v in leaves) and len(str(value)) < 110:
+        if depth > 1 and value and all(_short_list(v) for v in leaves) and len(str(value)) < 150:
             styled.fa.set_flow_style()
         return styled
     if isinstance(value, list):
         sequence = CommentedSeq(_styled(v, depth + 1) for v in value)
-        if not any(isinstance(v, dict) for v in value) and len(str(value)) < 110:
+        if not any(isinstance(v, dict) for v in value) and len(str(value)) < 150:
             sequence.fa.set_flow_style()
         return sequence
     if isinstance(value, float) and not math.isfinite(value):

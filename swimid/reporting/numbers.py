@@ -75,7 +75,7 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """``value`` rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """A value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
     exact = Decimal(repr(float(value)))
     step = Decimal(1).scaleb(-decimals)
     # prec of the default context (28) is enough: decimals is limited by _MOST_DIGITS.
@@ -221,6 +221,12 @@ def percent(fraction: float | None, digits: int = 3) -> str:
         return NOTHING
     assert fraction is not None
     return f"{number(100.0 * fraction, digits)} %"
+
+
+def ordinal(count: int) -> str:
+    """``1st``, ``2nd``, ``3rd``, ``4th``, ``11th``."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(count % 10, "th") if count % 100 not in (11, 12, 13) else "th"
+    return f"{count}{ending}"
 
 
 def unit_text(unit: str) -> str:

@@ -1,0 +1,1 @@
+"""Signals: what can be said of a logged channel without a model."""

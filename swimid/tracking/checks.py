@@ -218,7 +218,7 @@ def _calibration(pose: Pose) -> list[Check]:
                 text="Positions are in pixels. A scale in the setup gives metres.",
             )
         ]
-    if plane.residual_px <= 1e-6:
+    if plane.residual_px <= 1e-2:
         return []
     return [
         Check(

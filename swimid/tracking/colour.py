@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +75,7 @@ class ColourModel:
     def distance(self, hsv: NDArray[np.float64]) -> float:
         """How far a mean colour is from the middle of the range: 0 centre, 1 rim."""
         centre = self._centre + self.drift
-        hue = abs(_hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
+        hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
         half = np.maximum((self._upper - self._lower) / 2, 1.0)
         return float(np.max([hue, *(np.abs(hsv[1:] - centre[1:]) / half)]))
 
@@ -82,7 +84,7 @@ class ColourModel:
         if self._first is None:
             self._first = hsv.copy()
         offset = hsv - self._first
-        offset[0] = _hue_difference(hsv[0], self._first[0])
+        offset[0] = hue_difference(hsv[0], self._first[0])
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
 
@@ -137,9 +139,16 @@ def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
     return found
 
 
-def _hue_difference(a: float, b: float) -> float:
+def hue_difference(a: Any, b: Any) -> Any:
     """a - b on the circle of 180 steps, in [-90, 90)."""
     return (a - b + _HALF) % _TURN - _HALF
+
+
+def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """a - b of two HSV colours, the hue the short way round."""
+    out = a - b
+    out[0] = hue_difference(a[0], b[0])
+    return out
 
 
 def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:

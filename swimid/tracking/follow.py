@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.formats.setup import Marker, Setup
 from swimid.tracking import detect
-from swimid.tracking.colour import ColourModel
+from swimid.tracking.colour import ColourModel, colour_difference, hue_difference
 from swimid.tracking.detect import Blob
 from swimid.tracking.reader import Frame
 
@@ -28,6 +28,11 @@ DECIMATION = 4
 LOOK_AROUND_FRAMES = 90
 #: A sighting this short, alone between losses, is not believed.
 SHORTEST_RUN = 3
+#: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
+RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
+#: Only a run shorter than this share of all sightings is doubted for its look.
+STRANGER_SHARE = 0.2
+_NOT_SEEN = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
 
 
 @dataclass
@@ -46,6 +51,10 @@ class Target:
     area: float = 0.0
     contrast: float = 0.0
     surprise: float = 0.0
+    #: Slow averages: what it usually is, not what it was last.
+    pace: float = 0.0
+    usual_area: float = 0.0
+    colour: NDArray[np.float64] | None = None
 
     def predicted(self, time: float) -> tuple[float, float]:
         """Where it should be, with its last speed."""
@@ -73,7 +82,13 @@ class Target:
                 self.vx += 0.5 * (blob.x - px) / dt
                 self.vy += 0.5 * (blob.y - py) / dt
             self.surprise += 0.3 * (min(error, 4 * self.radius + 20) - self.surprise)
+            self.pace = max(self.pace + 0.05 * (math.hypot(self.vx, self.vy) - self.pace), 0.0)
         blend = 0.15 if self.sights else 1.0
+        if not blob.at_edge or not self.sights:
+            slow = max(0.01, 1 / (self.sights + 1))
+            self.usual_area += slow * (blob.area - self.usual_area)
+            old = blob.hsv if self.colour is None else self.colour
+            self.colour = old + slow * colour_difference(blob.hsv, old)
         if not blob.at_edge or not self.sights:
             self.contrast += blend * (blob.contrast - self.contrast)
         self.area += blend * (blob.area - self.area)
@@ -162,7 +177,7 @@ class Follower:
             )
             for marker in setup.markers
         ]
-        self._rows: list[list[tuple[float, float, float, float, int, bool]]] = []
+        self._rows: list[list[tuple[float, ...]]] = []
         self._times: list[float] = []
         self._frame = 0
 
@@ -173,18 +188,19 @@ class Follower:
 
     def step(self, time: float, frame: Frame) -> None:
         """Find every marker in the next frame."""
-        row: list[tuple[float, float, float, float, int, bool]] = []
+        row: list[tuple[float, ...]] = []
         for group in self.groups:
             sights = self._follow(group, time, frame)
             for target in group.targets:
                 blob, status = sights.get(target.name, (None, LOST))
                 if blob is None:
                     target.missed += 1
-                    row.append((math.nan, math.nan, math.nan, 0.0, LOST, False))
+                    row.append(_NOT_SEEN)
                     continue
                 likeness = min(blob.area / target.area, target.area / blob.area) if target.area else 1.0
                 target.see(blob, time)
-                row.append((blob.x, blob.y, blob.area, blob.confidence * likeness**0.5, status, blob.at_edge))
+                sure = blob.confidence * likeness**0.5
+                row.append((blob.x, blob.y, blob.area, sure, status, blob.at_edge, *blob.hsv))
                 if blob.confidence > 0.5 and not blob.at_edge:
                     group.model.adapt(blob.hsv)
             if not sights:
@@ -195,10 +211,10 @@ class Follower:
 
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """What was found so far; ``times`` replaces the times given with the frames."""
-        table = np.array(self._rows, dtype=float)  # (n, m, 6)
+        table = np.array(self._rows, dtype=float)  # (n, m, 9)
         names = [t.name for g in self.groups for t in g.targets]
         if not len(table):
-            table = np.zeros((0, len(names), 6))
+            table = np.zeros((0, len(names), 9))
         track = RawTrack(
             times=np.array(self._times) if times is None else times,
             names=names,
@@ -212,7 +228,7 @@ class Follower:
             rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
         )
         for i in range(len(names)):
-            _drop_flashes(track, i)
+            _drop_strangers(track, i, table[:, i, 6:])
         return track
 
     # ------------------------------------------------------------ one colour, one frame
@@ -320,12 +336,15 @@ class Follower:
         alone = len(group.targets) == 1
         # Equal markers that touch look like one of twice the size.
         low, high = (0.3, 3.0) if alone else (0.55, 1.45)
-        if alone and gone > self.setup.max_gap_s:
-            low, high = 0.1, 10.0  # it may come back nearer or farther; the setup's range holds
+        ratio = blob.area / (target.usual_area if gone else target.area)
         if blob.at_edge:
             low = 0.1
-        ratio = blob.area / target.area
-        return low <= ratio <= high and blob.contrast >= 0.4 * target.contrast
+        if not low <= ratio <= high or blob.contrast < 0.4 * target.contrast:
+            return False
+        if not gone or target.colour is None:
+            return True
+        hue, saturation, _ = colour_difference(blob.hsv, target.colour)
+        return abs(hue) <= RETURN_HUE and abs(saturation) <= RETURN_SATURATION * target.colour[1]
 
     def _drop_merged(self, known: list[Target], found: dict[str, tuple[Blob, int]], time: float) -> None:
         """Where equal markers meet and fewer blobs than markers are seen, none of them is known."""
@@ -397,8 +416,8 @@ class Follower:
         px, py = target.predicted(time) if gone <= self.setup.max_gap_s else (target.x, target.y)
         away = math.hypot(blob.x - px, blob.y - py)
         if gone <= self.setup.max_gap_s and target.sights >= 3:
-            near = 4 * target.radius + 20 + 2 * target.missed * target.radius
-            near += 2 * math.hypot(target.vx, target.vy) * gone
+            near = 4 * target.radius + 10 + 0.2 * target.missed * target.radius
+            near += 2 * max(math.hypot(target.vx, target.vy), target.pace) * gone
             return away if away <= near else 1e6
         if any(math.hypot(blob.x - r.x, blob.y - r.y) < 0.7 * r.radius for r in group.rivals):
             return 1e6
@@ -482,17 +501,45 @@ def _is_new(blob: Blob, others: list[Blob]) -> bool:
     return all(math.hypot(blob.x - o.x, blob.y - o.y) > 2 for o in others)
 
 
-def _drop_flashes(track: RawTrack, marker: int) -> None:
-    """Take back sightings of less than ``SHORTEST_RUN`` frames alone between longer losses."""
+def _drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
+    """Take back sightings that, seen from the end, were something else.
+
+    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone
+    between longer losses), or short and unlike the marker's usual look in colour, size or
+    confidence.
+
+    Parameters
+    ----------
+    looks : ndarray, shape (n, 3)
+        Mean HSV of each sighting.
+    """
     seen = track.status[marker] > LOST
+    if not seen.any():
+        return
+    usual = np.median(looks[seen], axis=0)
+    turn = 2 * np.pi * looks[seen, 0] / 180
+    usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+    hue = np.abs(hue_difference(looks[:, 0], usual[0]))
+    saturation = np.abs(looks[:, 1] / max(usual[1], 1.0) - 1)
+    area, confidence = track.area[marker], track.confidence[marker]
+    usual_area = float(np.median(area[seen]))
+    usual_confidence = float(np.median(confidence[seen]))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], seen.astype(np.int8), [0]))))
     starts, ends = edges[::2], edges[1::2]
     for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
         before = start - (ends[k - 1] if k else 0)
         after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end
         alone = (before > SHORTEST_RUN or start == 0) and (after > SHORTEST_RUN or end == len(seen))
-        if end - start < SHORTEST_RUN and alone and not (start == 0 and end == len(seen)):
-            part = slice(start, end)
+        flash = end - start < SHORTEST_RUN and alone
+        part = slice(start, end)
+        ratio = float(np.median(area[part])) / usual_area
+        stranger = end - start < STRANGER_SHARE * seen.sum() and (
+            float(np.median(hue[part])) > RETURN_HUE
+            or float(np.median(saturation[part])) > RETURN_SATURATION
+            or not 0.25 < ratio < 4
+            or (float(np.median(confidence[part])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
+        )
+        if (flash and end - start < seen.sum()) or stranger:
             for values in (track.x, track.y, track.area):
                 values[marker, part] = np.nan
             track.confidence[marker, part] = 0.0

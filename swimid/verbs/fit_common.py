@@ -374,6 +374,12 @@ def summary_rows(file: ParameterFile, parameters: tuple[Parameter, ...] = ()) ->
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
 
 
+def judgement(evidence: ev.Evidence) -> str:
+    """The checks in one line for the terminal."""
+    failed = [c.name for c in evidence.checks if c.verdict in ("warn", "fail")]
+    return f"look at {', '.join(failed)}" if failed else "every check passes"
+
+
 def notices(recorded: list[Notice]) -> list[ev.NoticeRecord]:
     """Recorded warnings as evidence."""
     return [ev.NoticeRecord(code=n.code, text=n.text) for n in recorded]

@@ -451,10 +451,6 @@ def _summary(
                 for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
             )
         )
-    lines.append(f"{evidence.verdict.level.upper()}: " + _judgement(evidence))
+    lines.append(f"{evidence.verdict.level.upper()}: " + fit_common.judgement(evidence))
     return "\n".join(lines)
 
-
-def _judgement(evidence: ev.Evidence) -> str:
-    failed = [c.name for c in evidence.checks if c.verdict in ("warn", "fail")]
-    return f"look at {', '.join(failed)}" if failed else "every check passes"

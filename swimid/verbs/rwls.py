@@ -297,12 +297,13 @@ def _warn(
             f"bias; {cure}",
         )
     _warn_stability(poles, fit_scores, scores)
+    suffix = "" if unit == "1" else f" {unit}"
     for name, s in scores.items():
         if s.free_run.rmse > WORSE * fit_scores.free_run.rmse:
             warn(
                 "SWM015",
-                f"free run on {name}: error {s.free_run.rmse:.3g} {unit}, on the fitted part "
-                f"{fit_scores.free_run.rmse:.3g} {unit}".replace(" 1,", ","),
+                f"the free-run error is {s.free_run.rmse:.3g}{suffix} on {name}, "
+                f"{fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
             )
 
 

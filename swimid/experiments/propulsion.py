@@ -1,0 +1,254 @@
+"""Cruise tables and straight free swimming: trials that tell how a fin propels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from swimid.errors import InputError, nearest
+from swimid.experiments.base import Experiment, input_files, read_log
+from swimid.formats import cruise as cruise_format
+from swimid.formats import parameters as parameters_format
+from swimid.formats import trials as trials_format
+from swimid.formats.log import Log
+from swimid.formats.parameters import ParameterFile
+from swimid.formats.robot import Robot
+from swimid.formats.trials import Cruise, FreeSwim, FreeSwimTrial
+from swimid.models.base import Trial
+from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, plate_inertia
+from swimid.notices import warn
+from swimid.signals.beat import Beat, find_beat
+
+#: The paper's stop-watch error (section 3.4), s, and the scatter of speeds between runs taken
+#: beside it: they set how runs weigh against each other, the overall size is estimated.
+STOP_WATCH_SD_S = 0.1
+SPEED_SCATTER = 0.01
+#: A beat frequency this far from the metadata's contradicts it.
+BEAT_TOLERANCE = 0.05
+
+
+def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
+    """Read a cruise or free-swim trials file.
+
+    Parameters
+    ----------
+    drag : path, optional
+        Parameter file of the falling-weight rig, in place of the trials file's ``drag``.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in one of the files.
+    """
+    path = Path(path)
+    entries = trials_format.read(path, Cruise, FreeSwim)
+    robot = trials_format.robot_of(entries, path)
+    if isinstance(entries, FreeSwim):
+        return _free_swim(path, entries, robot)
+    drag_path = Path(drag) if drag is not None else path.parent / entries.drag if entries.drag else None
+    if drag_path is None:
+        raise InputError(
+            "no drag file is given", file=path, column="drag", hint="run fit-drag first, then give --drag drag.yaml"
+        )
+    return _cruise(path, entries, robot, drag_path)
+
+
+# ------------------------------------------------------------ cruise
+
+
+def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, float]:
+    """``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot."""
+    coefficient, added = parameters_format.require(drag, ("drag_coefficient", "added_mass"), path)
+    body = robot.body
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise InputError(
+            f"the robot '{robot.name}' needs body.inertial_mass_kg and body.frontal_area_m2 for a cruise experiment"
+        )
+    return 0.5 * robot.fluid.density_kg_m3 * coefficient * body.frontal_area_m2, body.inertial_mass_kg + added
+
+
+def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
+    """Hydrodynamic inertia of each fin, kg m2: as given, from Eq 6 for a rectangle, or None."""
+    found: dict[str, float | None] = {}
+    for fin in dict.fromkeys(fins):
+        known = robot.fins.get(fin)
+        if known is None:
+            close = nearest(fin, list(robot.fins))
+            hint = f"did you mean '{close}'? " if close else ""
+            raise InputError(
+                f"the robot '{robot.name}' has no fin '{fin}'",
+                file=path,
+                column="fin",
+                hint=f"{hint}it has: {', '.join(robot.fins) or 'none'}",
+            )
+        if known.hydrodynamic_inertia_kg_m2 is not None:
+            found[fin] = known.hydrodynamic_inertia_kg_m2
+        elif known.shape == "rectangle":
+            found[fin] = plate_inertia(
+                height_m=known.height_m,
+                length_m=known.length_m,
+                axle_gap_m=known.axle_gap_m,
+                density_kg_m3=robot.fluid.density_kg_m3,
+            )
+        else:
+            found[fin] = None
+    return found
+
+
+def _cruise(path: Path, entries: Cruise, robot: Robot, drag_path: Path) -> Experiment:
+    drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
+    area, mass = drag_numbers(drag, drag_path, robot)
+    table = cruise_format.read(path.parent / entries.table)
+    inertias = fin_inertias(robot, table.fin, table.path)
+    model = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=inertias)
+    middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
+    trials = []
+    for fin, inertia in inertias.items():
+        rows = np.array([f == fin for f in table.fin])
+        speed = table.mean_speed_m_s[rows]
+        distance = table.distance_m[rows]
+        settings: dict[str, object] = {"fin": fin, "middle": middle, "rows": np.flatnonzero(rows)}
+        if inertia is not None:
+            settings["inertia_kg_m2"] = inertia
+        trials.append(
+            Trial(
+                id=fin,
+                role="fit",
+                time_s=np.arange(len(speed), dtype=float),
+                measured={SPEED: speed},
+                inputs={
+                    "frequency_hz": table.frequency_hz[rows],
+                    "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
+                    "distance_m": distance,
+                },
+                settings=settings,
+                value_sd={
+                    SPEED: np.nan_to_num(
+                        np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed), nan=1.0
+                    )
+                },
+            )
+        )
+    inputs = [*input_files(path, entries.robot, [table.path]), drag_path]
+    return Experiment("cruise", robot, model, trials, inputs, facts={"drag": drag, "drag_path": drag_path})
+
+
+# ------------------------------------------------------------ straight free swimming
+
+
+def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
+    trials, logs = [], []
+    beats: dict[str, dict[str, float | str | None]] = {}
+    turning = []
+    for entry in entries.trials:
+        drive = entry.drive
+        if drive is None:
+            raise InputError(
+                f"the trial '{entry.id}' has no 'drive'", file=path, column="drive",
+                hint="give its waveform, frequency_hz and amplitude_deg",
+            )  # fmt: skip
+        log = read_log(
+            entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
+        )
+        logs.append(log.path)
+        beat = find_beat(log.time_s, log["yaw_rad"])
+        beats[entry.id] = _beat_facts(entry, beat)
+        if drive.bias_deg != 0:
+            turning.append(entry.id)
+            continue
+        frequency = beat.frequency_hz if beat is not None else drive.frequency_hz
+        time, speed = beat_averages(log, 1.0 / frequency)
+        if len(time) < 4:
+            raise InputError(f"holds {len(time)} whole beats; at least 4 are needed", file=log.path)
+        trials.append(
+            Trial(
+                id=entry.id,
+                role=entry.role,
+                time_s=time,
+                measured={"u_m_s": speed},
+                settings={
+                    "amplitude_rad": float(np.deg2rad(drive.amplitude_deg)),
+                    "frequency_hz": frequency,
+                    "start_s": float(time[0]),
+                },
+            )
+        )
+    if turning:
+        warn("SWM018", f"{len(turning)} trials with a turning bias left out of the straight-swimming fit: {', '.join(turning)}")
+    if not trials:
+        raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
+    if any(t.settings["amplitude_rad"] <= 0 for t in trials):
+        raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
+    # frequencies measured as one setting scatter by their error: take the settings' medians
+    trials = _pooled_frequencies(trials)
+    model = SurgeModel(
+        amplitudes_rad=[t.settings["amplitude_rad"] for t in trials],
+        frequencies_hz=[t.settings["frequency_hz"] for t in trials],
+        speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
+    )
+    return Experiment(
+        "free-swim", robot, model, trials, input_files(path, entries.robot, logs), facts={"beats": beats}
+    )
+
+
+def _beat_facts(entry: FreeSwimTrial, beat: Beat | None) -> dict[str, float | str | None]:
+    assert entry.drive is not None
+    stated = entry.drive.frequency_hz
+    facts: dict[str, float | str | None] = {"stated_hz": stated, "found_hz": None, "stderr_hz": None}
+    if beat is None:
+        return facts
+    facts.update(found_hz=beat.frequency_hz, stderr_hz=beat.stderr_hz)
+    limit = max(BEAT_TOLERANCE * stated, 3 * beat.stderr_hz)
+    if abs(beat.frequency_hz - stated) > limit:
+        ratio = beat.frequency_hz / stated
+        whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""
+        warn(
+            "SWM032",
+            f"{entry.id}: the yaw beats at {beat.frequency_hz:.3f} ± {beat.stderr_hz:.3f} Hz{whole}, the trials file "
+            f"says {stated:g} Hz; the measured frequency is used",
+        )
+    return facts
+
+
+def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
+    """Frequencies within the tolerance of each other are one setting: their median."""
+    values = np.array([t.settings["frequency_hz"] for t in trials])
+    pooled = [float(np.median(values[np.abs(values / v - 1) < BEAT_TOLERANCE])) for v in values]
+    return [
+        replace(t, settings={**t.settings, "frequency_hz": f}) for t, f in zip(trials, pooled, strict=True)
+    ]
+
+
+def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Surge averaged over whole beats.
+
+    Parameters
+    ----------
+    log : Log
+        With ``u_m_s``, or with position and yaw: then the displacement over a beat along its
+        mean heading.
+    period_s : float
+
+    Returns
+    -------
+    time_s, u_m_s : ndarray, shape (beats,)
+        Middle of each beat and its average; NaN for a beat with missing samples.
+    """
+    time = log.time_s
+    count = int((time[-1] - time[0]) / period_s)
+    edges = time[0] + period_s * np.arange(count + 1)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    speeds = np.full(count, np.nan)
+    for k in range(count):
+        inside = (time >= edges[k]) & (time < edges[k + 1])
+        if inside.sum() < 4:
+            continue
+        if "u_m_s" in log:
+            speeds[k] = np.mean(log["u_m_s"][inside])
+        else:
+            x, y = (np.interp(edges[k : k + 2], time, log[c]) for c in ("x_m", "y_m"))
+            heading = float(np.mean(log["yaw_rad"][inside]))
+            speeds[k] = ((x[1] - x[0]) * np.cos(heading) + (y[1] - y[0]) * np.sin(heading)) / period_s
+    return middles, speeds

@@ -1,0 +1,131 @@
+"""What a report is made of: one section per result, of few kinds of blocks.
+
+A page, Markdown and JSON are written from the same sections. A new kind of result makes
+blocks and needs no drawing code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from swimid.formats.evidence import Check, Evidence, Figure, Image, NoticeRecord, Verdict
+from swimid.reporting import numbers
+
+Tone = Literal["", "good", "caution", "bad", "muted", "code"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table.
+
+    Attributes
+    ----------
+    text : str
+    tone : str
+        How it is set off: a badge in the colour of a verdict, muted, or a name in code type.
+    numeric : bool
+        Aligned to the right.
+    level : float, optional
+        -1 to 1: strength of a shade behind the number, by sign.
+    """
+
+    text: str
+    tone: Tone = ""
+    numeric: bool = False
+    level: float | None = None
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[Cell]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Note:
+    """A remark set off from the rest, or a list of sentences under a heading."""
+
+    sentences: list[str]
+    title: str = ""
+    tone: Tone = ""
+
+
+Block = Grid | Note | Figure | Image
+
+
+@dataclass(frozen=True)
+class Section:
+    """One result.
+
+    Attributes
+    ----------
+    path : Path
+        The result file.
+    kind : str
+        What sort of result it is, in words.
+    title : str
+    verdict : Verdict
+    facts : list of (str, str)
+        Short particulars under the title: model, robot, trials.
+    blocks : list of Block
+        In the order of reading.
+    checks, notices, methods, references, provenance
+        As in the evidence.
+    data : dict
+        The result itself, for JSON.
+    evidence : Evidence or None
+    """
+
+    path: Path
+    kind: str
+    title: str
+    verdict: Verdict
+    facts: list[tuple[str, str]] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
+    notices: list[NoticeRecord] = field(default_factory=list)
+    methods: list[str] = field(default_factory=list)
+    references: list[str] = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+    evidence: Evidence | None = None
+
+
+def cell(value: str | float | int | bool | None) -> Cell:
+    """A value of a table as it is shown; numbers to four significant digits."""
+    if isinstance(value, str):
+        return Cell(value)
+    return Cell(numbers.number(value), numeric=not isinstance(value, bool))
+
+
+def mapping_grid(title: str, entries: dict[str, Any], caption: str = "") -> Grid:
+    """A table of names and values of a nested mapping, one leaf a row."""
+    rows = [[Cell(name, "code"), cell(value)] for name, value in leaves(entries)]
+    return Grid(title, ["Quantity", "Value"], rows, caption)
+
+
+def leaves(entries: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str | float | None]]:
+    """Names and values of the leaves of a nested mapping; ``a.b`` for a value inside ``a``."""
+    for key, value in entries.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from leaves(value, f"{name}.")
+        elif isinstance(value, list | tuple):
+            yield name, ", ".join(numbers.number(v) if isinstance(v, int | float) else str(v) for v in value)
+        elif value is None or isinstance(value, str | int | float):
+            yield name, value
+        else:
+            yield name, str(value)
+
+
+def words(key: str) -> str:
+    """A key as a column heading: ``max_error`` is ``max error``, ``rmse`` is ``RMSE``."""
+    text = key.replace("_", " ")
+    return text.upper() if key in {"rmse", "nrmse", "aic", "bic", "mae", "vaf"} else text
