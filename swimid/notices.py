@@ -47,6 +47,7 @@ CODES: dict[str, str] = {
     "SWM049": "a motionless thing of the marker's colour left out",
     "SWM050": "evidence of a result is missing",
     "SWM051": "figure reduced to fewer points",
+    "SWM052": "evidence is that of another run",
 }
 
 

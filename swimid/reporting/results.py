@@ -73,7 +73,9 @@ def load(path: str | Path) -> Section:
     Warns
     -----
     SWM050
-        The evidence is missing, or is that of another run.
+        The evidence is missing.
+    SWM052
+        The evidence is that of another run.
     """
     path = Path(path)
     _discover()
@@ -132,8 +134,8 @@ def _joined(section: Section, evidence: Evidence, notices: list[NoticeRecord]) -
             f"the evidence of {section.path.name} is from another run ({difference} differ): "
             "its figures, checks and tables may not describe these numbers"
         )
-        warn("SWM050", text)
-        kept.append(NoticeRecord(code="SWM050", text=text))
+        warn("SWM052", text)
+        kept.append(NoticeRecord(code="SWM052", text=text))
         blocks.insert(0, Note([_sentence(text)], tone="bad"))
         level = verdict.level if verdict.level == "bad" else "caution"
         verdict = Verdict(level=level, text=f"Evidence and result do not belong together. {verdict.text}")

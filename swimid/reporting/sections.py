@@ -40,12 +40,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table."""
+    """A table; ``folded`` ones open on demand, where the medium can fold."""
 
     title: str
     columns: list[str]
     rows: list[list[Cell]]
     caption: str = ""
+    folded: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def cell(value: str | float | int | bool | None) -> Cell:
 def mapping_grid(title: str, entries: dict[str, Any], caption: str = "") -> Grid:
     """A table of names and values of a nested mapping, one leaf a row."""
     rows = [[Cell(name, "code"), cell(value)] for name, value in leaves(entries)]
-    return Grid(title, ["Quantity", "Value"], rows, caption)
+    return Grid(title, ["Quantity", "Value"], rows, caption, folded=True)
 
 
 def leaves(entries: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str | float | None]]:
