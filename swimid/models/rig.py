@@ -390,3 +390,10 @@ def free_decay(
         *_nuisances(coordinate, length=amplitude, speed=amplitude * rate, free_start=True),
     )  # fmt: skip
     return RigModel("free-decay", parameters, coordinate)
+
+
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    time = np.array([0.0, 0.1])
+    integrate(time, 0.0, 0.1, np.array([1.0]), 1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0)
+    falling_weight_closed_form(time, 0.0, 1.0, 1.0, 1.0)

@@ -65,7 +65,7 @@ class Scene:
     #: Times between which foam hides the markers of every body.
     dropout_s: tuple[float, float] | None = (7.0, 7.5)
     variable_rate: bool = False
-    crf: int = 23
+    crf: int = 14
     corners_m: tuple[tuple[float, float], ...] = field(
         default=((-0.9, 0.65), (0.9, 0.65), (0.9, -0.65), (-0.9, -0.65))
     )
@@ -318,7 +318,7 @@ def crossing() -> Scene:
 
 def write_sample(folder: Path) -> list[Path]:
     """The small sample that ships with the source: 640 x 480, 12 s, 30 fps, under 2.5 MB."""
-    return list(write_scene(folder, replace(Scene(), noise=2.0, crf=25)))
+    return list(write_scene(folder, replace(Scene(), noise=1.0, crf=16)))
 
 
 if __name__ == "__main__":

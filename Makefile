@@ -1,0 +1,58 @@
+# Two commands for users: make demo, make test. The rest is for developers.
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= demo_out
+BIN := $(VENV)/bin
+SAMPLES := sample_logs
+
+.PHONY: demo test check-all lint types bench samples clean
+
+demo: $(VENV)/.ready
+	mkdir -p $(OUT)
+	$(BIN)/swimid fit-drag $(SAMPLES)/rig/trials.yaml -o $(OUT)/drag.yaml
+	$(BIN)/swimid fit-propulsion $(SAMPLES)/cruise/trials.yaml --drag $(OUT)/drag.yaml -o $(OUT)/propulsion.yaml
+	$(BIN)/swimid rwls $(SAMPLES)/longfin/longfin_marching.csv --input cmd1_rad --output u_m_s --na 4 --nb 3 \
+	    --weight 0.95 --validate $(SAMPLES)/longfin/longfin_validation.csv -o $(OUT)/arma.yaml
+	$(BIN)/swimid track video $(SAMPLES)/pool/pool.mp4 --setup $(SAMPLES)/pool/pool_setup.yaml -o $(OUT)/run.csv \
+	    --overlay $(OUT)/overlay.mp4 --force
+	$(BIN)/swimid report $(OUT)/drag.yaml $(OUT)/propulsion.yaml $(OUT)/arma.yaml $(OUT)/run.csv -o $(OUT)/report.html
+	@echo "open $(OUT)/report.html"
+
+test: $(VENV)/.ready-dev
+	$(BIN)/python -m pytest -n 2
+
+# Everything: long checks, lint, types, kernels with bounds checking.
+check-all: $(VENV)/.ready-dev lint types
+	$(BIN)/python -m pytest -n 2 -m ""
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest -n 2 -m "kernels"
+
+lint: $(VENV)/.ready-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.ready-dev
+	$(BIN)/mypy
+
+bench: $(VENV)/.ready-bench
+	for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+
+# Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
+samples: $(VENV)/.ready-dev
+	$(BIN)/python -m tests.generators.make_samples
+
+$(VENV)/.ready: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.ready-dev: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	touch $(VENV)/.ready $@
+
+$(VENV)/.ready-bench: $(VENV)/.ready-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache

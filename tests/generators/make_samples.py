@@ -1,0 +1,20 @@
+"""Write ``sample_logs``: ``python -m tests.generators.make_samples [FOLDER]``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tests.generators import cruise, longfin, pool_video, rig
+
+
+def main(folder: Path) -> None:
+    """Every sample, each in a folder of its own."""
+    rig.write_sample(folder / "rig")
+    cruise.write_sample(folder / "cruise")
+    longfin.write_sample(folder / "longfin")
+    pool_video.write_sample(folder / "pool")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[2] / "sample_logs")
