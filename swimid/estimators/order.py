@@ -10,7 +10,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators.arx import EXACT, Orders, Record, check_enough, regression
 from swimid.estimators.metrics import score
-from swimid.estimators.prediction import simulate
+from swimid.estimators.prediction import about_own_level, simulate
 from swimid.progress import Progress, silent
 
 
@@ -63,7 +63,7 @@ def search(
     max_na, max_nb, max_nk : int
         The grid.
     level_removed : bool
-        Judge the free run without its mean error.
+        Judge the free run about the level of the held-out data themselves.
     progress : Progress
         Shows the models tried.
 
@@ -100,10 +100,11 @@ def search(
             # Below rounding all fits are equal; without a floor noise-free data would
             # reward ever more parameters.
             fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
-            run = np.concatenate([simulate(r, orders, theta) for r in judged])
-            error = score(measured, run)
+            level = 0.0
+            part = judged
             if level_removed:
-                error = score(measured, run + error.bias)
+                part, level = about_own_level(judged, orders, theta)
+            error = score(measured, np.concatenate([simulate(r, orders, theta) for r in part]) + level)
             complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
             found.append(

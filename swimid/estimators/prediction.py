@@ -7,7 +7,7 @@ start. Poles, stability and frequency response come with uncertainty by the delt
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,15 +22,6 @@ INTEGRATING = 0.999
 BLURRED = 0.05
 #: A free run that strays this many times the output's range from it is given up.
 RUNAWAY = 100.0
-
-
-def level_removed(measured: np.ndarray, predicted: np.ndarray) -> tuple[Score, float]:
-    """Score of a prediction moved to the measurement's own level, and by how much it was moved.
-
-    For a model of deviations, on data with a working point of their own.
-    """
-    shift = score(measured, predicted).bias
-    return score(measured, predicted + shift), shift
 
 
 def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
@@ -102,6 +93,40 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     return recursive.free_run(
         np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
     )
+
+
+def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> float:
+    """The output level about which records deviate, best for the free run.
+
+    For a model of deviations on data with a working point of their own: one number, so that
+    ``y - level`` is simulated, initial samples included.
+
+    Returns
+    -------
+    float
+        Unit of the output; 0 where no free run can tell.
+
+    Notes
+    -----
+    The free run is linear in its initial samples, so that with level L it is
+    ``s_0 + L (s_1 - s_0)`` with s_0 the run at level 0 and s_1 at level 1: least squares in L.
+    """
+    plain = [simulate(r, orders, theta) for r in records]
+    raised = [simulate(replace(r, output=r.output - 1.0), orders, theta) + 1.0 for r in records]
+    run, moved = np.concatenate(plain), np.concatenate(raised)
+    slope = moved - run
+    error = np.concatenate([r.output for r in records]) - run
+    use = np.isfinite(slope) & np.isfinite(error)
+    weight = float(np.sum(slope[use] ** 2))
+    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
+
+
+def about_own_level(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[list[Record], float]:
+    """The records relative to their :func:`own_level`, and that level."""
+    level = own_level(records, orders, theta)
+    return [replace(r, output=r.output - level) for r in records], level
 
 
 def horizon_errors(

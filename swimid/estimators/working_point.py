@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.estimators import residual_tests as rt
 from swimid.estimators.arx import EXACT, Orders, Record, Regression, covariance, directions, regression
-from swimid.estimators.prediction import simulate
+from swimid.estimators.prediction import INTEGRATING, poles, simulate
 
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0
@@ -68,8 +68,8 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         auto removes the means when a constant term beside A and B has a t value above
         :data:`CLEAR_T` in size. Where the output's mean is more than :data:`FAR` deviations
         from zero, it also does when the free run over the fit part gets better, by
-        :data:`CLEAR_GAIN` or with t above :data:`WEAK_T`. Data without an offset stay as they
-        are.
+        :data:`CLEAR_GAIN` or with t above :data:`WEAK_T`, and when a pole at 1 of the raw model
+        goes away by it. Data without an offset stay as they are.
 
     Returns
     -------
@@ -87,23 +87,25 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         size = abs(point.t) if abs(constant) > EXACT * level else 0.0
         if size <= CLEAR_T:
             far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
-            gain = _free_run_gain(records, orders, point) if far and len(data) > orders.count else 0.0
-            if gain <= (0.0 if size > WEAK_T else CLEAR_GAIN):
+            if not (far and len(data) > orders.count and _helps(records, orders, point, size > WEAK_T)):
                 return replace(point, source=0.0, output=0.0, removed=False)
     return point
 
 
-def _free_run_gain(records: Sequence[Record], orders: Orders, point: WorkingPoint) -> float:
-    """By what share the free-run error over the fit part falls with the working point removed."""
-    rms = []
+def _helps(records: Sequence[Record], orders: Orders, point: WorkingPoint, likely: bool) -> bool:
+    """Whether removing the working point betters the free run, or takes away a spurious integrator."""
+    plain = replace(orders, nc=0)
+    rms, largest = [], []
     for part in (list(records), shifted(records, point)):
-        data = regression(part, replace(orders, nc=0))
+        data = regression(part, plain)
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
-        errors = np.concatenate([r.output - simulate(r, replace(orders, nc=0), theta) for r in part])
+        errors = np.concatenate([r.output - simulate(r, plain, theta) for r in part])
         rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
-    if not np.isfinite(rms[1]) or rms[0] == 0:
-        return 0.0
-    return 1.0 - rms[1] / rms[0] if np.isfinite(rms[0]) else 1.0
+        found = poles(theta[: orders.na], None, 1.0)
+        largest.append(found[0].magnitude if found else 0.0)
+    if largest[0] > INTEGRATING >= largest[1]:
+        return True
+    return rms[1] < rms[0] * (1.0 if likely else 1.0 - CLEAR_GAIN)
 
 
 def _mean(parts: list[np.ndarray]) -> float:

@@ -123,11 +123,13 @@ def rwls(
             )
             a, _, _ = orders.split(found.theta)
             poles = prediction.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-            fit_scores = rwls_scores.scores(fit, found, poles, horizon, level_free=False)
-            scores = {
-                n: rwls_scores.scores(part, found, poles, horizon, level_free=point.removed)
-                for n, part in held.items()
-            }
+            fit_scores = rwls_scores.scores(fit, found, poles, horizon)
+            scores: dict[str, Scores] = {}
+            for name, part in held.items():
+                if point.removed:
+                    held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, horizon)
+                else:
+                    scores[name] = rwls_scores.scores(part, found, poles, horizon)
             settings = {
                 "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
                 "order": order if order == "given" else f"auto, {criterion}",
@@ -433,7 +435,7 @@ def _summary(
     lines += ["", f"  {'fit %':<28}{'one step':>10}{f'{horizon} steps':>10}{'free run':>10}"]
     for name, s in {"fitted": fit_scores, **scores}.items():
         cells = "".join(f"{_percent(x.fit_percent):>10}" for x in (s.one_step, s.k_step, s.free_run))
-        extra = f"   ({_percent(s.strict.fit_percent)} with its level error)" if s.strict else ""
+        extra = f"   ({_percent(s.strict.fit_percent)} at the predicted level)" if s.strict else ""
         lines.append(f"  {name:<28}{cells}{extra}{'   DIVERGES' if s.diverged else ''}")
     state = stability(poles)
     largest = f", largest pole |z| = {numbers.measured(poles[0].magnitude, poles[0].stderr)}" if poles else ""

@@ -41,7 +41,7 @@ class Columns:
             return y
         if u == y:
             return "1"
-        return f"({y})/({u})" if "/" in y + u else f"{y}/{u}"
+        return "/".join(f"({unit})" if "/" in unit or " " in unit else unit for unit in (y, u))
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ def _errors(m: Material) -> Table:
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
         lines = [("one step", s.one_step), (f"{m.horizon} steps", s.k_step), ("free run", s.free_run)]
         if s.strict is not None:
-            lines.append(("free run, with level error", s.strict))
+            lines.append(("free run, predicted level", s.strict))
         for kind, q in lines:
             rows.append([name, kind, *(_finite(v) for v in (q.fit_percent, q.rmse, q.nrmse)), q.samples])
     caption = (
@@ -204,9 +204,9 @@ def _errors(m: Material) -> Table:
     )
     if m.centred:
         caption += (
-            " The working point was removed; on held-out data the free run is judged about their own "
-            "level, and "
-            "beside it with the level the fitted part would predict."
+            " The working point was removed: held-out data are judged about a level of their own, and "
+            "the free run "
+            "beside it at the level the fitted part predicts."
         )
     unit = numbers.unit_text(m.units[1])
     rmse = f"RMSE ({unit})" if unit else "RMSE"
@@ -282,7 +282,7 @@ def _measured(m: Material) -> list[Figure]:
     sets = dict(m.held_out) or {"fitted": m.fit}
     title = numbers.column_title(m.columns[1])
     for number, (name, records) in enumerate(sets.items(), start=1):
-        time, measured, one, run = _joined(records, m)
+        time, measured, one, run = _joined(records, m, m.scores[name].level if name in m.scores else 0.0)
         top = Panel(
             x_label="t (s)",
             y_label=title,
@@ -319,15 +319,17 @@ def _measured(m: Material) -> list[Figure]:
     return figures
 
 
-def _joined(records: list[Record], m: Material) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _joined(
+    records: list[Record], m: Material, shift: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time, output, one-step prediction and free run of a set of records, with breaks between them."""
     parts: list[list[np.ndarray]] = [[], [], [], []]
     end = 0.0
     for k, record in enumerate(records):
         one = prediction.predict(record, m.found.orders, m.found.theta)
         run = prediction.simulate(record, m.found.orders, m.found.theta)
-        shift = 0.0 if k == 0 or record.time_s[0] >= end else end + m.sample_time_s - record.time_s[0]
-        time = record.time_s + shift
+        delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.sample_time_s - record.time_s[0]
+        time = record.time_s + delay
         if k:
             for part in parts:
                 part.append(np.array([np.nan]))
@@ -336,7 +338,7 @@ def _joined(records: list[Record], m: Material) -> tuple[np.ndarray, np.ndarray,
             part.append(values)
         end = float(time[-1])
     time, *rest = (np.concatenate(part) for part in parts)
-    return (time, *(values + m.level for values in rest))  # type: ignore[return-value]
+    return (time, *(values + m.level + shift for values in rest))  # type: ignore[return-value]
 
 
 def _horizon(m: Material) -> Figure:

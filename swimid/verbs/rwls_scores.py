@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,10 @@ class Scores:
     ----------
     one_step, k_step, free_run : metrics.Score
     strict : metrics.Score or None
-        The free run judged with its level error, where ``free_run`` is judged without.
+        The free run at the level the fitted part predicts, where all else is about the data's
+        own level.
     level : float
-        Mean error of the free run.
+        That own level less the predicted one, unit of the output.
     diverged : bool
     horizons : list of (int, float)
         RMSE over the prediction horizon.
@@ -46,17 +47,24 @@ class Scores:
             "free_run": {**self.free_run.as_dict(unit), "diverged": self.diverged},
         }
         if self.strict is not None:
-            block["free_run"]["level_error"] = self.level
-            block["free_run"]["with_level_error"] = self.strict.as_dict(unit)
+            block["free_run"]["level_shift"] = self.level
+            block["free_run"]["at_predicted_level"] = self.strict.as_dict(unit)
         return block
 
 
-def scores(
-    records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int, *, level_free: bool
-) -> Scores:
-    """Errors one step ahead, ``horizon`` steps ahead and in free run.
+def _check_long(records: list[Record], found: Estimate) -> int:
+    """Length of the longest record, which the model's memory must fit into."""
+    longest = max((len(r) for r in records), default=0)
+    if longest <= found.orders.lag:
+        raise NoTrustworthyResult(
+            f"a held-out part has {longest} samples, the model looks back over {found.orders.lag}",
+            hint="hold out a larger share, or validate on a longer log",
+        )
+    return longest
 
-    With ``level_free`` the free run is judged about the data's own level.
+
+def scores(records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int) -> Scores:
+    """Errors one step ahead, ``horizon`` steps ahead and in free run.
 
     Raises
     ------
@@ -64,36 +72,43 @@ def scores(
         When the records are shorter than the model looks back.
     """
     steps = sorted({1, 2, 5, 10, 20, 50, 100, horizon})
-    longest = max((len(r) for r in records), default=0)
+    longest = _check_long(records, found)
     steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
-    if not records or longest <= found.orders.lag:
-        raise NoTrustworthyResult(
-            f"a held-out part has {longest} samples, the model looks back over {found.orders.lag}",
-            hint="hold out a larger share, or validate on a longer log",
-        )
     errors = prediction.horizon_errors(records, found.orders, found.theta, steps)
     by_step = dict(zip(steps, errors, strict=True))
     measured = np.concatenate([r.output for r in records])
     runs = [prediction.simulate(r, found.orders, found.theta) for r in records]
     simulated = np.concatenate(runs)
-    strict = score(measured, simulated)
-    loose, level = prediction.level_removed(measured, simulated) if level_free else (strict, strict.bias)
+    free = score(measured, simulated)
     at_risk = any(p.unstable or p.integrating for p in poles)
     gave_up = any(
         np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
         for r, run in zip(records, runs, strict=True)
         if np.isfinite(run).any() and not np.isfinite(run[-1])
     )
-    diverged = bool((gave_up and at_risk) or (at_risk and loose.fit_percent < 0))
+    diverged = bool((gave_up and at_risk) or (at_risk and free.fit_percent < 0))
     return Scores(
         by_step[1],
         by_step[horizon],
-        loose,
-        strict if level_free else None,
-        level,
+        free,
+        None,
+        0.0,
         diverged,
         [(s, by_step[s].rmse) for s in steps],
     )
+
+
+def about_own_level(
+    records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int
+) -> tuple[list[Record], Scores]:
+    """Held-out records about their own level, with their errors there and at the predicted level."""
+    _check_long(records, found)
+    strict = score(
+        np.concatenate([r.output for r in records]),
+        np.concatenate([prediction.simulate(r, found.orders, found.theta) for r in records]),
+    )
+    moved, level = prediction.about_own_level(records, found.orders, found.theta)
+    return moved, replace(scores(moved, found, poles, horizon), strict=strict, level=level)
 
 
 @dataclass(frozen=True)
