@@ -410,7 +410,7 @@ def estimate(
         residuals, jacobian = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
     else:
         residuals, jacobian = data.outputs - data.rows @ theta, data.rows
-    prior = forgetting ** len(data) / (weight * prior_scale**2)
+    prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
     if forgetting < 1:
         settled = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)

@@ -87,9 +87,9 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """
     a, b, _ = orders.split(theta)
     values = record.output[np.isfinite(record.output)]
-    limit = np.inf
-    if len(values):
-        limit = float(np.max(np.abs(values)) + RUNAWAY * max(np.ptp(values), 1e-300))
+    span = float(np.ptp(values)) if len(values) else 0.0
+    # Without a range (a start from rest) only overflow is kept away.
+    limit = float(np.max(np.abs(values))) + RUNAWAY * span if span > 0 else 1e150
     return recursive.free_run(
         np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
     )

@@ -104,7 +104,8 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
     time_s = np.asarray(time_s, dtype=float)
     relative = np.diff(time_s) / step_s
     whole = np.maximum(np.round(relative), 1)
-    cut = (whole > 1) & ((np.abs(relative - whole) > 2 * ON_GRID) | (whole > LONGEST_FILL))
+    cut = (np.abs(relative - whole) > 2 * ON_GRID) & ~_one_late_stamp(relative)
+    cut |= whole > LONGEST_FILL
     result = []
     for rows in np.split(np.arange(len(time_s)), np.flatnonzero(cut) + 1):
         index = np.concatenate(([0], np.cumsum(whole[rows[:-1]]))).astype(int)
@@ -113,6 +114,13 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
         grid = np.interp(np.arange(len(source)), index, time_s[rows])
         result.append(Piece(grid, source))
     return result
+
+
+def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
+    """Steps that with a neighbour make a whole number: one stamp is off, the samples are not."""
+    pair = relative[:-1] + relative[1:]
+    whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
+    return np.append(whole, False) | np.append(False, whole)
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:

@@ -1,0 +1,362 @@
+"""``swimid rwls`` from the command line: results, evidence, warnings, exit statuses."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.signal import lfilter
+
+from swimid.cli.rwls import command
+from swimid.formats import evidence, parameters
+from swimid.models import arx as arma
+from swimid.models.base import Trial
+from tests.generators import longfin
+
+A, B = [-1.5, 0.7], [0.5, 0.25]
+
+
+def write_log(path, columns):
+    longfin.write_csv(path, {k: np.asarray(v, dtype=float) for k, v in columns.items()}, {"note": "test"})
+    return path
+
+
+def arx_columns(seed=1, *, n=1200, step=0.05, noise=0.05, a=A, b=B, source=None):
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=n) if source is None else source
+    polynomial = [1.0, *a]
+    y = lfilter([0.0, *b], polynomial, u) + lfilter([1.0], polynomial, noise * rng.normal(size=n))
+    return {"t_s": np.round(np.arange(n) * step, 6), "cmd1_rad": u, "u_m_s": y}
+
+
+def run(*args):
+    """Run the command; gives exit status, the JSON document, and stderr."""
+    done = CliRunner().invoke(command, [*map(str, args), "--json"])
+    assert "Traceback" not in done.stderr
+    return done.exit_code, json.loads(done.stdout) if done.stdout else {}, done.stderr
+
+
+def codes(document):
+    return {w["code"] for w in document["warnings"]}
+
+
+COLUMNS = ("--input", "cmd1_rad", "--output", "u_m_s")
+
+
+def test_a_simulated_arx_comes_back(tmp_path):
+    log = write_log(tmp_path / "run.csv", arx_columns())
+    target = tmp_path / "arma.yaml"
+    arguments = (*COLUMNS, "--na", 2, "--nb", 2, "--weight", 0.95, "--validate", 0.25, "-o", target)
+    status, document, _ = run(log, *arguments)
+    assert status == 0
+    assert codes(document) == set()
+    file = parameters.read(target, model="arma")
+    for name, truth in zip(("a1", "a2", "b1", "b2"), A + B, strict=True):
+        e = file.parameters[name]
+        assert abs(e.value - truth) < 3 * e.stderr
+        assert e.status == "estimated"
+    assert (file.delay, file.sample_time_s, file.stable) == (1, 0.05, True)
+    assert file.parameters["b1"].unit == "(m/s)/rad"
+    assert sorted(p.magnitude for p in file.poles) == pytest.approx([np.sqrt(0.7)] * 2, abs=0.01)
+    held = file.fit.validation["held-out part"]["u_m_s"]
+    assert held["free_run"]["fit_percent"] > 80
+    assert held["one_step"]["rmse"] == pytest.approx(0.05, rel=0.15)
+    assert document["result"]["parameters"]["a1"]["value"] == file.value("a1")
+    assert list(file.provenance["inputs"]) == [os.path.relpath(log)]
+    shown = evidence.read(evidence.sidecar(target))
+    names = {f.id for f in shown.figures}
+    assert {"free-run-1", "horizon", "trajectories", "residuals", "poles-map", "bode", "step"} <= names
+    assert shown.verdict.level == "good"
+
+
+def test_the_result_equals_batch_least_squares_on_raw_data(tmp_path):
+    columns = arx_columns(2)
+    log = write_log(tmp_path / "run.csv", columns)
+    _, document, _ = run(log, *COLUMNS, "--na", 2, "--nb", 2)
+    u, y = columns["cmd1_rad"], columns["u_m_s"]
+    h = np.column_stack((-y[1:-1], -y[:-2], u[1:-1], u[:-2]))
+    expected = np.linalg.lstsq(h, y[2:], rcond=None)[0]
+    got = [document["result"]["parameters"][name]["value"] for name in ("a1", "a2", "b1", "b2")]
+    np.testing.assert_allclose(got, expected, rtol=1e-8)
+
+
+def test_order_auto_finds_orders_and_delay(tmp_path):
+    log = write_log(tmp_path / "run.csv", arx_columns(3, b=[0.0, 0.5, 0.25]))
+    target = tmp_path / "a.yaml"
+    status, document, _ = run(log, *COLUMNS, "--order", "auto", "--validate", 0.25, "-o", target)
+    assert status == 0
+    assert document["result"]["settings"]["orders"] == {"na": 2, "nb": 2, "nk": 2, "nc": 0}
+    assert len(document["result"]["orders_tried"]) == 7 * 6 * 4
+    shown = evidence.read(evidence.sidecar(target))
+    assert "order-choice" in {f.id for f in shown.figures}
+    assert "orders" in {t.id for t in shown.tables}
+
+
+def test_other_logs_hold_out_and_trials_files_name_everything(tmp_path):
+    write_log(tmp_path / "one.csv", arx_columns(4))
+    write_log(tmp_path / "two.csv", arx_columns(5))
+    write_log(tmp_path / "three.csv", arx_columns(6, n=400))
+    flags = (*COLUMNS, "--na", 2, "--nb", 2)
+    by_hand = run(tmp_path / "one.csv", tmp_path / "two.csv", *flags, "--validate", tmp_path / "three.csv")[1]
+    (tmp_path / "trials.yaml").write_text(
+        "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
+        "input: cmd1_rad\noutput: u_m_s\ntrials:\n"
+        "  - {log: one.csv}\n  - {log: two.csv}\n  - {log: three.csv, role: validate}\n"
+    )
+    listed = run(tmp_path / "trials.yaml", "--na", 2, "--nb", 2)[1]
+    assert listed["result"]["parameters"] == by_hand["result"]["parameters"]
+    assert listed["result"]["robot"] == "long-fin"
+    assert list(listed["result"]["fit"]["validation"]) == ["three.csv"]
+    assert listed["result"]["fit"]["rows"] == 2 * 1198
+
+
+def test_gaps_are_counted_and_poison_nothing(tmp_path):
+    columns = arx_columns(7)
+    columns["u_m_s"][300:310] = np.nan
+    keep = np.ones(1200, dtype=bool)
+    keep[600:603] = False  # rows missing from the file: a jump over whole samples
+    columns = {k: v[keep] for k, v in columns.items()}
+    columns["t_s"] = np.where(np.arange(1197) > 900, columns["t_s"] + 0.021, columns["t_s"])  # off the grid
+    log = write_log(tmp_path / "run.csv", columns)
+    status, document, _ = run(log, *COLUMNS, "--na", 2, "--nb", 2)
+    assert status == 0
+    text = [w["text"] for w in document["warnings"] if w["code"] == "SWM001"]
+    assert any("restarted 3 times" in t for t in text)
+    for name, truth in zip(("a1", "a2", "b1", "b2"), A + B, strict=True):
+        e = document["result"]["parameters"][name]
+        assert abs(e["value"] - truth) < 3.5 * e["stderr"]
+
+
+def test_sine_input_model(tmp_path):
+    time = np.arange(1000) * 0.05
+    columns = arx_columns(8, n=1000, source=30 * np.sin(2 * np.pi * 0.8 * time))
+    log = write_log(tmp_path / "run.csv", {k: columns[k] for k in ("t_s", "u_m_s")})
+    status, document, _ = run(log, "--input-model", "sine:30,0.8", "--output", "u_m_s", "--na", 2, "--nb", 2)
+    assert status == 0
+    values = [document["result"]["parameters"][n]["value"] for n in ("a1", "a2", "b1", "b2")]
+    errors = [document["result"]["parameters"][n]["stderr"] for n in ("a1", "a2", "b1", "b2")]
+    assert np.all(np.abs(np.array(values) - (A + B)) < 3 * np.array(errors))
+    three = run(log, "--input-model", "sine:30,0.8", "--output", "u_m_s", "--na", 2, "--nb", 3)[1]
+    assert {"SWM022", "SWM010"} <= codes(three)
+    assert three["result"]["parameters"]["b1"]["status"] == "unidentifiable"
+    assert three["result"]["parameters"]["b1"]["stderr"] is None
+    assert three["result"]["parameters"]["a1"]["status"] == "estimated"
+
+
+def test_coloured_noise_is_called_bias(tmp_path):
+    columns = arx_columns(9, n=3000, noise=0.0)
+    columns["u_m_s"] = columns["u_m_s"] + 0.5 * np.random.default_rng(10).normal(size=3000)
+    log = write_log(tmp_path / "run.csv", columns)
+    document = run(log, *COLUMNS, "--na", 2, "--nb", 2)[1]
+    assert "SWM013" in codes(document)
+    assert document["result"]["fit"]["noise"]["standard_errors"] == "sandwich"
+    # Output noise is ARMAX with C = A.
+    with_noise = run(log, *COLUMNS, "--na", 2, "--nb", 2, "--nc", 2)[1]
+    assert "SWM013" not in codes(with_noise)
+    for name, truth in zip(("a1", "a2", "b1", "b2", "c1", "c2"), A + B + A, strict=True):
+        e = with_noise["result"]["parameters"][name]
+        assert abs(e["value"] - truth) < 3.5 * e["stderr"]
+
+
+def test_an_unstable_model_is_said_to_be_unstable(tmp_path):
+    columns = arx_columns(11, n=300, a=[-1.02], b=[0.1])
+    log = write_log(tmp_path / "run.csv", columns)
+    target = tmp_path / "a.yaml"
+    status, document, _ = run(log, *COLUMNS, "--na", 1, "--nb", 1, "--centre", "none", "-o", target)
+    assert status == 0
+    assert "SWM020" in codes(document)
+    assert document["result"]["stable"] is False
+    assert evidence.read(evidence.sidecar(target)).verdict.level == "bad"
+
+
+def test_an_integrator_is_said_to_integrate(tmp_path):
+    rng = np.random.default_rng(12)
+    u = rng.normal(size=800)
+    y = np.cumsum(np.concatenate(([0.0], 0.1 * u[:-1])) + 0.02 * rng.normal(size=800))
+    log = write_log(tmp_path / "run.csv", {"t_s": np.arange(800) * 0.1, "cmd1_rad": u, "u_m_s": y})
+    document = run(log, *COLUMNS, "--na", 1, "--nb", 1, "--validate", 0.25)[1]
+    assert "SWM020" in codes(document)
+    assert document["result"]["fit"]["integrating"] is True
+
+
+USAGE = [
+    (["--input", "u_m_s", "--output", "u_m_s", "--na", "2", "--nb", "2"], "same column"),
+    ([*COLUMNS], "--order auto"),
+    ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "1.5"], "between 0 and 1"),
+    ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "0.2", "--validate", "0.3"], "only one share"),
+    (["--output", "u_m_s", "--na", "2", "--nb", "2"], "--input"),
+    (["--output", "u_m_s", "--input-model", "sine:1", "--na", "2", "--nb", "2"], "sine:A,F"),
+    ([*COLUMNS, "--na", "2", "--nb", "2", "-o", "RUN"], "also an input"),
+]
+
+
+@pytest.mark.parametrize("options,text", USAGE)
+def test_wrong_usage_exits_2(tmp_path, options, text):
+    log = write_log(tmp_path / "run.csv", arx_columns(13, n=100))
+    status, document, stderr = run(log, *[str(log) if o == "RUN" else o for o in options])
+    assert status == 2
+    assert text in document["error"]["message"] + stderr
+
+
+def test_a_misnamed_column_exits_3_with_the_nearest(tmp_path):
+    log = write_log(tmp_path / "run.csv", arx_columns(14, n=100))
+    status, document, stderr = run(log, "--input", "cmd_rad", "--output", "u_m_s", "--na", 2, "--nb", 2)
+    assert status == 3
+    assert "cmd1_rad" in document["error"]["hint"]
+    assert "run.csv" in stderr
+
+
+def test_uneven_sampling(tmp_path):
+    columns = arx_columns(15, n=300)
+    rng = np.random.default_rng(16)
+    far = dict(columns, t_s=np.round(np.cumsum(rng.exponential(0.05, size=300) + 1e-4), 6))
+    status, document, _ = run(write_log(tmp_path / "far.csv", far), *COLUMNS, "--na", 2, "--nb", 2)
+    assert status == 3
+    assert "constant rate" in document["error"]["message"]
+    jitter = dict(columns, t_s=columns["t_s"] + 0.004 * rng.uniform(-1, 1, size=300))
+    status, document, _ = run(write_log(tmp_path / "near.csv", jitter), *COLUMNS, "--na", 2, "--nb", 2)
+    assert status == 0
+    assert "SWM003" in codes(document)
+
+
+def test_logs_of_different_rate_exit_3(tmp_path):
+    one = write_log(tmp_path / "one.csv", arx_columns(17, n=200))
+    two = write_log(tmp_path / "two.csv", arx_columns(18, n=200, step=0.02))
+    status, document, _ = run(one, two, *COLUMNS, "--na", 2, "--nb", 2)
+    assert status == 3
+    assert document["error"]["file"].endswith("two.csv")
+
+
+@pytest.mark.parametrize(
+    "change,options,text",
+    [
+        (lambda c: c["u_m_s"].fill(0.3), (), "constant"),
+        (lambda c: c["cmd1_rad"].fill(0.0), (), "does not move"),
+        (lambda c: c["u_m_s"].__setitem__(slice(0, None, 3), np.nan), (), "usable rows"),
+        (lambda c: None, ("--validate", "0.01"), "held-out part"),
+    ],
+)
+def test_nothing_to_trust_exits_4(tmp_path, change, options, text):
+    columns = arx_columns(19, n=150)
+    change(columns)
+    target = tmp_path / "a.yaml"
+    log = write_log(tmp_path / "run.csv", columns)
+    status, document, _ = run(log, *COLUMNS, "--na", 3, "--nb", 2, *options, "-o", target)
+    assert status == 4
+    assert text in document["error"]["message"]
+    assert not target.exists()
+
+
+def test_a_singular_regression_exits_4(tmp_path):
+    time = np.arange(400) * 0.05
+    columns = {"t_s": time, "cmd1_rad": np.sin(6 * time), "u_m_s": 0.3 * np.cos(6 * time)}
+    log = write_log(tmp_path / "run.csv", columns)
+    status, document, _ = run(log, *COLUMNS, "--na", 3, "--nb", 3)
+    assert status == 4
+    assert "singular" in document["error"]["message"]
+
+
+def test_reading_back_gives_the_same_bits_and_the_same_run(tmp_path):
+    columns = arx_columns(20)
+    log = write_log(tmp_path / "run.csv", columns)
+    target = tmp_path / "a.yaml"
+    document = run(log, *COLUMNS, "--na", 2, "--nb", 2, "-o", target)[1]
+    file = parameters.read(target)
+    for name, e in document["result"]["parameters"].items():
+        assert file.parameters[name].value == e["value"]
+        assert file.parameters[name].stderr == e["stderr"]
+    model = arma.Arma.from_file(file)
+    trial = Trial("t", "fit", columns["t_s"], {"u_m_s": columns["u_m_s"]}, {"cmd1_rad": columns["cmd1_rad"]})
+    values = np.array([p.start for p in model.parameters])
+    simulated = model.simulate(values, trial)["u_m_s"]
+    error = simulated[2:] - columns["u_m_s"][2:]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(file.fit.channels["u_m_s"]["rmse"], rel=1e-9)
+
+
+def test_transfer_function_equals_the_filter(tmp_path):
+    import control
+
+    log = write_log(tmp_path / "run.csv", arx_columns(21, b=[0.0, 0.5, 0.25]))
+    target = tmp_path / "a.yaml"
+    run(log, *COLUMNS, "--na", 2, "--nb", 2, "--nk", 2, "-o", target)
+    file = parameters.read(target)
+    system = arma.to_control(file)
+    assert system.dt == file.sample_time_s
+    time = np.arange(30) * file.sample_time_s
+    got = control.step_response(system, time).outputs
+    a, b = [file.value(f"a{i}") for i in (1, 2)], [file.value(f"b{i}") for i in (1, 2)]
+    np.testing.assert_allclose(
+        np.squeeze(got), lfilter([0, 0, *b], [1, *a], np.ones(30)), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_published_long_fin_models():
+    """Poles of Tables II and III; the rotating model is unstable in free run."""
+    sizes = {n: [round(p.magnitude, 3) for p in arma.published(n).poles] for n in arma.published_names()}
+    assert sizes["long-fin-marching-3-2"] == pytest.approx([0.9955, 0.72, 0.20], abs=6e-3)
+    assert sizes["long-fin-marching-4-3"] == pytest.approx([0.987, 0.941, 0.614, 0.614], abs=1e-3)
+    assert sizes["long-fin-rotating-4-3"] == pytest.approx([1.0013, 0.549, 0.549, 0.272], abs=1e-3)
+    assert [arma.published(n).stable for n in arma.published_names()] == [True, True, False]
+    with pytest.raises(KeyError, match="there are"):
+        arma.published("long-fin-receding")
+
+
+def test_a_published_model_runs_from_rest():
+    model = arma.Arma.from_file(arma.published("long-fin-marching-4-3"))
+    time = np.arange(800) * 0.02375
+    trial = Trial("t", "validate", time, {}, {"cmd1_rad": 0.5 * np.sin(2 * np.pi * 1.2 * time)})
+    u = model.simulate(np.array([p.start for p in model.parameters]), trial)["u_m_s"]
+    assert np.isfinite(u).all()
+    assert 1e-4 < np.ptp(u[400:]) < 0.1
+
+
+def test_long_fin_sample_logs(tmp_path):
+    """The generated marching run is identified well enough to simulate another one."""
+    paths = longfin.write_sample(tmp_path)
+    assert sum(p.stat().st_size for p in paths) < 300_000
+    options = (*COLUMNS, "--na", 4, "--nb", 3, "--weight", 0.95, "--validate", 0.25, "--validate", paths[1])
+    status, document, _ = run(paths[0], *options)
+    assert status == 0
+    result = document["result"]
+    assert result["sample_time_s"] == pytest.approx(0.02375)
+    assert result["stable"] is True
+    for part in result["fit"]["validation"].values():
+        assert part["u_m_s"]["one_step"]["fit_percent"] > 95
+        assert part["u_m_s"]["free_run"]["fit_percent"] > 60
+
+
+DATA = os.environ.get("SWIMID_DATA")
+needs_data = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set: no real recordings here")
+
+
+def _daisy(tmp_path, name, step):
+    table = np.loadtxt(Path(DATA) / "sysid" / f"{name}.dat")
+    time = np.round(np.arange(len(table)) * step, 6)
+    return write_log(tmp_path / f"{name}.csv", {"t_s": time, "u": table[:, 0], "y": table[:, 1]})
+
+
+@needs_data
+def test_hair_dryer(tmp_path):
+    log = _daisy(tmp_path, "dryer", 0.08)
+    status, document, _ = run(log, "--input", "u", "--output", "y", "--na", 4, "--nb", 4, "--validate", 0.5)
+    assert status == 0
+    assert "SWM021" in codes(document)
+    free = document["result"]["fit"]["validation"]["held-out part"]["y"]["free_run"]
+    assert free["fit_percent"] >= 89.0
+    assert free["level_shift"] == pytest.approx(0.095, abs=0.02)
+
+
+@needs_data
+def test_ball_beam(tmp_path):
+    log = _daisy(tmp_path, "ballbeam", 0.1)
+    target = tmp_path / "a.yaml"
+    options = ("--input", "u", "--output", "y", "--na", 4, "--nb", 4, "--validate", 0.5, "-o", target)
+    status, document, _ = run(log, *options)
+    assert status == 0
+    assert "SWM020" in codes(document)
+    assert document["result"]["fit"]["integrating"] is True
+    assert document["result"]["fit"]["validation"]["held-out part"]["y"]["free_run"]["diverged"] is True

@@ -1,0 +1,403 @@
+"""The recursion against batch least squares and closed forms; estimates against known truth."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from swimid.errors import NoTrustworthyResult
+from swimid.estimators import armax, order, prediction, recursive, sampling, working_point
+from swimid.estimators.arx import Orders, Record, estimate, regression
+
+A, B = np.array([-1.5, 0.7]), np.array([0.5, 0.25])
+TRUTH = np.concatenate((A, B))
+NOISY = np.random.default_rng(0).normal(size=50)
+
+
+def simulated(seed, *, n=400, noise=0.1, mean=0.0, a=A, b=B, c=(), offset=0.0, name="log"):
+    """A(z) y = B(z) u + C(z) e + offset, by scipy's filter."""
+    rng = np.random.default_rng(seed)
+    u = mean + rng.normal(size=n + 200)
+    e = noise * rng.normal(size=n + 200)
+    polynomial = np.concatenate(([1.0], a))
+    y = lfilter(np.concatenate(([0.0], b)), polynomial, u)
+    y += lfilter(np.concatenate(([1.0], c)), polynomial, e) + offset / polynomial.sum()
+    return Record(name, np.arange(n) * 0.1, u[200:], y[200:])
+
+
+def batch(h, z, *, weight=1.0, forgetting=1.0, prior_scale=1e6):
+    """Weighted least squares with the prior, by an orthogonal factorisation of stacked rows."""
+    n, p = h.shape
+    root = np.sqrt(weight * forgetting ** np.arange(n - 1, -1, -1.0))
+    prior = np.sqrt(forgetting ** (n - 1)) / prior_scale * np.eye(p)
+    stacked = np.vstack((h * root[:, None], prior))
+    return np.linalg.lstsq(stacked, np.concatenate((z * root, np.zeros(p))), rcond=None)[0]
+
+
+@pytest.mark.parametrize("prior_scale", [10.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("weight,forgetting", [(1.0, 1.0), (0.95, 1.0), (0.93, 0.99), (7.0, 0.9)])
+def test_recursion_equals_batch_with_its_prior(prior_scale, weight, forgetting):
+    data = regression([simulated(1)], Orders(2, 2))
+    run = recursive.recursive_least_squares(
+        data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale
+    )
+    expected = batch(data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale)
+    np.testing.assert_allclose(run.theta, expected, rtol=1e-8, atol=1e-8)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 9), st.floats(0.5, 2), st.floats(0.9, 1))
+def test_recursion_equals_batch_for_random_problems(seed, p, weight, forgetting):
+    rng = np.random.default_rng(seed)
+    h, z = rng.normal(size=(60, p)), rng.normal(size=60)
+    run = recursive.recursive_least_squares(h, z, weight=weight, forgetting=forgetting)
+    np.testing.assert_allclose(
+        run.theta, batch(h, z, weight=weight, forgetting=forgetting), rtol=1e-8, atol=1e-8
+    )
+
+
+def test_recursion_follows_the_printed_equations():
+    """Eq 9 written out with a full P, compared at every row."""
+    data = regression([simulated(2, n=60)], Orders(2, 2))
+    run = recursive.recursive_least_squares(data.rows, data.outputs, weight=0.95, prior_scale=100.0)
+    theta, p = np.zeros(4), 1e4 * np.eye(4)
+    for k, (h, z) in enumerate(zip(data.rows, data.outputs, strict=True)):
+        gain = p @ h / (h @ p @ h + 1 / 0.95)
+        assert run.innovations[k] == pytest.approx(z - h @ theta, rel=1e-6, abs=1e-9)
+        theta = theta + gain * (z - h @ theta)
+        p = (np.eye(4) - np.outer(gain, h)) @ p
+        np.testing.assert_allclose(run.thetas[k], theta, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(run.spreads[k] ** 2, np.diag(p), rtol=1e-5)
+    np.testing.assert_allclose(run.covariance, p, rtol=1e-5, atol=1e-8)
+
+
+def test_constant_weight_is_not_forgetting():
+    """Lambda only rescales P(0): the same result with P(0) scaled and weight one."""
+    data = regression([simulated(3)], Orders(2, 2))
+    weighted = recursive.recursive_least_squares(data.rows, data.outputs, weight=0.5, prior_scale=10.0)
+    rescaled = recursive.recursive_least_squares(data.rows, data.outputs, prior_scale=10.0 * np.sqrt(0.5))
+    np.testing.assert_allclose(weighted.theta, rescaled.theta, rtol=1e-12)
+
+
+def test_forgetting_follows_a_change_and_weight_does_not():
+    before, after = simulated(4, n=1500), simulated(5, n=1500, a=np.array([-1.2, 0.5]))
+    both = [before, after]
+    followed = estimate(both, Orders(2, 2), forgetting=0.98).theta
+    averaged = estimate(both, Orders(2, 2), weight=0.98).theta
+    assert followed[0] == pytest.approx(-1.2, abs=0.03)
+    assert abs(averaged[0] + 1.2) > 0.08
+
+
+def test_stride_keeps_rows_and_the_last():
+    data = regression([simulated(6, n=100)], Orders(2, 2))
+    run = recursive.recursive_least_squares(data.rows, data.outputs, stride=30)
+    full = recursive.recursive_least_squares(data.rows, data.outputs)
+    assert run.kept.tolist() == [29, 59, 89, 97]
+    np.testing.assert_array_equal(run.thetas, full.thetas[run.kept])
+
+
+def test_windup_is_held_and_counted():
+    h = np.zeros((5000, 2))
+    h[:, 0] = 1.0
+    run = recursive.recursive_least_squares(h, np.ones(5000), forgetting=0.9)
+    assert run.windup > 1000
+    assert np.isfinite(run.covariance).all()
+    assert run.theta == pytest.approx([1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "bad", [{"weight": 0}, {"forgetting": 1.1}, {"prior_scale": -1}, {"stride": 0}, {"noise_terms": 3}]
+)
+def test_recursion_refuses_nonsense(bad):
+    with pytest.raises(ValueError):
+        recursive.recursive_least_squares(np.ones((3, 2)), np.ones(3), **bad)
+    with pytest.raises(ValueError, match="finite"):
+        recursive.recursive_least_squares(np.array([[np.nan]]), np.ones(1))
+
+
+def test_exact_arx_data_without_offset_give_plain_least_squares():
+    record = simulated(7, mean=1.0)
+    point = working_point.centre([record], Orders(2, 2))
+    assert not point.removed
+    found = estimate(working_point.shifted([record], point), Orders(2, 2))
+    plain = np.linalg.lstsq(found.data.rows, found.data.outputs, rcond=None)[0]
+    np.testing.assert_allclose(found.theta, plain, rtol=1e-8, atol=1e-10)
+
+
+def test_offset_is_found_and_removed():
+    record = simulated(8, n=2000, offset=2.0)
+    point = working_point.centre([record], Orders(2, 2))
+    assert point.removed
+    assert point.constant == pytest.approx(2.0, abs=0.1)
+    found = estimate(working_point.shifted([record], point), Orders(2, 2))
+    assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr + 0.02)
+
+
+def test_centring_takes_away_a_pole_at_one_that_the_level_put_there():
+    rng = np.random.default_rng(9)
+    slow = lfilter([1.0], [1.0, -0.97], 0.02 * rng.normal(size=1500))
+    record = simulated(10, n=1500, a=np.array([-0.9]), b=np.array([0.1]), noise=0.01)
+    far = Record("far", record.time_s, record.source, record.output + slow + 40.0)
+    assert working_point.centre([far], Orders(3, 2)).removed
+
+
+def test_coefficients_within_three_standard_errors():
+    found = estimate([simulated(11, n=3000)], Orders(2, 2))
+    assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr)
+    assert found.noise_sd == pytest.approx(0.1, rel=0.05)
+    assert not found.robust
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.995])
+def test_coverage_of_the_95_percent_intervals(forgetting):
+    """300 repeats x 4 coefficients: 92 to 98 % of the intervals hold the truth."""
+    inside = []
+    for seed in range(300):
+        found = estimate([simulated(1000 + seed, n=400)], Orders(2, 2), forgetting=forgetting)
+        inside.append(np.abs(found.theta - TRUTH) <= 1.96 * found.stderr)
+    assert 0.92 <= np.mean(inside) <= 0.98
+
+
+def test_coverage_of_armax_intervals():
+    inside = []
+    truth = np.concatenate((TRUTH, [0.6]))
+    for seed in range(200):
+        found = estimate([simulated(5000 + seed, n=500, noise=0.3, c=(0.6,))], Orders(2, 2, nc=1))
+        inside.append(np.abs(found.theta - truth) <= 1.96 * found.stderr)
+    assert 0.92 <= np.mean(inside) <= 0.98
+
+
+def test_coloured_noise_biases_arx_and_not_armax():
+    record = simulated(12, n=8000, noise=0.5, c=(0.8,))
+    plain, extended = estimate([record], Orders(2, 2)), estimate([record], Orders(2, 2, nc=1))
+    assert plain.robust
+    assert not extended.robust
+    assert np.abs(plain.theta[:2] - A).max() > 10 * np.abs(extended.theta[:2] - A).max()
+    assert np.all(np.abs(extended.theta - np.append(TRUTH, 0.8)) < 3.5 * extended.stderr)
+
+
+def test_armax_gradient_is_the_derivative():
+    data = regression([simulated(13, n=80)], Orders(2, 2))
+    theta = np.append(TRUTH, [0.4, -0.2])
+    _, gradient = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, 2)
+    for i in range(6):
+        step = np.zeros(6)
+        step[i] = 1e-6
+        up, _ = armax.errors_and_gradient(theta + step, data.rows, data.outputs, data.fresh, 2)
+        down, _ = armax.errors_and_gradient(theta - step, data.rows, data.outputs, data.fresh, 2)
+        np.testing.assert_allclose(gradient[:, i], -(up - down) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+def test_gaps_cost_their_rows_and_nothing_else():
+    record = simulated(14, n=2000)
+    y, u = record.output.copy(), record.source.copy()
+    y[500], u[900:905] = np.nan, np.nan
+    holed = Record("holed", record.time_s, u, y)
+    data = regression([holed], Orders(2, 2))
+    # y(500) is needed by rows 500, 501, 502; u(900..904) by rows 901..906.
+    assert data.possible - len(data) == 3 + 6
+    found = estimate([holed], Orders(2, 2))
+    expected = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
+    np.testing.assert_allclose(found.theta, expected, rtol=1e-8, atol=1e-10)
+    assert np.all(np.abs(found.theta - TRUTH) < 4 * found.stderr)
+
+
+def test_several_logs_are_one_fit():
+    parts = [simulated(15, n=300), simulated(16, n=700)]
+    data = regression(parts, Orders(2, 2))
+    assert data.fresh.sum() == 2
+    found = estimate(parts, Orders(2, 2))
+    np.testing.assert_allclose(found.theta, batch(data.rows, data.outputs), rtol=1e-8, atol=1e-8)
+
+
+def test_a_single_sine_leaves_b_undetermined():
+    rng = np.random.default_rng(17)
+    t = np.arange(2000) * 0.05
+    u = np.sin(2 * np.pi * t)
+    y = lfilter([0, *B], [1, *A], u) + lfilter([1], [1, *A], 0.05 * rng.normal(size=len(t)))
+    found = estimate([Record("sine", t, u, y)], Orders(2, 3))
+    assert found.determined.input_rank == 2
+    assert found.determined.determined.tolist() == [True, True, False, False, False]
+    assert np.isnan(found.stderr[2:]).all()
+    # The same from a file with six decimals: rounding must not pass for excitation.
+    rounded = estimate([Record("sine", t, np.round(u, 6), np.round(y, 6))], Orders(2, 3))
+    assert rounded.determined.input_rank == 2
+
+
+@pytest.mark.parametrize(
+    "record,orders,match",
+    [
+        (
+            Record("c", np.arange(50.0), np.sin(np.arange(50.0) ** 2), np.full(50, 3.0)),
+            Orders(2, 2),
+            "constant",
+        ),
+        (simulated(18, n=6), Orders(3, 3), "usable rows"),
+        (
+            Record("z", np.arange(50.0), np.zeros(50), simulated(19, n=50).output),
+            Orders(2, 2),
+            "does not move",
+        ),
+        (
+            Record("s", np.arange(500.0), np.sin(0.3 * np.arange(500)), np.cos(0.3 * np.arange(500))),
+            Orders(3, 3),
+            "singular",
+        ),
+    ],
+)
+def test_no_result_where_none_can_be_trusted(record, orders, match):
+    with pytest.raises(NoTrustworthyResult, match=match):
+        estimate([record], orders)
+
+
+def test_predictions_of_every_horizon_against_a_direct_loop():
+    record, orders = simulated(20, n=60), Orders(2, 2, nk=1)
+    for steps in (1, 2, 3, 7):
+        got = prediction.predict(record, orders, TRUTH, steps=steps)
+        for k in range(12, 60):
+            y = record.output[: k - steps + 1].tolist()
+            for j in range(k - steps + 1, k + 1):
+                u = record.source
+                y.append(-A[0] * y[j - 1] - A[1] * y[j - 2] + B[0] * u[j - 1] + B[1] * u[j - 2])
+            assert got[k] == pytest.approx(y[k], rel=1e-9, abs=1e-12)
+
+
+def test_armax_one_step_prediction_leaves_the_noise():
+    record = simulated(21, n=4000, noise=0.3, c=(0.7,))
+    error = record.output - prediction.predict(record, Orders(2, 2, nc=1), np.append(TRUTH, 0.7))
+    assert np.nanstd(error) == pytest.approx(0.3, rel=0.05)
+
+
+def test_free_run_equals_a_filter_and_restarts_after_gaps():
+    record = simulated(22, n=300, noise=0.0)
+    run = prediction.simulate(record, Orders(2, 2), TRUTH)
+    np.testing.assert_allclose(run[2:], record.output[2:], rtol=1e-9, atol=1e-9)
+    assert np.isnan(run[:2]).all()
+    u = record.source.copy()
+    u[100:110] = np.nan
+    run = prediction.simulate(Record("g", record.time_s, u, record.output), Orders(2, 2), TRUTH)
+    assert np.isnan(run[101:112]).all()
+    np.testing.assert_allclose(run[112:], record.output[112:], rtol=1e-9, atol=1e-9)
+    # A gap of the output alone does not stop a free run.
+    y = record.output.copy()
+    y[50:200] = np.nan
+    run = prediction.simulate(Record("g", record.time_s, record.source, y), Orders(2, 2), TRUTH)
+    np.testing.assert_allclose(run[2:], record.output[2:], rtol=1e-9, atol=1e-9)
+
+
+def test_runaway_free_run_never_overflows():
+    record = simulated(23, n=5000)
+    run = prediction.simulate(record, Orders(1, 1), np.array([-1.5, 1.0]))
+    assert np.isnan(run[-1])
+    assert np.nanmax(np.abs(run)) < 1e5
+
+
+def test_own_level_is_found():
+    record = simulated(24, n=400, noise=0.0)
+    moved = Record("m", record.time_s, record.source, record.output + 3.0)
+    assert prediction.own_level([moved], Orders(2, 2), TRUTH) == pytest.approx(3.0, abs=1e-9)
+
+
+def test_pole_uncertainty_matches_repeats():
+    sizes, errors = [], []
+    for seed in range(200):
+        found = estimate([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
+        pole = prediction.poles(found.theta[:2], found.covariance[:2, :2], 0.1)[0]
+        sizes.append(pole.magnitude)
+        errors.append(pole.stderr)
+    assert np.mean(errors) == pytest.approx(np.std(sizes), rel=0.15)
+
+
+def test_frequency_response_uncertainty_matches_repeats():
+    omega = np.array([1.0, 5.0, 20.0])
+    gains, spreads = [], []
+    for seed in range(200):
+        found = estimate([simulated(4000 + seed, n=500)], Orders(2, 2))
+        a, b, _ = found.orders.split(found.theta)
+        z = np.exp(-1j * omega * 0.1)
+        gains.append(np.log(np.abs((b[0] * z + b[1] * z**2) / (1 + a[0] * z + a[1] * z**2))))
+        spreads.append(prediction.response_spread(found.orders, found.theta, found.covariance, 0.1, omega)[0])
+    np.testing.assert_allclose(np.mean(spreads, axis=0), np.std(gains, axis=0), rtol=0.2)
+
+
+def test_integrating_and_unstable_poles():
+    on = prediction.poles(np.array([-1.0]), np.array([[1e-4]]), 0.1)[0]
+    near = prediction.poles(np.array([-0.99]), np.array([[1e-4]]), 0.1)[0]
+    inside = prediction.poles(np.array([-0.9]), np.array([[1e-4]]), 0.1)[0]
+    outside = prediction.poles(np.array([-1.1]), np.array([[1e-4]]), 0.1)[0]
+    assert (on.integrating, on.unstable) == (True, True)
+    assert (near.integrating, near.unstable) == (True, False)
+    assert (inside.integrating, inside.unstable) == (False, False)
+    assert (outside.integrating, outside.unstable) == (False, True)
+
+
+def test_order_search_finds_the_truth():
+    record = simulated(25, n=3000, b=np.array([0.0, 0.5, 0.25]))
+    held = [simulated(26, n=500, b=np.array([0.0, 0.5, 0.25]))]
+    found = order.search([record], held, max_na=4, max_nb=4, max_nk=3)
+    assert order.best(found, "bic").orders == Orders(2, 2, 2)
+    assert len(found) == 5 * 4 * 3
+    direct = estimate([record], Orders(2, 2, 2))
+    chosen = order.best(found, "bic")
+    assert chosen.one_step_rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
+    assert order.on_edge(Orders(4, 2, 1), max_na=4, max_nb=4, max_nk=3) == ["na"]
+
+
+def test_noise_free_data_do_not_reward_superfluous_orders():
+    found = order.search([simulated(27, noise=0.0)], [], max_na=4, max_nb=4, max_nk=2)
+    assert order.best(found, "bic").orders == Orders(2, 2, 1)
+
+
+def test_grid_from_time_stamps():
+    time = np.array([0.0, 0.1, 0.2, 0.4, 0.5, 0.953, 1.053])
+    assert sampling.rate(np.arange(100) * 0.02375).step_s == 0.02375
+    parts = sampling.pieces(time, 0.1)
+    assert [p.rows.tolist() for p in parts] == [[0, 1, 2, -1, 3, 4], [5, 6]]
+    assert np.isnan(parts[0].take(np.arange(7.0))[3])
+    late = np.arange(8) * 0.1
+    late[4] += 0.045  # one stamp off: no cut
+    assert len(sampling.pieces(late, 0.1)) == 1
+    rng = np.random.default_rng(28)
+    assert not sampling.rate(np.cumsum(rng.exponential(0.1, size=500))).uniform
+    assert sampling.rate(np.round(np.arange(500) * 0.02375, 3)).uniform
+    assert sampling.rate(np.round(np.arange(500) * 0.02375, 3)).step_s == pytest.approx(0.02375, rel=1e-3)
+
+
+DATA = os.environ.get("SWIMID_DATA")
+needs_data = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set: no real recordings here")
+
+
+def _halves(name, step_s):
+    table = np.loadtxt(Path(DATA) / "sysid" / f"{name}.dat")
+    half = len(table) // 2
+    time = np.arange(len(table)) * step_s
+    cut = (slice(0, half), slice(half, None))
+    return [Record(name, time[s], table[s, 0].copy(), table[s, 1].copy()) for s in cut]
+
+
+@needs_data
+def test_hair_dryer_free_run_on_the_second_half():
+    first, second = _halves("dryer", 0.08)
+    orders = Orders(4, 4)
+    point = working_point.centre([first], orders)
+    assert point.removed
+    found = estimate(working_point.shifted([first], point), orders)
+    moved, _ = prediction.about_own_level(working_point.shifted([second], point), orders, found.theta)
+    assert (
+        prediction.score(moved[0].output, prediction.simulate(moved[0], orders, found.theta)).fit_percent
+        >= 89.0
+    )
+
+
+@needs_data
+def test_ball_beam_is_an_integrator():
+    first, _ = _halves("ballbeam", 0.1)
+    found = estimate([first], Orders(4, 4))
+    poles = prediction.poles(found.theta[:4], found.covariance[:4, :4], 0.1)
+    assert poles[0].integrating or poles[0].unstable
