@@ -124,7 +124,7 @@ def _separation(pose: Pose) -> list[Check]:
     unit = pose.plane.unit
     known = np.isfinite(separation)
     spread = 1.4826 * float(np.median(np.abs(separation[known] - middle))) / middle
-    design = np.column_stack([np.ones(known.sum()), *(pose.markers[:, :, known].mean(0))])
+    design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
     fit, *_ = np.linalg.lstsq(design, separation[known], rcond=None)
     trend = design[:, 1:] @ fit[1:]

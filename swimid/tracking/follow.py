@@ -32,6 +32,11 @@ SHORTEST_RUN = 3
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: Only a run shorter than this share of all sightings is doubted for its look.
 STRANGER_SHARE = 0.2
+#: Two markers whose distance spreads by less than this share over so many frames are rigid.
+RIGID_FRAMES, RIGID_SPREAD = 20, 0.06
+#: Of equal markers, one this far (as a share) from its partner's distance is another's.
+RIGID_LIMIT = 0.3
+_NO = 1e6
 _NOT_SEEN = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
 
 
@@ -155,6 +160,26 @@ class _Group:
     pause: int = 8
 
 
+@dataclass
+class _Bond:
+    """Distance between two markers, to find out whether they sit on one rigid part."""
+
+    count: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+
+    def add(self, distance: float) -> None:
+        self.count += 1
+        delta = distance - self.mean
+        self.mean += delta / self.count
+        self.squares += delta * (distance - self.mean)
+
+    @property
+    def rigid(self) -> bool:
+        spread = math.sqrt(self.squares / max(self.count - 1, 1))
+        return self.count >= RIGID_FRAMES and spread < RIGID_SPREAD * self.mean
+
+
 class Follower:
     """Follows all markers of a setup through a video, frame by frame.
 
@@ -177,6 +202,13 @@ class Follower:
             )
             for marker in setup.markers
         ]
+        #: Between markers of different colours, where some colour is worn by several.
+        self._bonds: dict[tuple[str, str], _Bond] = {}
+        self._targets = [t for g in self.groups for t in g.targets]
+        if any(len(g.targets) > 1 for g in self.groups):
+            for k, one in enumerate(self.groups):
+                for other in self.groups[k + 1 :]:
+                    self._bonds |= {(a.name, b.name): _Bond() for a in one.targets for b in other.targets}
         self._rows: list[list[tuple[float, ...]]] = []
         self._times: list[float] = []
         self._frame = 0
@@ -197,7 +229,8 @@ class Follower:
                     target.missed += 1
                     row.append(_NOT_SEEN)
                     continue
-                likeness = min(blob.area / target.area, target.area / blob.area) if target.area else 1.0
+                usual = target.usual_area or blob.area
+                likeness = min(blob.area / usual, usual / blob.area)
                 target.see(blob, time)
                 sure = blob.confidence * likeness**0.5
                 row.append((blob.x, blob.y, blob.area, sure, status, blob.at_edge, *blob.hsv))
@@ -205,9 +238,32 @@ class Follower:
                     group.model.adapt(blob.hsv)
             if not sights:
                 group.model.forget()
+        for (one, other), bond in self._bonds.items():
+            a, b = self._target(one), self._target(other)
+            if a.time == time == b.time:
+                bond.add(math.hypot(a.x - b.x, a.y - b.y))
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
+
+    def _target(self, name: str) -> Target:
+        return next(t for t in self._targets if t.name == name)
+
+    def _misfit(self, target: Target, blob: Blob, time: float) -> float:
+        """How badly a blob fits the target's rigid partners: 0 well, ``_NO`` not at all."""
+        worst = 0.0
+        for pair, bond in self._bonds.items():
+            if target.name not in pair or not bond.rigid:
+                continue
+            partner = self._target(pair[1] if pair[0] == target.name else pair[0])
+            if partner.missed:
+                continue
+            px, py = partner.predicted(time)
+            error = abs(math.hypot(blob.x - px, blob.y - py) / bond.mean - 1)
+            if error > RIGID_LIMIT:
+                return _NO
+            worst = max(worst, (error / RIGID_LIMIT) ** 2)
+        return worst
 
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """What was found so far; ``times`` replaces the times given with the frames."""
@@ -261,7 +317,7 @@ class Follower:
                     statuses.append(status)
         if not candidates:
             return {}
-        cost = np.full((len(known), len(candidates)), 1e6)
+        cost = np.full((len(known), len(candidates)), _NO)
         for i, target in enumerate(known):
             px, py = target.predicted(time)
             allowed = target.radius + 2 * target.reach(time - target.time)
@@ -269,9 +325,10 @@ class Follower:
                 away = math.hypot(blob.x - px, blob.y - py)
                 if away <= allowed + target.radius and self._alike(group, target, blob):
                     cost[i, j] = (away / allowed) ** 2 + 0.3 * abs(math.log(blob.area / target.area))
+                    cost[i, j] = min(cost[i, j] + self._misfit(target, blob, time), _NO)
         found = {}
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[i, j] < 1e6:
+            if cost[i, j] < _NO:
                 found[known[i].name] = (candidates[j], statuses[j])
         if len(known) > 1:
             self._drop_merged(known, found, time)
@@ -334,9 +391,9 @@ class Follower:
         if not target.sights:
             return True
         alone = len(group.targets) == 1
-        # Equal markers that touch look like one of twice the size.
-        low, high = (0.3, 3.0) if alone else (0.55, 1.45)
-        ratio = blob.area / (target.usual_area if gone else target.area)
+        # Equal markers that touch look like one of twice the size, half hidden ones are off centre.
+        low, high = (0.3, 3.0) if alone else (0.7, 1.4)
+        ratio = blob.area / (target.usual_area if gone or not alone else target.area)
         if blob.at_edge:
             low = 0.1
         if not low <= ratio <= high or blob.contrast < 0.4 * target.contrast:
@@ -400,27 +457,28 @@ class Follower:
                 self._note_rivals(group, blobs)
         missing = [t for t in lost if t.sights]
         if missing and blobs:
-            cost = np.full((len(missing), len(blobs)), 1e6)
+            cost = np.full((len(missing), len(blobs)), _NO)
             for i, target in enumerate(missing):
                 for j, blob in enumerate(blobs):
                     cost[i, j] = self._return_cost(group, target, blob, time)
             for i, j in zip(*linear_sum_assignment(cost), strict=True):
-                if cost[i, j] < 1e6:
+                if cost[i, j] < _NO:
                     pairs.append((missing[i], blobs[j]))
         return pairs
 
     def _return_cost(self, group: _Group, target: Target, blob: Blob, time: float) -> float:
         gone = time - target.time
         if not self._alike(group, target, blob, gone):
-            return 1e6
+            return _NO
         px, py = target.predicted(time) if gone <= self.setup.max_gap_s else (target.x, target.y)
         away = math.hypot(blob.x - px, blob.y - py)
         if gone <= self.setup.max_gap_s and target.sights >= 3:
             near = 4 * target.radius + 10 + 0.2 * target.missed * target.radius
             near += 2 * max(math.hypot(target.vx, target.vy), target.pace) * gone
-            return away if away <= near else 1e6
+            misfit = self._misfit(target, blob, time)
+            return min(away * (1 + misfit), _NO) if away <= near and misfit < _NO else _NO
         if any(math.hypot(blob.x - r.x, blob.y - r.y) < 0.7 * r.radius for r in group.rivals):
-            return 1e6
+            return _NO
         return 1e3 + away / (1e-3 + blob.confidence)
 
     def _first_choice(
