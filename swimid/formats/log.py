@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, nearest
@@ -61,8 +61,8 @@ class Log:
         return len(self.time_s)
 
     def line(self, row: int) -> int | None:
-        """Line of the file that holds sample ``row``."""
-        return self.first_line + row if self.first_line else None
+        """Line of the file that holds sample ``row``; None for Parquet."""
+        return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
 
 
 def read(
@@ -123,26 +123,58 @@ def _read_csv(
             raise InputError("two columns have this name", file=path, line=header_line, column=name)
     _check_columns(names, required, path, header_line)
     wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
-    frame = _parse(path, header_line, names, wanted)
-    strict = {TIME, *required, *(optional or ())}
+    try:
+        table = _parse(path, header_line, names, wanted, pa.float64())
+        columns = {name: table.column(name).to_numpy().astype(float) for name in wanted}
+    except pa.ArrowInvalid:
+        columns = _parse_with_care(path, header_line, names, wanted, {TIME, *required, *(optional or ())})
+    return metadata, columns, header_line + 1
+
+
+def _parse(path: Path, header_line: int, names: list[str], wanted: list[str], kind: pa.DataType) -> pa.Table:
+    from pyarrow import csv
+
+    return csv.read_csv(
+        path,
+        read_options=csv.ReadOptions(skip_rows=header_line, column_names=names),
+        convert_options=csv.ConvertOptions(
+            include_columns=wanted,
+            column_types=dict.fromkeys(wanted, kind),
+            null_values=MISSING,
+            strings_can_be_null=True,
+        ),
+    )
+
+
+def _parse_with_care(
+    path: Path, header_line: int, names: list[str], wanted: list[str], strict: set[str]
+) -> dict[str, NDArray[np.float64]]:
+    """Column by column as text, to take what is numbers and to say which cell is none."""
+    import pandas as pd
+
+    try:
+        table = _parse(path, header_line, names, wanted, pa.string())
+    except pa.ArrowInvalid as error:
+        raise _ragged(path, header_line, len(names), error) from error
     columns: dict[str, NDArray[np.float64]] = {}
     for name in wanted:
-        numbers = pd.to_numeric(frame[name], errors="coerce")
-        bad = numbers.isna() & ~frame[name].isna()
+        texts = table.column(name).to_pandas()
+        numbers = pd.to_numeric(texts, errors="coerce")
+        bad = (numbers.isna() & ~texts.isna()).to_numpy(dtype=bool)
         if bad.any():
             # A column of words (a status, say) is no mistake unless it was asked for.
-            if name not in strict and bad.sum() > len(frame) // 2:
+            if name not in strict and bad.sum() > len(texts) // 2:
                 continue
-            row = int(np.argmax(bad.to_numpy()))
+            row = int(np.argmax(bad))
             raise InputError(
-                f"'{frame[name].iloc[row]}' is not a number",
+                f"'{texts.iloc[row]}' is not a number",
                 file=path,
-                line=header_line + 1 + row,
+                line=_line_of(path, header_line, row),
                 column=name,
-                hint=_number_hint(str(frame[name].iloc[row])),
+                hint=_number_hint(str(texts.iloc[row])),
             )
-        columns[name] = numbers.to_numpy(dtype=float, copy=True)
-    return metadata, _without_blank_end(columns), header_line + 1
+        columns[name] = numbers.to_numpy(dtype=float, na_value=np.nan)
+    return columns
 
 
 def _head(path: Path) -> tuple[list[str], str, int]:
@@ -178,48 +210,27 @@ def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
     return metadata
 
 
-def _parse(path: Path, header_line: int, names: list[str], wanted: list[str]) -> pd.DataFrame:
-    settings: dict[str, Any] = {
-        "skiprows": header_line,
-        "header": None,
-        "names": names,
-        "usecols": wanted,
-        "na_values": MISSING,
-        "keep_default_na": False,
-        "skip_blank_lines": False,
-        "skipinitialspace": True,
-        "index_col": False,
-        "encoding": "utf-8",
-        "on_bad_lines": "error",
-        "float_precision": "round_trip",
-        "low_memory": False,
-    }
-    try:
-        return pd.read_csv(path, **settings)
-    except pd.errors.EmptyDataError as error:
-        raise InputError("has a header and no samples", file=path, line=header_line) from error
-    except (pd.errors.ParserError, ValueError, OverflowError) as error:
-        raise _ragged(path, header_line, len(names), error) from error
-
-
 def _ragged(path: Path, header_line: int, expected: int, error: Exception) -> InputError:
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         for number, line in enumerate(stream, start=1):
-            if number > header_line and line.count(",") + 1 > expected:
+            cells = line.count(",") + 1
+            if number > header_line and line.strip() and cells != expected:
                 return InputError(
-                    f"has {line.count(',') + 1} cells where the header names {expected} columns",
-                    file=path,
-                    line=number,
+                    f"has {cells} cells where the header names {expected} columns", file=path, line=number
                 )
     return InputError(f"cannot be parsed: {str(error).splitlines()[0]}", file=path)
 
 
-def _without_blank_end(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    if not columns:
-        return columns
-    filled = ~np.all([np.isnan(values) for values in columns.values()], axis=0)
-    last = int(np.max(np.nonzero(filled)[0])) + 1 if filled.any() else 0
-    return {name: values[:last] for name, values in columns.items()}
+def _line_of(path: Path, header_line: int, row: int) -> int:
+    """Line of a sample, blank lines counted."""
+    with path.open("r", encoding="utf-8", errors="replace") as stream:
+        samples = -1
+        for number, line in enumerate(stream, start=1):
+            if number > header_line and line.strip():
+                samples += 1
+                if samples == row:
+                    return number
+    return header_line + 1 + row
 
 
 # ---------------------------------------------------------------- Parquet
@@ -228,7 +239,6 @@ def _without_blank_end(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDA
 def _read_parquet(
     path: Path, required: list[str], optional: list[str] | None
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     if not path.exists():
@@ -372,12 +382,13 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     metadata : mapping, optional
         Plain values, one ``# key: value`` line each.
     """
+    import pandas as pd
+
     path = Path(path)
     frame = pd.DataFrame(dict(columns))
     lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
     with atomic.replacing(path) as temporary:
         if path.suffix.lower() in PARQUET_ENDINGS:
-            import pyarrow as pa
             import pyarrow.parquet as pq
 
             table = pa.Table.from_pandas(frame, preserve_index=False)

@@ -1,0 +1,69 @@
+"""Fixtures every test may use."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = ROOT / "sample_logs"
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A command that ended."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """Its ``--json`` document."""
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def swimid() -> Callable[..., Ran]:
+    """Run the command line in this process: ``swimid("fit-drag", path, "-o", out)``."""
+    from swimid.cli.main import main
+
+    def run(*words: str | Path) -> Ran:
+        result = CliRunner().invoke(main, [str(w) for w in words], prog_name="swimid")
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return Ran(result.exit_code, result.stdout, result.stderr)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def samples() -> Path:
+    """The folder of sample logs."""
+    return SAMPLES
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real recordings; the test skips without it."""
+    folder = os.environ.get("SWIMID_DATA")
+    if not folder:
+        pytest.skip("SWIMID_DATA is unset: no real recordings to test on")
+    path = Path(folder)
+    if not path.is_dir():
+        pytest.skip(f"SWIMID_DATA is no folder: {folder}")
+    return path
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A seeded source of random numbers."""
+    return np.random.default_rng(12345)
