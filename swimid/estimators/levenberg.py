@@ -65,7 +65,8 @@ def minimise(
     Notes
     -----
     Damping after Nielsen ("Damping parameter in Marquardt's method", 1999). Parameters that
-    lie at a bound and are pushed against it sit out the step; steps are cut at the box.
+    lie at a bound and are pushed against it sit out the step; one that would cross a bound goes
+    to the bound and the others' step is solved anew with it there.
     """
     x = np.clip(np.asarray(start, dtype=float), lower, upper)
     if len(x) == 0:
@@ -84,15 +85,11 @@ def minimise(
         slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
         if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
             return Solution(x, cost, True, "the gradient vanishes", iteration)
-        h = normal[np.ix_(free, free)] / np.outer(size[free], size[free])
-        g = gradient[free] / size[free]
         if damping < 0:
             damping = 1e-3
         for _ in range(40):
-            step = np.zeros(len(x))
-            step[free] = -np.linalg.solve(h + damping * np.eye(len(g)), g) / size[free] * scale[free]
-            moved = np.clip(x + step, lower, upper)
-            taken = (moved - x) / scale
+            taken = _step(normal, gradient, damping * size**2, (lower - x) / scale, (upper - x) / scale, blocked)
+            moved = np.clip(x + taken * scale, lower, upper)
             candidate = residuals(moved)
             new_cost = float(candidate @ candidate)
             predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
@@ -107,10 +104,28 @@ def minimise(
                 if done or small:
                     return Solution(x, cost, True, "cost and parameters no longer change", iteration)
                 break
-            if small or predicted <= 1e-3 * tolerance * cost:
+            if small or abs(predicted) <= 1e-3 * tolerance * cost:
                 return Solution(x, cost, True, "no step lowers the cost", iteration)
             damping *= growth
             growth *= 2.0
         else:
             return Solution(x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration)
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
+
+
+def _step(normal: Array, gradient: Array, damping: Array, low: Array, high: Array, blocked: Array) -> Array:
+    """Damped Gauss-Newton step within ``low .. high``, by fixing what would cross."""
+    step = np.zeros(len(gradient))
+    fixed = blocked.copy()
+    while not fixed.all():
+        free = ~fixed
+        matrix = normal[np.ix_(free, free)] + np.diag(damping[free])
+        right = -(gradient[free] + normal[np.ix_(free, fixed)] @ step[fixed])
+        scale = 1.0 / np.sqrt(np.diag(matrix))
+        step[free] = scale * np.linalg.solve(matrix * np.outer(scale, scale), right * scale)
+        below, above = free & (step < low), free & (step > high)
+        if not (below | above).any():
+            break
+        step = np.where(below, low, np.where(above, high, step))
+        fixed |= below | above
+    return step

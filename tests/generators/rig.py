@@ -68,9 +68,8 @@ def click_log(weight_g: float, rng: np.random.Generator, *, jitter_s: float = 0.
     speeds = np.gradient(np.arange(len(times)) * step, times)
     late = rng.normal(0.0, jitter_s, len(times)) + rng.normal(0.0, pitch_sd_cm, len(times)) / np.maximum(speeds, 1e-3)
     late[0] = 0.0
-    stamped = times + late
-    order = np.maximum.accumulate(stamped + 1e-6 * np.arange(len(stamped)))
-    return np.round(order, 6), np.arange(len(times)) * step / 100.0
+    stamped = np.round(np.sort(times + late), 6)
+    return stamped, np.arange(len(times)) * step / 100.0
 
 
 def write_sample(folder: Path, *, seed: int = 20) -> None:
