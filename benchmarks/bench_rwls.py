@@ -46,7 +46,7 @@ def measure(repeats: int = 15) -> list[tuple[str, float, np.ndarray]]:
     """Name, CPU seconds and last estimate of every implementation."""
     data = regression([record()], ORDERS)
     h, z = data.rows, data.outputs
-    stride = max(1, len(z) // KEPT)
+    stride = max(1, -(-len(z) // KEPT))
     recursive_least_squares(h[:10], z[:10])  # compile, or load from the cache
 
     def ours(step: int) -> Callable[[], object]:

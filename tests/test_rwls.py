@@ -62,7 +62,7 @@ def test_a_simulated_arx_comes_back(tmp_path):
     assert (file.delay, file.sample_time_s, file.stable) == (1, 0.05, True)
     assert file.parameters["b1"].unit == "(m/s)/rad"
     assert sorted(p.magnitude for p in file.poles) == pytest.approx([np.sqrt(0.7)] * 2, abs=0.01)
-    held = file.fit.validation["held-out part"]["u_m_s"]
+    held = file.fit.validation["u_m_s"]["data"]["held-out part"]
     assert held["free_run"]["fit_percent"] > 80
     assert held["one_step"]["rmse"] == pytest.approx(0.05, rel=0.15)
     assert document["result"]["parameters"]["a1"]["value"] == file.value("a1")
@@ -110,7 +110,7 @@ def test_other_logs_hold_out_and_trials_files_name_everything(tmp_path):
     listed = run(tmp_path / "trials.yaml", "--na", 2, "--nb", 2)[1]
     assert listed["result"]["parameters"] == by_hand["result"]["parameters"]
     assert listed["result"]["robot"] == "long-fin"
-    assert list(listed["result"]["fit"]["validation"]) == ["three.csv"]
+    assert list(listed["result"]["fit"]["validation"]["u_m_s"]["data"]) == ["three.csv"]
     assert listed["result"]["fit"]["rows"] == 2 * 1198
 
 
@@ -324,9 +324,9 @@ def test_long_fin_sample_logs(tmp_path):
     result = document["result"]
     assert result["sample_time_s"] == pytest.approx(0.02375)
     assert result["stable"] is True
-    for part in result["fit"]["validation"].values():
-        assert part["u_m_s"]["one_step"]["fit_percent"] > 95
-        assert part["u_m_s"]["free_run"]["fit_percent"] > 60
+    for part in result["fit"]["validation"]["u_m_s"]["data"].values():
+        assert part["one_step"]["fit_percent"] > 95
+        assert part["free_run"]["fit_percent"] > 60
 
 
 DATA = os.environ.get("SWIMID_DATA")
@@ -345,7 +345,7 @@ def test_hair_dryer(tmp_path):
     status, document, _ = run(log, "--input", "u", "--output", "y", "--na", 4, "--nb", 4, "--validate", 0.5)
     assert status == 0
     assert "SWM021" in codes(document)
-    free = document["result"]["fit"]["validation"]["held-out part"]["y"]["free_run"]
+    free = document["result"]["fit"]["validation"]["y"]["data"]["held-out part"]["free_run"]
     assert free["fit_percent"] >= 89.0
     assert free["level_shift"] == pytest.approx(0.095, abs=0.02)
 
@@ -359,4 +359,6 @@ def test_ball_beam(tmp_path):
     assert status == 0
     assert "SWM020" in codes(document)
     assert document["result"]["fit"]["integrating"] is True
-    assert document["result"]["fit"]["validation"]["held-out part"]["y"]["free_run"]["diverged"] is True
+    assert (
+        document["result"]["fit"]["validation"]["y"]["data"]["held-out part"]["free_run"]["diverged"] is True
+    )

@@ -340,7 +340,7 @@ def test_integrating_and_unstable_poles():
 def test_order_search_finds_the_truth():
     record = simulated(25, n=3000, b=np.array([0.0, 0.5, 0.25]))
     held = [simulated(26, n=500, b=np.array([0.0, 0.5, 0.25]))]
-    found = order.search([record], held, max_na=4, max_nb=4, max_nk=3)
+    found = order.search([record], [held], max_na=4, max_nb=4, max_nk=3)
     assert order.best(found, "bic").orders == Orders(2, 2, 2)
     assert len(found) == 5 * 4 * 3
     direct = estimate([record], Orders(2, 2, 2))

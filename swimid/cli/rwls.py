@@ -92,7 +92,7 @@ from swimid.cli.common import Shared, protect, running, shared_options
     help="Steps of the k-step prediction error.",
 )
 @click.option(
-    "--stride", type=click.IntRange(1), help="Keep every n-th row of the trajectories [default: 2000 kept]."
+    "--stride", type=click.IntRange(1), help="Keep every n-th row of the trajectories [default: 1000 kept]."
 )
 @shared_options("Parameter file to write.", output_flags=("-o", "--result"))
 def command(logs: tuple[Path, ...], validate: tuple[str, ...], shared: Shared, **options: object) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators.arx import EXACT, Orders, Record, check_enough, regression
-from swimid.estimators.metrics import score
+from swimid.estimators.metrics import Score, score
 from swimid.estimators.prediction import about_own_level, simulate
 from swimid.progress import Progress, silent
 
@@ -44,7 +44,7 @@ class Candidate:
 
 def search(
     records: Sequence[Record],
-    held_out: Sequence[Record],
+    held_out: Sequence[Sequence[Record]],
     *,
     max_na: int,
     max_nb: int,
@@ -58,12 +58,12 @@ def search(
     ----------
     records : sequence of Record
         The fit part.
-    held_out : sequence of Record
-        Where the free run is judged; the fit part when empty.
+    held_out : sequence of sequence of Record
+        Sets on which the free run is judged; the fit part when empty.
     max_na, max_nb, max_nk : int
         The grid.
     level_removed : bool
-        Judge the free run about the level of the held-out data themselves.
+        Judge the free run about each set's own level.
     progress : Progress
         Shows the models tried.
 
@@ -83,8 +83,7 @@ def search(
     n = len(data)
     factor = np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r")
     floor = n * (EXACT * float(np.std(data.outputs))) ** 2
-    judged = list(held_out) or list(records)
-    measured = np.concatenate([r.output for r in judged])
+    judged = [list(part) for part in held_out if part] or [list(records)]
     grid = [
         Orders(na, nb, nk)
         for na in range(max_na + 1)
@@ -100,12 +99,8 @@ def search(
             # Below rounding all fits are equal; without a floor noise-free data would
             # reward ever more parameters.
             fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
-            level = 0.0
-            part = judged
-            if level_removed:
-                part, level = about_own_level(judged, orders, theta)
-            error = score(measured, np.concatenate([simulate(r, orders, theta) for r in part]) + level)
-            complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
+            error, measured = _free_run(judged, orders, theta, level_removed)
+            complete = error.samples > 0.5 * measured
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
             found.append(
                 Candidate(
@@ -119,6 +114,19 @@ def search(
             )
             step()
     return found
+
+
+def _free_run(
+    sets: list[list[Record]], orders: Orders, theta: np.ndarray, level_removed: bool
+) -> tuple[Score, int]:
+    """Score of the free run over all sets, and the number of measured samples."""
+    measured, simulated = [], []
+    for records in sets:
+        part = about_own_level(records, orders, theta)[0] if level_removed else records
+        measured += [r.output for r in part]
+        simulated += [simulate(r, orders, theta) for r in part]
+    y = np.concatenate(measured)
+    return score(y, np.concatenate(simulated)), int(np.count_nonzero(np.isfinite(y)))
 
 
 def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:

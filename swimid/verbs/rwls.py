@@ -13,7 +13,7 @@ import numpy as np
 from swimid.errors import UsageError
 from swimid.estimators import order as order_search
 from swimid.estimators import prediction, working_point
-from swimid.estimators.arx import Estimate, Orders, estimate, regression
+from swimid.estimators.arx import Estimate, Orders, Record, estimate, regression
 from swimid.formats import evidence, parameters, provenance
 from swimid.models.arx import NAME
 from swimid.notices import Notice, recorded, warn
@@ -24,7 +24,7 @@ from swimid.verbs.outcome import Outcome
 from swimid.verbs.rwls_scores import Scores, Tests
 
 #: Rows of the trajectory kept when no stride is given.
-KEPT = 2000
+KEPT = 1000
 #: A scaled regression above this condition number is worth a warning.
 ILL_CONDITIONED = 1e6
 #: Held-out error over fit error from which on it is worth a warning.
@@ -119,7 +119,7 @@ def rwls(
                 weight=weight,
                 forgetting=forgetting,
                 prior_scale=prior_scale,
-                stride=stride or max(1, rows // KEPT),
+                stride=stride or max(1, -(-rows // KEPT)),
             )
             a, _, _ = orders.split(found.theta)
             poles = prediction.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
@@ -153,7 +153,7 @@ def rwls(
             warn(notice.code, notice.text)
     block = provenance.collect(data.files, settings={**settings, "validate": [str(v) for v in validate]})
     tests = rwls_scores.tests(fit, found)
-    file = _parameter_file(data, found, poles, fit_scores, scores, tests, settings, horizon, block)
+    file = _parameter_file(data, found, poles, fit_scores, scores, held, tests, settings, horizon, block)
     outputs: list[Path] = []
     if output is not None:
         shown = rwls_evidence.build(
@@ -210,10 +210,10 @@ def _choose(
     max_na, max_nb, max_nk = limits
     widest = Orders(max_na, max_nb, 1)
     point = working_point.centre(data.fit, widest, centre)
-    held = [r for part in data.held_out.values() for r in part]
+    held = [working_point.shifted(part, point) for part in data.held_out.values()]
     candidates = order_search.search(
         working_point.shifted(data.fit, point),
-        working_point.shifted(held, point),
+        held,
         max_na=max_na,
         max_nb=max_nb,
         max_nk=max_nk,
@@ -344,6 +344,7 @@ def _parameter_file(
     poles: list[prediction.Pole],
     fit_scores: Scores,
     scores: dict[str, Scores],
+    held: dict[str, list[Record]],
     tests: Tests,
     settings: dict[str, Any],
     horizon: int,
@@ -362,6 +363,11 @@ def _parameter_file(
         )
         if known:
             identifiable.append(name)
+    validation: dict[str, Any] = {}
+    if scores:
+        together = rwls_scores.pooled(list(held.values()), found)
+        by_set = {name: s.as_dict(unit, horizon) for name, s in scores.items()}
+        validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
     if len(identifiable) < orders.count:
         words.append(
@@ -391,7 +397,7 @@ def _parameter_file(
         fit=parameters.Fit(
             trials=data.logs,
             channels={channel: {**fit_scores.free_run.as_dict(unit), **fit_scores.as_dict(unit, horizon)}},
-            validation={name: {channel: s.as_dict(unit, horizon)} for name, s in scores.items()},
+            validation=validation,
             converged=True,
             noise={
                 "sd": found.noise_sd,

@@ -231,8 +231,8 @@ def _poles(m: Material) -> Table:
         for p in m.poles
     ]
     return Table(
-        id="poles",
-        title="Poles",
+        id="modes",
+        title="What the poles mean in time",
         columns=["z", "|z|", "natural frequency (Hz)", "damping ratio", "verdict"],
         rows=rows,
         caption="Standard errors by the delta method from the covariance of a1, a2, ...",
@@ -248,14 +248,12 @@ def _complex(z: complex) -> str:
 def _orders(m: Material) -> list[Table]:
     if not m.candidates:
         return []
-    ranked = sorted(m.candidates, key=lambda c: c.score(m.criterion))[:20]
+    ranked = sorted(m.candidates, key=lambda c: c.score(m.criterion))[:12]
+    aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
     rows: list[list[str | float | int | bool | None]] = [
         [
-            c.orders.na,
-            c.orders.nb,
-            c.orders.nk,
-            _finite(c.aic),
-            _finite(c.bic),
+            *(c.orders.na, c.orders.nb, c.orders.nk),
+            *(round(_finite(v) or 0.0, 1) for v in (c.aic - aic, c.bic - bic)),
             _finite(c.free_run_fit),
             c.stable,
         ]
@@ -266,7 +264,15 @@ def _orders(m: Material) -> list[Table]:
         Table(
             id="orders",
             title="Orders tried",
-            columns=["na", "nb", "nk", "AIC", "BIC", f"free-run fit on {where} (%)", "stable"],
+            columns=[
+                "na",
+                "nb",
+                "nk",
+                "AIC above least",
+                "BIC above least",
+                f"free-run fit on {where} (%)",
+                "stable",
+            ],
             rows=rows,
             caption=f"The best {len(rows)} of {len(m.candidates)} by {m.criterion}; all fitted on the "
             "same rows.",
@@ -370,7 +376,8 @@ def _trajectories(m: Material) -> Figure:
     x = m.fit[0].time_s[data.sample[run.kept]] if single else run.kept.astype(float)
     scale = m.found.noise_sd * math.sqrt(m.weight)
     # The first rows only replace the prior; drawn, they would flatten everything else.
-    shown = slice(int(np.searchsorted(run.kept, 3 * orders.count)), None)
+    settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * orders.count)
+    shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
     panels = []
     for i, name in enumerate(orders.names):
         value, spread = run.thetas[shown, i], 1.96 * scale * run.spreads[shown, i]
@@ -574,6 +581,10 @@ def _order_figure(m: Material) -> list[Figure]:
         entry["aic"], entry["bic"] = min(entry["aic"], float(c.aic)), min(entry["bic"], float(c.bic))
         entry["fit"] = max(entry["fit"], float(c.free_run_fit))
     counts = sorted(best)
+    for name in ("aic", "bic"):
+        least = min(entry[name] for entry in best.values())
+        for entry in best.values():
+            entry[name] -= least
     x = [float(n) for n in counts]
     chosen = Mark(at=float(m.found.orders.na + m.found.orders.nb), axis="x", label="chosen")
     where = "held-out data" if m.scores else "the fitted data"
@@ -587,7 +598,7 @@ def _order_figure(m: Material) -> list[Figure]:
             panels=[
                 Panel(
                     x_label="parameters",
-                    y_label="criterion",
+                    y_label="criterion above its least",
                     traces=[
                         Trace(x=x, y=[best[n]["bic"] for n in counts], label="BIC", group=0),
                         Trace(x=x, y=[best[n]["aic"] for n in counts], label="AIC", style="dashed", group=1),

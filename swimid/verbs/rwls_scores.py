@@ -98,6 +98,13 @@ def scores(records: list[Record], found: Estimate, poles: list[prediction.Pole],
     )
 
 
+def pooled(sets: list[list[Record]], found: Estimate) -> Score:
+    """Free-run score over several sets of records together."""
+    records = [r for records in sets for r in records]
+    runs = [prediction.simulate(r, found.orders, found.theta) for r in records]
+    return score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+
+
 def about_own_level(
     records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int
 ) -> tuple[list[Record], Scores]:
