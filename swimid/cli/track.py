@@ -61,3 +61,80 @@ def video_command(
                 progress=run.progress,
             )
         )
+
+
+class _Pick(click.ParamType):
+    """``name@x,y``."""
+
+    name = "NAME@X,Y"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float, float]:
+        """Split the text; click reports what is wrong with it."""
+        name, at, place = value.partition("@")
+        parts = place.split(",")
+        try:
+            x, y = (float(part) for part in parts)
+        except ValueError:
+            self.fail(f"'{value}' must look like red@320,240", param, ctx)
+        if not at or not name:
+            self.fail(f"'{value}' must look like red@320,240", param, ctx)
+        return name, x, y
+
+
+@track.command("setup")
+@click.argument("video", type=click.Path(path_type=Path))
+@click.option(
+    "--marker", "markers", type=_Pick(), multiple=True, help="Pick a marker by one of its pixels; head first, then tail."
+)
+@click.option("--frame", type=int, default=0, show_default=True, help="Frame the --marker pixels are in.")
+@click.option("--metres-per-pixel", type=float, help="Scale as a factor.")
+@click.option("--scale-points", type=float, nargs=4, help="Scale: pixels X1 Y1 X2 Y2 of two points.")
+@click.option("--scale-distance-m", type=float, help="Their distance in metres.")
+@click.option(
+    "--plane",
+    type=click.Choice(["horizontal", "vertical"]),
+    default="horizontal",
+    show_default=True,
+    help="Camera above, or at the side.",
+)
+@click.option("--fps", type=float, help="True frame rate in Hz, where the container's is wrong.")
+@shared_options("The setup file to write.", required=True)
+def setup_command(
+    video: Path,
+    markers: tuple[tuple[str, float, float], ...],
+    frame: int,
+    metres_per_pixel: float | None,
+    scale_points: tuple[float, float, float, float] | None,
+    scale_distance_m: float | None,
+    plane: str,
+    fps: float | None,
+    shared: Shared,
+) -> None:
+    """Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
+
+    Works unattended and without a display. The file can be used as it is.
+
+    \b
+    Example:
+      swimid track setup pool.mp4 -o setup.yaml
+      swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
+    """
+    with running("track setup", shared) as run:
+        from swimid.verbs.track_setup import Pick, track_setup
+
+        assert shared.output is not None
+        run.finish(
+            track_setup(
+                video,
+                output=shared.output,
+                picks=tuple(Pick(*marker) for marker in markers),
+                frame=frame,
+                metres_per_pixel=metres_per_pixel,
+                scale_points=scale_points,
+                scale_distance_m=scale_distance_m,
+                plane=plane,
+                fps=fps,
+                force=shared.force,
+                progress=run.progress,
+            )
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -26,6 +27,8 @@ SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
 DECIMATION = 4
 #: Frames between looks for other things of the marker's colour.
 LOOK_AROUND_FRAMES = 90
+#: Earlier frames kept, to see whether a thing was there before the marker was lost.
+MEMORIES = 3
 #: A sighting this short, alone between losses, is not believed.
 SHORTEST_RUN = 3
 #: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
@@ -209,6 +212,8 @@ class Follower:
             for k, one in enumerate(self.groups):
                 for other in self.groups[k + 1 :]:
                     self._bonds |= {(a.name, b.name): _Bond() for a in one.targets for b in other.targets}
+        #: Earlier frames, and where the markers were in them.
+        self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=MEMORIES)
         self._rows: list[list[tuple[float, ...]]] = []
         self._times: list[float] = []
         self._frame = 0
@@ -242,6 +247,10 @@ class Follower:
             a, b = self._target(one), self._target(other)
             if a.time == time == b.time:
                 bond.add(math.hypot(a.x - b.x, a.y - b.y))
+        if self._frame % LOOK_AROUND_FRAMES == LOOK_AROUND_FRAMES // 6:
+            places = {t.name: (t.x, t.y) for t in self._targets if t.sights and not t.missed}
+            if places:
+                self._memory.append((frame.copy(), places))
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
@@ -297,7 +306,10 @@ class Follower:
             taken = [blob for blob, _ in sights.values()]
             for target, blob in self._in_picture(group, lost, taken, time, frame):
                 sights[target.name] = (blob, FULL)
-        elif self._frame >= group.next_look:
+        for target in known:
+            if target.missed and target.name in sights and self._was_there(group, target, sights[target.name][0]):
+                group.scenery.append(sights.pop(target.name)[0])
+        if not lost and self._frame >= group.next_look:
             self._look_around(group, [blob for blob, _ in sights.values()], frame)
         return sights
 
@@ -434,6 +446,20 @@ class Follower:
             for other in known
         )
 
+    def _was_there(self, group: _Group, target: Target, blob: Blob) -> bool:
+        """Whether the blob was there already while the target was seen elsewhere."""
+        for frame, places in self._memory:
+            if target.name not in places:
+                continue
+            x, y = places[target.name]
+            if math.hypot(blob.x - x, blob.y - y) < 2 * max(target.radius, blob.radius) + 4:
+                continue
+            old, _ = self._blobs(group, frame, blob.x, blob.y, blob.radius + detect.MARGIN)
+            taken = [place for name, place in places.items() if name != target.name]
+            if any(_same_place(blob, b) and _far(b, taken) for b in old):
+                return True
+        return False
+
     # ------------------------------------------------------------ the whole picture
 
     def _in_picture(
@@ -553,6 +579,10 @@ def _same_place(blob: Blob, other: Blob) -> bool:
     """Whether two blobs, seen at different times, are the same motionless thing."""
     away = math.hypot(blob.x - other.x, blob.y - other.y)
     return away < 0.25 * other.radius + 1.5 and 0.4 < blob.area / other.area < 2.5
+
+
+def _far(blob: Blob, places: list[tuple[float, float]]) -> bool:
+    return all(math.hypot(blob.x - x, blob.y - y) > blob.radius for x, y in places)
 
 
 def _is_new(blob: Blob, others: list[Blob]) -> bool:

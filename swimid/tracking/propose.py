@@ -1,0 +1,366 @@
+"""A setup drafted from the video itself: compact patches of a rare colour that move."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError, NoTrustworthyResult
+from swimid.formats.setup import HsvRange, Marker
+from swimid.progress import Step
+from swimid.tracking import census
+from swimid.tracking.colour import ColourModel
+from swimid.tracking.detect import marker_mask
+from swimid.tracking.reader import Frame, Video, VideoInfo
+
+Array = NDArray[np.float64]
+
+#: Frames looked at, and the width they are reduced to.
+SAMPLES, WIDTH = 48, 960
+#: A pixel this far (grey levels) from the still background moves.
+LEAST_CHANGE = 16
+#: Hue clusters looked at.
+MOST_CLUSTERS = 8
+#: Below this score nothing is proposed.
+LEAST_SCORE = 0.02
+#: A second marker scores at least this share of the first, and keeps its distance to it within this.
+SECOND_SHARE, SECOND_SPREAD = 0.25, 0.15
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Frames spread over a video, reduced in size.
+
+    Attributes
+    ----------
+    info : VideoInfo
+    indices : ndarray of int, shape (n,)
+    frames : list of n frames
+    factor : float
+        Size of a sample pixel in picture pixels.
+    background : frame
+        Median of the samples: the scene without what moves.
+    moving : list of n masks
+        255 where a sample differs from the background.
+    """
+
+    info: VideoInfo
+    indices: NDArray[np.int64]
+    frames: list[Frame]
+    factor: float
+    background: Frame
+    moving: list[NDArray[np.uint8]]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A colour that may be a marker's.
+
+    Attributes
+    ----------
+    colours : HsvRange
+    hue_deg : float
+        Its middle.
+    score : float
+        0 to 1.
+    place : ndarray, shape (n, 2)
+        Centre of its best patch in each sample, picture pixels; NaN where there is none.
+    area_px : (float, float)
+        Smallest and largest area worth accepting, picture pixels.
+    like : int
+        Usual number of moving patches of the colour and a comparable size.
+    still : list of boxes
+        Motionless patches of the colour, picture pixels.
+    """
+
+    colours: HsvRange
+    hue_deg: float
+    score: float
+    place: Array
+    area_px: tuple[float, float]
+    like: int
+    still: list[tuple[float, float, float, float]]
+
+    @property
+    def presence(self) -> float:
+        """Share of the samples it is seen in."""
+        return float(np.mean(np.isfinite(self.place[:, 0])))
+
+
+def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
+    """Read a video once and keep :data:`SAMPLES` frames of it, evenly spread."""
+    video = Video(path, apply_rotation=apply_rotation)
+    factor = max(video.info.width / WIDTH, 1.0)
+    every = max(video.info.frames // SAMPLES, 1)
+    kept: dict[int, Frame] = {}
+    for index, (_, frame) in enumerate(video.frames()):
+        step()
+        if index % every:
+            continue
+        small = cv2.resize(frame, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        kept[index] = frame.copy() if factor == 1.0 else small
+        if len(kept) > 2 * SAMPLES:  # more frames than the container said
+            every *= 2
+            kept = {k: f for k, f in kept.items() if k % every == 0}
+    if len(kept) < 4:
+        raise NoTrustworthyResult(f"{path.name} has only {len(kept)} frames: too few to see what moves")
+    frames = list(kept.values())
+    background = np.median(np.stack(frames[:: max(len(frames) // 25, 1)]), axis=0).astype(np.uint8)
+    still = cv2.blur(background, (3, 3))
+    moving = []
+    for frame in frames:
+        change = cv2.absdiff(cv2.blur(frame, (3, 3)), still).max(axis=2)
+        moving.append(np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8))
+    return Samples(video.info, np.array(list(kept)), frames, factor, background, moving)
+
+
+def candidates(samples: Samples) -> list[Candidate]:
+    """Colours that may be markers, best first.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the video has no colour, or nothing coloured moves.
+    """
+    pixels = [_moving_colours(frame, mask) for frame, mask in zip(samples.frames, samples.moving, strict=True)]
+    hsv = np.concatenate(pixels) if pixels else np.zeros((0, 3))
+    if len(hsv) < 4 * len(samples.frames):
+        seen = census.describe_colours(samples.frames[::6])
+        raise NoTrustworthyResult(
+            f"no coloured marker moves in {samples.info.path.name}. {seen}",
+            hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a marker "
+            "that hardly moves is picked by hand: --marker name@x,y",
+        )
+    found = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
+    good = sorted((c for c in found if c is not None and c.score >= LEAST_SCORE), key=lambda c: -c.score)
+    if not good:
+        seen = census.describe_colours(samples.frames[::6])
+        raise NoTrustworthyResult(
+            f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that moves. "
+            f"{seen}",
+            hint="pick it by hand: --marker name@x,y with --frame",
+        )
+    return good
+
+
+def _moving_colours(frame: Frame, moving: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    smooth = cv2.blur(frame, (3, 3))
+    chosen = (moving > 0) & (census.chroma(frame) >= census.LEAST_CHROMA)
+    return cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)[chosen]
+
+
+def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
+    """Hues (0 .. 179) about which moving coloured pixels gather, most pixels first."""
+    histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
+    reach = np.arange(-9, 10)
+    kernel = np.exp(-0.5 * (reach / 3.0) ** 2)
+    padded = np.concatenate([histogram[-9:], histogram, histogram[:9]])
+    smooth = np.convolve(padded, kernel / kernel.sum(), "valid")
+    top = [
+        h
+        for h in range(180)
+        if smooth[h] >= smooth[h - 1] and smooth[h] > smooth[(h + 1) % 180] and 10 * smooth[h] > 4 * frames
+    ]
+    return sorted(top, key=lambda h: -smooth[h])[:MOST_CLUSTERS]
+
+
+def _colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
+    """The range about a hue that holds nearly all pixels near it, with room for changing light."""
+    offset = (hsv[:, 0].astype(float) - peak + 90) % 180 - 90
+    near = np.abs(offset) <= 12
+    if near.sum() < 10:
+        return None
+    cluster = hsv[near].astype(float)
+    # The purer half of the cluster is the marker, the rest its blurred rim.
+    purity = cluster[:, 1] * cluster[:, 2]
+    core = purity >= np.percentile(purity, 35)
+    low, high = np.percentile(offset[near][core], [3, 97])
+    s_low = np.percentile(cluster[core, 1], 4) / 255
+    v_low, v_high = np.percentile(cluster[core, 2], [3, 98]) / 255
+    return HsvRange(
+        hue_deg=(_degrees(peak + low - 5), _degrees(peak + high + 5)),
+        saturation=(_two(max(0.75 * s_low, 0.1)), 1.0),
+        value=(_two(max(0.65 * v_low, 0.04)), _two(min(1.35 * v_high, 1.0))),
+    )
+
+
+def _degrees(hue: float) -> float:
+    return float(round(2 * hue) % 360)
+
+
+def _two(value: float) -> float:
+    return float(round(value, 2))
+
+
+def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
+    """Look for patches of one colour in all samples and score them as a marker."""
+    colours = _colour_range(hsv, peak)
+    if colours is None:
+        return None
+    model = ColourModel(colours)
+    least = max(5.0, 2e-5 * samples.frames[0].shape[0] * samples.frames[0].shape[1])
+    places = np.full((len(samples.frames), 2), np.nan)
+    areas, compact, like, purity = [], [], [], []
+    in_range = moving_in_range = 0.0
+    for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
+        mask = marker_mask(frame, model)
+        in_range += float(np.count_nonzero(mask))
+        moving_in_range += float(np.count_nonzero(mask & moving))
+        patches = _patches(mask, moving, least)
+        if not patches:
+            continue
+        area, x, y, fill = patches[0]
+        places[k] = samples.factor * (np.array([x, y]) + 0.5) - 0.5
+        areas.append(area)
+        compact.append(fill)
+        like.append(sum(1 for other in patches if other[0] > 0.4 * area))
+        chroma = census.chroma(frame)
+        purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
+    if len(areas) < max(3, 0.05 * len(samples.frames)):
+        return None
+    sizes = samples.factor**2 * np.array(areas)
+    spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
+    presence = len(areas) / len(samples.frames)
+    alone = moving_in_range / max(in_range, 1.0)
+    way = float(np.max(np.nanpercentile(places, 95, axis=0) - np.nanpercentile(places, 5, axis=0)))
+    moved = min(way / (2.0 * math.sqrt(float(np.median(sizes)))), 1.0)
+    score = (
+        presence
+        * float(np.median(compact))
+        * math.exp(-spread)
+        * math.sqrt(min(float(np.median(purity)) / 100, 1.0))
+        * math.sqrt(alone)
+        * moved
+    )
+    low, high = np.percentile(sizes, [5, 95])
+    return Candidate(
+        colours=colours,
+        hue_deg=_degrees(peak),
+        score=float(score),
+        place=places,
+        area_px=(float(math.floor(0.3 * low)), float(math.ceil(3 * high))),
+        like=int(np.median(like)),
+        still=_still(samples, model, least),
+    )
+
+
+def _patches(
+    mask: NDArray[np.uint8], moving: NDArray[np.uint8], least: float
+) -> list[tuple[float, float, float, float]]:
+    """Moving patches clear of the picture's edge: (area, x, y, how much of a disc), largest first."""
+    count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    if count < 2:
+        return []
+    moved = np.bincount(labels.ravel(), weights=(moving.ravel() > 0), minlength=count)
+    rows, columns = mask.shape
+    found = []
+    for label in range(1, count):
+        left, top, width, height, area = stats[label]
+        inside = left > 0 and top > 0 and left + width < columns and top + height < rows
+        if area >= least and inside and moved[label] > 0.3 * area:
+            fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
+            found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
+    return sorted(found, reverse=True)
+
+
+def _still(samples: Samples, model: ColourModel, least: float) -> list[tuple[float, float, float, float]]:
+    """Boxes about patches of the colour in the empty scene."""
+    mask = marker_mask(samples.background, model)
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    boxes = []
+    for left, top, width, height, area in sorted(stats[1:count].tolist(), key=lambda s: -s[4])[:8]:
+        if area >= least:
+            f = samples.factor
+            boxes.append(tuple(float(round(v)) for v in (f * left, f * top, f * (left + width), f * (top + height))))
+    return boxes  # type: ignore[return-value]
+
+
+def partner(first: Candidate, others: list[Candidate]) -> Candidate | None:
+    """The colour that keeps its distance to the first one: the second marker of a rigid part."""
+    for other in others:
+        if other is first or other.score < SECOND_SHARE * first.score:
+            continue
+        both = np.isfinite(first.place[:, 0]) & np.isfinite(other.place[:, 0])
+        if both.sum() < max(4, 0.5 * np.isfinite(first.place[:, 0]).sum()):
+            continue
+        distance = np.hypot(*(first.place[both] - other.place[both]).T)
+        middle = float(np.median(distance))
+        spread = 1.4826 * float(np.median(np.abs(distance - middle)))
+        sizes = first.area_px[1] / other.area_px[1]
+        if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
+            return other
+    return None
+
+
+def leads(first: Candidate, second: Candidate) -> bool:
+    """Whether the first of two markers is ahead: the pair moves towards it."""
+    step = np.diff(0.5 * (first.place + second.place), axis=0)
+    axis = (first.place - second.place)[:-1]
+    known = np.isfinite(step).all(axis=1) & np.isfinite(axis).all(axis=1)
+    return bool(np.sum(step[known] * axis[known]) >= 0)
+
+
+def name_of(candidate: Candidate, taken: list[str]) -> str:
+    """A marker name by its hue, unlike those taken."""
+    name = census.hue_name(candidate.hue_deg)
+    return name if name not in taken else f"{name}-{'b' if len(taken) == 1 else len(taken) + 1}"
+
+
+def as_marker(candidate: Candidate, name: str) -> Marker:
+    """The candidate as the setup file holds it."""
+    return Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
+
+
+def picked(frame: Frame, name: str, x: float, y: float, *, path: Path, index: int) -> Marker:
+    """A marker from one of its pixels.
+
+    Parameters
+    ----------
+    frame : frame
+        The full picture.
+    x, y : float
+        A pixel of the marker in it.
+
+    Raises
+    ------
+    InputError
+        When the place is outside the picture or has no colour.
+    """
+    rows, columns = frame.shape[:2]
+    if not (0 <= x < columns and 0 <= y < rows):
+        raise InputError(
+            f"--marker {name}@{x:g},{y:g} is outside the picture of {columns} x {rows} pixels", file=path, frame=index
+        )
+    i, j = int(y), int(x)
+    chroma = census.chroma(frame)
+    if int(chroma[i, j]) < census.LEAST_CHROMA:
+        blue, green, red = (int(v) for v in frame[i, j])
+        raise InputError(
+            f"the pixel at {x:g},{y:g} is grey (#{red:02x}{green:02x}{blue:02x}); a marker needs a colour",
+            file=path,
+            frame=index,
+            hint="pick a pixel inside the marker, away from glints",
+        )
+    hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
+    hue, saturation, value = (float(v) for v in hsv[i, j])
+    seed = ColourModel(
+        HsvRange(
+            hue_deg=(_degrees(hue - 10), _degrees(hue + 10)),
+            saturation=(max(saturation / 255 - 0.3, 0.08), 1.0),
+            value=(max(value / 255 - 0.3, 0.03), min(value / 255 + 0.3, 1.0)),
+        )
+    )
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(seed.mask(hsv), connectivity=8)
+    label = int(labels[i, j])
+    if label == 0:
+        raise InputError(f"no patch of one colour is about {x:g},{y:g}", file=path, frame=index)
+    area = float(stats[label, cv2.CC_STAT_AREA])
+    colours = _colour_range(hsv[labels == label], round(hue)) or HsvRange(
+        hue_deg=(_degrees(hue - 10), _degrees(hue + 10))
+    )
+    return Marker(name=name, hsv=colours, area_px=(max(math.floor(0.3 * area), 1.0), math.ceil(3 * area)))
