@@ -236,19 +236,25 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     time_s, u_m_s : ndarray, shape (beats,)
         Middle of each beat and its average; NaN for a beat with missing samples.
     """
-    time = log.time_s
+    columns = ["u_m_s"] if "u_m_s" in log else ["x_m", "y_m", "yaw_rad"]
+    there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
+    time = log.time_s[there]
     count = int((time[-1] - time[0]) / period_s)
     edges = time[0] + period_s * np.arange(count + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
-    speeds = np.full(count, np.nan)
-    for k in range(count):
-        inside = (time >= edges[k]) & (time < edges[k + 1])
-        if inside.sum() < 4:
-            continue
-        if "u_m_s" in log:
-            speeds[k] = np.mean(log["u_m_s"][inside])
-        else:
-            x, y = (np.interp(edges[k : k + 2], time, log[c]) for c in ("x_m", "y_m"))
-            heading = float(np.mean(log["yaw_rad"][inside]))
-            speeds[k] = ((x[1] - x[0]) * np.cos(heading) + (y[1] - y[0]) * np.sin(heading)) / period_s
+    if "u_m_s" in log:
+        # integrated to the very edges of a beat: a sample more or less would leave a ripple
+        speeds = np.diff(np.interp(edges, time, _integral(time, log["u_m_s"][there]))) / period_s
+    else:
+        x, y = (np.diff(np.interp(edges, time, log[c][there])) for c in ("x_m", "y_m"))
+        heading = np.diff(np.interp(edges, time, _integral(time, log["yaw_rad"][there]))) / period_s
+        speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
+    gaps = np.diff(time)
+    for k in np.flatnonzero(gaps > 3 * np.median(gaps)):
+        speeds[(edges[1:] > time[k]) & (edges[:-1] < time[k + 1])] = np.nan
     return middles, speeds
+
+
+def _integral(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
+    return np.concatenate(([0.0], np.cumsum(steps)))

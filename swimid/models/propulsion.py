@@ -114,8 +114,9 @@ class RecoilModel(Model):
 class SurgeModel(Model):
     """Beat-averaged surge of straight swimming: thrust by a power of amplitude, quadratic drag.
 
-    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial. A
-    trial's settings are ``amplitude_rad``, ``frequency_hz`` and ``start_s``.
+    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial, with
+    n = 2 unless it is freed; m is estimated where several frequencies were driven. A trial's
+    settings are ``amplitude_rad``, ``frequency_hz`` and ``start_s``.
     """
 
     name = "surge-propulsion"
@@ -125,7 +126,6 @@ class SurgeModel(Model):
         """Take what was driven, and a typical speed for scales."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
-        several = len(np.unique(np.round(amplitudes_rad, 6))) > 1
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
         inf = math.inf
         self.parameters = (
@@ -134,7 +134,7 @@ class SurgeModel(Model):
                 meaning="thrust over mass at the reference amplitude and frequency",
             ),
             Parameter("surge_drag", "1/m", 0.0, inf, 1.0, 1.0, meaning="quadratic drag over mass"),
-            Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=several, meaning="of thrust"),
+            Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of thrust"),
             Parameter("frequency_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=many, meaning="of thrust"),
             Parameter("initial_speed", "m/s", -inf, inf, 0.0, 0.2 * speed_m_s, True, True, "speed at the first sample"),
         )  # fmt: skip

@@ -506,7 +506,7 @@ def _surge(
     shared = [label for label in result.labels if "[" not in label]
     if all(result.status[label] == "unidentifiable" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
-    derived = {}
+    derived = _free_amplitude(experiment, choices)
     n = result.value("amplitude_exponent")
     stderr = result.stderr("thrust_acceleration")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
@@ -554,6 +554,22 @@ def _surge(
         provenance=origin,
     )
     return file, evidence
+
+
+def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> dict[str, Estimate]:
+    """The amplitude exponent of thrust set free, where several amplitudes were driven."""
+    amplitudes = {round(t.settings["amplitude_rad"], 6) for t in experiment.trials if t.role == "fit"}
+    if len(amplitudes) < 2:
+        return {}
+    name = "amplitude_exponent"
+    free = tuple(replace(p, free=True) if p.name == name else p for p in choices)
+    result = output_error.fit(experiment.model, experiment.trials, parameters=free)
+    value, stderr = result.value(name), result.stderr(name)
+    if stderr and abs(value - 2.0) > 3 * stderr:
+        warn("SWM031", f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2")
+    return {
+        f"free_{name}": Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name])  # type: ignore[arg-type]
+    }
 
 
 def _beat_check(experiment: Experiment) -> ev.Check:
