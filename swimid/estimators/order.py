@@ -81,7 +81,7 @@ def search(
     data = regression(records, widest)
     check_enough(data, widest)
     n = len(data)
-    factor = np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r")
+    factor: np.ndarray = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
     floor = n * (EXACT * float(np.std(data.outputs))) ** 2
     judged = [list(part) for part in held_out if part] or [list(records)]
     grid = [
