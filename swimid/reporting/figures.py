@@ -37,7 +37,7 @@ _SETTINGS: Any = {
     "svg.hashsalt": "swimid",
     "text.parse_math": False,
     "path.simplify": True,
-    "path.simplify_threshold": 0.15,
+    "path.simplify_threshold": 0.25,
     "axes.unicode_minus": True,
     "hatch.linewidth": 0.8,
     "font.family": "DejaVu Sans",
@@ -55,7 +55,7 @@ class Size:
 
 
 WIDE = Size(760.0, 280.0, 11.5, 9)
-NARROW = Size(370.0, 250.0, 10.5, 5)
+NARROW = Size(370.0, 255.0, 11.0, 5)
 
 
 @dataclass(frozen=True)
@@ -197,9 +197,12 @@ def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, i
     elif trace.style != "points":
         shown = int(np.count_nonzero(np.isfinite(y)))
         style = "steps-post" if trace.style == "step" else "default"
+        # More than two points a pixel of the width only make the file longer.
+        dense = len(x) > 4 * size.width and _increasing(x)
+        across, up = thinned(x, y, int(2 * size.width)) if dense else (x, y)
         axes.plot(
-            x,
-            y,
+            across,
+            up,
             color=look.colour,
             linewidth=1.5 if shown < 600 else 1.2,
             dashes=look.dash or (None, None),
@@ -213,14 +216,28 @@ def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, i
         _points(axes, x, y, look)
     if error is not None:
         axes.errorbar(
-            x, y, yerr=error, fmt="none", ecolor=look.colour, elinewidth=1.1, capsize=2.5, zorder=2.1
+            x, y, yerr=error, fmt="none", color=look.colour, elinewidth=1.1, capsize=2.5, zorder=2.1
         )
+
+
+def _increasing(x: NDArray[np.float64]) -> bool:
+    return bool(np.all(np.diff(x) > 0))
 
 
 def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Look) -> None:
     diameter = float(np.interp(len(x), [30, 150, 600, 2000], [5.2, 3.8, 2.6, 2.0]))
     if len(x) < _CLOUD:
-        axes.plot(x, y, ls="", marker=look.marker, ms=diameter, color=look.colour, mew=0, zorder=2.2)
+        axes.plot(
+            x,
+            y,
+            ls="",
+            marker=look.marker,
+            ms=diameter,
+            color=look.colour,
+            alpha=look.opacity,
+            mew=0,
+            zorder=2.2,
+        )
         return
     # One path of dots (strokes of no length with wide ends) takes a tenth of the space of
     # as many markers; at this size their shape could not be told anyway.
@@ -229,10 +246,10 @@ def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Lo
         np.column_stack([x, x, gap]).ravel(),
         np.column_stack([y, y, gap]).ravel(),
         color=look.colour,
-        alpha=0.75,
+        alpha=min(0.75, look.opacity),
         linewidth=diameter,
         solid_capstyle="round" if look.marker == "o" else "projecting",
-        zorder=2.2,
+        zorder=1.9,
     )
     line.get_path().should_simplify = False
 
@@ -260,7 +277,7 @@ def _bars(
         zorder=2,
     )
     if error is not None:
-        axes.errorbar(centre, y, yerr=error, fmt="none", ecolor=INK, elinewidth=1.1, capsize=3, zorder=2.4)
+        axes.errorbar(centre, y, yerr=error, fmt="none", color=INK, elinewidth=1.1, capsize=3, zorder=2.4)
 
 
 def _scales(axes: Axes, panel: Panel, size: Size) -> None:
@@ -275,7 +292,7 @@ def _scales(axes: Axes, panel: Panel, size: Size) -> None:
             axis.set_major_formatter(FuncFormatter(_log_label))
             axis.set_minor_formatter(NullFormatter())
             continue
-        ticks = size.x_ticks if name == "x" else 5
+        ticks = size.x_ticks if name == "x" else 6
         axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 2.5, 5, 10]))
         axis.set_major_formatter(_Ticks())
         axis.get_offset_text().set(color=INK, fontsize=size.font)

@@ -14,6 +14,8 @@ INK, GRID, PAPER, SHADE = "#b00001", "#b00002", "#b00003", "#b00004"
 _MARKERS = ["o", "s", "^", "D", "v", "P", "X"]
 _DASHES: list[tuple[float, ...]] = [(5, 2.2), (1.4, 1.8), (7, 2, 1.4, 2), (3, 1.5)]
 _HATCHES = ["", "////", "....", "\\\\\\\\", "xx", "--"]
+#: Styles told apart by the shape of their marker.
+_POINTED = ("points", "stems")
 _MARK_DASHES: list[tuple[float, ...]] = [(4, 3), (1, 2), (8, 3, 1, 3), (2, 2)]
 
 
@@ -25,6 +27,8 @@ class Look:
     dash: tuple[float, ...] | None = None
     marker: str | None = None
     hatch: str = ""
+    #: Below 1 for points that a line of the same colour must be seen through.
+    opacity: float = 1.0
 
     @property
     def colour(self) -> str:
@@ -50,38 +54,44 @@ def assigned(figure: Figure) -> list[list[Look]]:
             key = ("group", trace.group) if trace.group is not None else ("label", trace.label or index)
             slots.setdefault(key, len(slots))
             keys.append(key)
-        several = len({slots[key] for key in keys}) > 1
+        drawn = [(slots[key], trace.style in _POINTED) for key, trace in zip(keys, panel.traces, strict=True)]
         used: dict[tuple[int, str], int] = {}
         row = []
-        for key, trace in zip(keys, panel.traces, strict=True):
-            slot = slots[key]
+        for (slot, pointed), trace in zip(drawn, panel.traces, strict=True):
             repeat = used.get((slot, trace.style), 0)
             used[slot, trace.style] = repeat + 1
-            row.append(_look(trace, slot, repeat, several))
+            rivals = list(dict.fromkeys(other for other, kind in drawn if kind == pointed))
+            lined = pointed and (slot, False) in drawn
+            row.append(_look(trace, slot, repeat, rivals, lined))
         looks.append(row)
     return looks
 
 
-def _look(trace: Trace, slot: int, repeat: int, several: bool) -> Look:
-    shape = _MARKERS[(slot + repeat) % len(_MARKERS)]
-    if trace.style in ("points", "stems"):
-        return Look(slot, marker=shape)
+def _look(trace: Trace, slot: int, repeat: int, rivals: list[int], lined: bool) -> Look:
+    """The look of one trace; ``rivals`` are the slots of its kind (points or lines) in the panel."""
+    shape = _MARKERS[(slot + repeat) % len(_MARKERS)] if len(rivals) > 1 else _MARKERS[repeat % len(_MARKERS)]
+    if trace.style in _POINTED:
+        return Look(slot, marker=shape, opacity=0.45 if lined else 1.0)
     if trace.style == "bars":
-        return Look(slot, hatch=_HATCHES[(slot + repeat) % len(_HATCHES)] if several or repeat else "")
+        place = rivals.index(slot) + repeat
+        return Look(slot, hatch=_HATCHES[place % len(_HATCHES)])
     dash: tuple[float, ...] | None = None
     if trace.style == "dashed" or repeat:
         dash = _DASHES[repeat % len(_DASHES)]
     # Colour alone would not do: every further line carries a sparse marker as well.
-    return Look(slot, dash=dash, marker=shape if several and slot else None)
+    return Look(slot, dash=dash, marker=shape if slot != rivals[0] else None)
 
 
 def legend(panel: Panel, looks: list[Look]) -> list[Entry]:
     """The legend of a panel: its labelled traces, reference lines and shading."""
-    entries = [
-        Entry(trace.label, _swatch(trace, look))
-        for trace, look in zip(panel.traces, looks, strict=True)
-        if trace.label
-    ]
+    traces = list(zip(panel.traces, looks, strict=True))
+    entries = []
+    for trace, look in traces:
+        if trace.label:
+            # A nameless trace of the same colour (the model of a measurement) shares the entry.
+            mates = [(t, k) for t, k in traces if k.slot == look.slot and not t.label]
+            parts = "".join(_swatch(t, k) for t, k in [*mates, (trace, look)])
+            entries.append(Entry(trace.label, _svg_swatch(parts)))
     for label, dash in mark_dashes(panel).items():
         if label:
             entries.append(
@@ -132,7 +142,7 @@ def _swatch(trace: Trace, look: Look) -> str:
         parts.append(f'<path d="M1 6H29" {_stroke(colour, 2, look.dash)}/>')
     if look.marker:
         parts.append(f'<g style="fill:{colour}">{_SHAPES[look.marker]}</g>')
-    return _svg_swatch("".join(parts))
+    return "".join(parts)
 
 
 def _svg_swatch(inside: str) -> str:

@@ -63,7 +63,8 @@ def warnings_by_code(sections: Sequence[Section]) -> list[tuple[str, str, list[t
     found: dict[str, list[tuple[str, str]]] = {}
     for section in sections:
         for notice in section.notices:
-            entry = (section.path.name, notice.text)
+            name = section.path.name
+            entry = (name, notice.text.removeprefix(f"{name}, ").removeprefix(f"{name}: "))
             if entry not in found.setdefault(notice.code, []):
                 found[notice.code].append(entry)
     return [(code, CODES.get(code, "unknown code"), found[code]) for code in sorted(found)]

@@ -20,7 +20,7 @@ from swimid.formats import evidence as evidence_format
 from swimid.formats import yamlio
 from swimid.formats.evidence import Evidence, NoticeRecord, Verdict
 from swimid.notices import recorded, warn
-from swimid.reporting.sections import Cell, Grid, Note, Section, cell
+from swimid.reporting.sections import Cell, Note, Section, table_grid
 
 Reader = Callable[[Path, Evidence | None], Section]
 
@@ -121,10 +121,7 @@ def _joined(section: Section, evidence: Evidence, notices: list[NoticeRecord]) -
         *section.blocks,
         *evidence.figures,
         *evidence.images,
-        *(
-            Grid(table.title, table.columns, [[cell(v) for v in row] for row in table.rows], table.caption)
-            for table in evidence.tables
-        ),
+        *(table_grid(table) for table in evidence.tables),
     ]
     verdict = evidence.verdict
     kept = [*evidence.notices, *(notice for notice in notices if notice not in evidence.notices)]

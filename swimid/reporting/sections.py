@@ -6,12 +6,13 @@ blocks and needs no drawing code.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from swimid.formats.evidence import Check, Evidence, Figure, Image, NoticeRecord, Verdict
+from swimid.formats.evidence import Check, Evidence, Figure, Image, NoticeRecord, Table, Verdict
 from swimid.reporting import numbers
 
 Tone = Literal["", "good", "caution", "bad", "muted", "code"]
@@ -104,6 +105,24 @@ def cell(value: str | float | int | bool | None) -> Cell:
     if isinstance(value, str):
         return Cell(value)
     return Cell(numbers.number(value), numeric=not isinstance(value, bool))
+
+
+#: A number as :mod:`swimid.reporting.numbers` writes it, or a dash.
+_NUMBER_TEXT = re.compile(r"[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
+#: A longer table is folded.
+LONG_TABLE = 25
+
+
+def table_grid(table: Table) -> Grid:
+    """A table of the evidence; columns of numbers, or of their texts, are aligned as numbers."""
+    rows = [[cell(value) for value in row] for row in table.rows]
+    for index in range(len(table.columns)):
+        column = [row[index] for row in rows if index < len(row)]
+        if all(c.numeric or _NUMBER_TEXT.fullmatch(c.text) for c in column):
+            for row in rows:
+                if index < len(row):
+                    row[index] = replace(row[index], numeric=True)
+    return Grid(table.title, table.columns, rows, table.caption, folded=len(rows) > LONG_TABLE)
 
 
 def mapping_grid(title: str, entries: dict[str, Any], caption: str = "") -> Grid:

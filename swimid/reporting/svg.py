@@ -12,6 +12,7 @@ _ROLES = {INK: "currentColor", GRID: "var(--grid)", PAPER: "var(--paper)", SHADE
 _ROLES |= {colour: f"var(--s{i})" for i, colour in enumerate(SERIES, start=1)}
 _ROLE = re.compile("|".join(_ROLES))
 _PATH = re.compile(r'\bd="([^"]+)"')
+_MOVE = re.compile(r"([ML]) ?(-?[\d.]+) (-?[\d.]+)")
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 
 
@@ -54,7 +55,38 @@ def _tag(tag: str, prefix: str, used: set[str]) -> str:
 
 
 def _short(path: str) -> str:
-    path = _NUMBER.sub(lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
-    path = re.sub(r"\s*([MLCQz])\s*", r"\1", re.sub(r"\s+", " ", path)).strip()
-    # Dots: matplotlib drops the stroke of no length, without which nothing is drawn.
-    return re.sub(r"M(-?[\d.]+ -?[\d.]+)(?:L\1)?(?=M|$)", r"M\1h0", path)
+    """A path to a tenth of a pixel; one of straight lines in relative steps, half as long.
+
+    The steps are differences of rounded coordinates, so that nothing drifts. A point alone
+    becomes a stroke of no length, which matplotlib drops and without which no dot is drawn.
+    """
+    path = re.sub(r"\s+", " ", path).strip()
+    moves = _MOVE.findall(path)
+    if re.sub(_MOVE, "", path).strip():
+        path = _NUMBER.sub(lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
+        return re.sub(r"\s*([MLCQz])\s*", r"\1", path)
+    points = [(letter, round(10 * float(x)), round(10 * float(y))) for letter, x, y in moves]
+    parts: list[str] = []
+    x = y = 0
+    before = ""
+    for index, (letter, x_new, y_new) in enumerate(points):
+        alone = letter == "M" and (index + 1 == len(points) or points[index + 1][0] == "M")
+        step = _tenths(x_new - x) + _after(_tenths(y_new - y))
+        if letter == "M":
+            parts.append(f"m{step}{'h0' if alone else ''}")
+        elif (x_new, y_new) == (x, y) and before == "M":
+            parts.append("h0")
+        elif (x_new, y_new) != (x, y):
+            parts.append(_after(step) if before == "L" and parts[-1] != "h0" else f"l{step}")
+        x, y, before = x_new, y_new, letter
+    return "".join(parts)
+
+
+def _tenths(value: int) -> str:
+    sign = "-" if value < 0 else ""
+    whole, tenth = divmod(abs(value), 10)
+    return f"{sign}{whole or ''}.{tenth}" if tenth else f"{sign}{whole}"
+
+
+def _after(number: str) -> str:
+    return number if number.startswith("-") else f" {number}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def _facts(file: ParameterFile) -> list[tuple[str, str]]:
         facts.append(("Trials", str(len(file.fit.trials))))
         facts.append(("Converged", "yes" if file.fit.converged else "no"))
     if file.delay is not None:
-        facts.append(("Delay", numbers.number(file.delay, unit="samples")))
+        facts.append(("Delay", f"{file.delay} sample{'s' if file.delay != 1 else ''}"))
     if file.sample_time_s is not None:
         facts.append(("Sample time", numbers.number(file.sample_time_s, unit="s")))
     if file.stable is not None:
@@ -70,7 +71,10 @@ def _facts(file: ParameterFile) -> list[tuple[str, str]]:
 def _blocks(file: ParameterFile) -> list[Block]:
     blocks: list[Block] = [_estimates("Parameters", file.parameters)]
     if file.derived:
-        blocks.append(_estimates("Derived quantities", file.derived))
+        grid = _estimates("Derived quantities", file.derived)
+        blocks.append(
+            replace(grid, caption="Computed from the parameters; their uncertainty is carried over.")
+        )
     if file.identifiability:
         blocks.append(Note(file.identifiability, title="Identifiability"))
     if file.correlation is not None and len(file.correlation.names) > 1:
@@ -133,7 +137,7 @@ def _correlation(correlation: Correlation) -> Grid:
     for i, name in enumerate(names):
         row = [Cell(name, "code")]
         for j, value in enumerate(matrix[i]):
-            mark = "" if i == j or abs(value) < STRONG else "!"
+            mark = "" if i == j or abs(value) < STRONG else "! "
             row.append(Cell(f"{mark}{numbers.fixed(value, 2)}", numeric=True, level=0.0 if i == j else value))
             if i > j and abs(value) >= STRONG:
                 strong.append(f"{name} and {names[j]} ({numbers.fixed(value, 2)})")

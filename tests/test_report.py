@@ -1,0 +1,510 @@
+"""The report: what it shows, that it stands alone, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+import warnings
+from collections.abc import Callable
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from swimid.cli.report import command
+from swimid.errors import InputError, UsageError
+from swimid.formats import evidence, log, parameters, yamlio
+from swimid.formats.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.notices import SwimidWarning, recorded
+from swimid.reporting import page, results
+from swimid.reporting.results import reader
+from swimid.reporting.sections import Section
+from swimid.verbs.report import report
+from tests import report_cases as cases
+
+VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use", "rect", "circle"}
+
+
+class Outline(HTMLParser):
+    """Every tag, attribute and visible word of a page; checks that tags are balanced."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open, f"</{tag}> closes nothing"
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] != "style":
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+
+def outline(path: Path) -> Outline:
+    parsed = Outline()
+    parsed.feed(path.read_text(encoding="utf-8"))
+    assert parsed.open == []
+    return parsed
+
+
+def quietly(**options: object) -> object:
+    with recorded():
+        return report(**options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def mixture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of four results of different kinds."""
+    folder = tmp_path_factory.mktemp("mixture")
+    inputs = [
+        cases.drag(folder),
+        cases.arma(folder),
+        cases.track(folder),
+        cases.track(folder, proof=False, name="bare.csv"),
+    ]
+    quietly(inputs=inputs, output=folder / "report.html", title="Boxfish, four results")
+    return folder / "report.html"
+
+
+# ---------------------------------------------------------------- the page
+
+
+def test_page_stands_alone(mixture: Path) -> None:
+    """No script, no external resource, every id once, every anchor and clip path has its target."""
+    parsed = outline(mixture)
+    text = mixture.read_text(encoding="utf-8")
+    assert not {"script", "link", "iframe", "object"} & {tag for tag, _ in parsed.tags}
+    for tag, attributes in parsed.tags:
+        for name, value in attributes.items():
+            assert not name.startswith("on")
+            if name in {"src", "href", "xlink:href"}:
+                assert value is not None
+                assert value.startswith(("#", "data:image/")), (tag, value)
+    assert not re.search(r"@import|url\((?!#)", text)
+    ids = [attributes["id"] for _, attributes in parsed.tags if attributes.get("id")]
+    assert len(ids) == len(set(ids))
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    used |= {name for _, a in parsed.tags for name in (a.get("aria-labelledby") or "").split()}
+    assert used <= set(ids)
+
+
+def test_page_has_its_parts_in_order(mixture: Path) -> None:
+    """Verdicts, checks, results, methods, references, warnings, provenance."""
+    parsed = outline(mixture)
+    anchors = [attributes.get("id") for tag, attributes in parsed.tags if tag == "section"]
+    order = ["verdict", "checks", "r1", "r2", "r3", "r4", "methods", "references", "warnings", "provenance"]
+    assert [name for name in anchors if name in order] == order
+    words = parsed.words
+    assert "1 of 4 results should not be used." in words
+    for verdict in ("✓ Good", "! Caution", "✕ Bad", "✓ pass", "! warn", "✕ fail", "i info"):
+        assert verdict in words, verdict
+    assert "Fisher information" in words
+    assert words.count("Gauss, C. F. (1809)") == 1
+    assert "SWM011 parameters strongly correlated" in words
+    assert "swimid fit-drag trials.yaml -o drag.yaml" in words
+    assert "SHA-256" in words
+
+
+def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> None:
+    """Rounded estimates with intervals; words for what is not identifiable; fixed without interval."""
+    words = outline(mixture).words
+    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 * 0 … 5 ✓ estimated" in words
+    assert "added_mass 0.685 ± 0.037 0.612 … 0.758 kg ≥ 0 ✓ estimated" in words
+    assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ (4.28 … 4.75) × 10⁻⁵ kg·m² free" in words
+    assert "string_stiffness not determined by these trials – N/m ≥ 0 ✕ not identifiable" in words
+    assert "water_density 997 – kg/m³ free fixed" in words
+    assert "linear_drag 0 – N·s/m ≥ 0 ! at its bound" in words
+    assert "187654" not in words
+    assert "Strong pairs, marked !: pulley_friction and added_mass (−0.95)" in words
+    assert "x_m 0.00213 m 0.00185 0.00291 m 0.0026" in words
+
+
+def test_figures_follow_the_page(mixture: Path) -> None:
+    """Every SVG has title and description, no colour or font of its own, and a legend in text."""
+    text = mixture.read_text(encoding="utf-8")
+    svgs = [svg for svg in re.findall(r"<svg.*?</svg>", text, flags=re.DOTALL) if "swatch" not in svg[:40]]
+    assert len(svgs) >= 14
+    for svg in svgs:
+        assert "<title id=" in svg
+        assert "<desc id=" in svg
+        assert not re.search(r"#[0-9a-f]{6}\b", svg)
+        assert "font-family" not in svg
+        assert "<style" not in svg
+        assert "currentColor" in svg
+        assert "nan" not in svg.lower()
+    words = outline(mixture).words
+    for label in ("10 g measured", "40 g model", "95 % of white noise", "gap", "without recoil"):
+        assert label in words
+    assert "forked tail <wide>" in words
+    assert "prefers-color-scheme: dark" in text
+    assert "@page" in text
+
+
+def test_bare_log_shows_its_gaps(tmp_path: Path) -> None:
+    """A log without evidence: channels over time with each gap shaded, and SWM050."""
+    path = cases.track(tmp_path, proof=False, name="bare.csv")
+    with recorded() as notices:
+        section = results.load(path)
+    assert "SWM050" in [notice.code for notice in notices]
+    figure = next(block for block in section.blocks if isinstance(block, Figure))
+    spans = {panel.y_label: [(s.start, s.end) for s in panel.spans] for panel in figure.panels}
+    # Samples 500..559 of x and 2000..2199 of yaw are missing, 0.02 s apart.
+    assert spans["x (m)"] == [pytest.approx((9.98, 11.2))]
+    assert spans["yaw (rad)"] == [pytest.approx((39.98, 44.0))]
+    assert "3000 samples are drawn as their envelope" in figure.caption
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    assert "has no evidence beside it" in outline(tmp_path / "r.html").words
+
+
+def test_same_input_same_page(tmp_path: Path) -> None:
+    """Rendering is deterministic."""
+    path = cases.drag(tmp_path)
+    section = results.load(path)
+    made = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
+    pages = [page.render([section], title="t", created=made, digests={str(path): "0" * 64}) for _ in range(2)]
+    assert pages[0] == pages[1]
+
+
+def test_hostile_texts_are_escaped(tmp_path: Path) -> None:
+    """Markup in titles, labels, file names, checks and notices stays text."""
+    evil = "</title></svg><script>alert('x')</script><img src=x onerror=alert(1)>\"'&"
+    name = "a\"b'<i>.yaml"
+    path = cases.drag(tmp_path, name)
+    record = evidence.read(evidence.sidecar(path))
+    figure = Figure(
+        id=evil,
+        title=evil,
+        caption=evil,
+        panels=[
+            Panel(
+                title=evil,
+                x_label=evil,
+                y_label="$\\frac{a}{b}$ " + evil,
+                x_categories=[evil, "b"],
+                traces=[Trace(x=[0.0, 1.0], y=[1.0, 2.0], label=evil, style="bars")],
+                marks=[evidence.Mark(at=1.0, label=evil)],
+                spans=[evidence.Span(start=0, end=1, label=evil)],
+            )
+        ],
+    )
+    record = record.model_copy(
+        update={
+            "title": evil,
+            "verdict": Verdict(level="good", text=evil),
+            "checks": [Check(name=evil, value=evil, limit=evil, verdict="pass", text=evil)],
+            "figures": [figure],
+            "tables": [Table(id=evil, title=evil, columns=[evil], rows=[[evil]], caption=evil)],
+            "notices": [evidence.NoticeRecord(code=evil, text=evil)],
+            "methods": [evil],
+            "references": [evil],
+        }
+    )
+    evidence.write(evidence.sidecar(path), record)
+    quietly(inputs=[path], output=tmp_path / "r.html", title=evil)
+    parsed = outline(tmp_path / "r.html")
+    assert not {"script", "i"} & {tag for tag, _ in parsed.tags}
+    assert [a for tag, a in parsed.tags if tag == "img"] == []
+    assert "alert('x')" in parsed.words
+    markdown = quietly(inputs=[path], format="md", title=evil).summary  # type: ignore[attr-defined]
+    markdown = re.sub(r"(`+).*?\1", "", markdown)
+    assert "<script" not in markdown
+    assert "<img" not in markdown
+
+
+# ---------------------------------------------------------------- evidence and result
+
+
+def test_missing_evidence_is_said(tmp_path: Path) -> None:
+    """The parameters are still shown, with a caution and SWM050."""
+    path = cases.drag(tmp_path, proof=False)
+    with pytest.warns(SwimidWarning, match=r"SWM050 drag\.yaml has no evidence"):
+        report(inputs=[path], output=tmp_path / "r.html")
+    words = outline(tmp_path / "r.html").words
+    assert "0.705 ± 0.033" in words
+    assert "Not identifiable: string_stiffness. No evidence file." in words
+
+
+def test_evidence_of_another_run_is_said(tmp_path: Path) -> None:
+    """A sidecar whose provenance differs is shown with a warning and lowers the verdict."""
+    path = cases.drag(tmp_path)
+    record = evidence.read(evidence.sidecar(path))
+    other = {**record.provenance, "created": "2026-03-03T00:00:00+00:00"}
+    changed = {"provenance": other, "verdict": Verdict(level="good", text="All well.")}
+    evidence.write(evidence.sidecar(path), record.model_copy(update=changed))
+    with pytest.warns(SwimidWarning, match=r"SWM052 .* another run \(created differ"):
+        section = results.load(path)
+    assert section.verdict.level == "caution"
+    assert "do not belong together" in section.verdict.text
+
+
+def test_matching_evidence_survives_the_yaml(tmp_path: Path) -> None:
+    """The provenance that went through YAML and through JSON counts as the same."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SwimidWarning)
+        section = results.load(cases.drag(tmp_path))
+    assert section.verdict.level == "caution"
+    assert section.title == "Drag and added mass of the boxfish"
+
+
+def test_unconverged_without_evidence_is_bad(tmp_path: Path) -> None:
+    """What the result alone says is enough for a verdict."""
+    path = cases.drag(tmp_path, proof=False)
+    file = parameters.read(path)
+    assert file.fit is not None
+    changed = file.model_copy(update={"fit": file.fit.model_copy(update={"converged": False})})
+    parameters.write(path, changed)
+    with recorded():
+        assert results.load(path).verdict.level == "bad"
+
+
+# ---------------------------------------------------------------- other kinds and errors
+
+
+def test_new_kind_is_one_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A registered format is shown; registering it twice is an error."""
+    monkeypatch.setattr(results, "_BY_FORMAT", dict(results._BY_FORMAT))
+
+    def section(path: Path, proof: evidence.Evidence | None) -> Section:
+        data = yamlio.load(path)
+        return Section(path, "Toy", "A toy", Verdict(level="good", text=str(data["answer"])))
+
+    reader(format="toy/1")(section)
+    with pytest.raises(ValueError, match="two readers for toy/1"):
+        reader(format="toy/1")(section)
+    (tmp_path / "toy.yaml").write_text("format: toy/1\nanswer: forty-two\n")
+    quietly(inputs=[tmp_path / "toy.yaml"], output=tmp_path / "r.html")
+    assert "forty-two" in outline(tmp_path / "r.html").words
+
+
+def _write(name: str, text: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return make
+
+
+def _broken_sidecar(folder: Path) -> Path:
+    path = cases.drag(folder)
+    evidence.sidecar(path).write_text('{"format": "swimid-evidence/1"')
+    return path
+
+
+def _uneven_trace(folder: Path) -> Path:
+    path = cases.drag(folder)
+    record = evidence.read(evidence.sidecar(path))
+    panel = Panel(x_label="x", y_label="y", traces=[Trace(x=[1.0, 2.0], y=[1.0])])
+    figure = Figure(id="odd", title="t", caption="c", panels=[panel])
+    evidence.write(evidence.sidecar(path), record.model_copy(update={"figures": [figure]}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda folder: folder / "none.yaml", "cannot be read"),
+        (_write("a.yaml", "format: swimid-parameter/1\n"), r"did you mean 'swimid-parameters/1'"),
+        (_write("a.yaml", "model: x\n"), "has no 'format'"),
+        (_write("a.yaml", "format: swimid-parameters/1\nmodel: x\n"), "parameters"),
+        (_write("a.txt", "hello\n"), "its ending must be one of"),
+        (_write("a.evidence.json", "{}"), "name the result itself: a.yaml"),
+        (_write("a.csv", "x_m,y_m\n1,2\n"), "t_s"),
+        (_broken_sidecar, r"drag\.evidence\.json"),
+        (_uneven_trace, r"drag\.evidence\.json.*figures\.odd\.panels\.0.*'y' has 1 numbers for 2 of 'x'"),
+    ],
+)
+def test_broken_results_are_one_input_error(make: Callable[[Path], Path], text: str, tmp_path: Path) -> None:
+    """Each names the file and what is wrong, and writes nothing."""
+    with pytest.raises(InputError, match=text), recorded():
+        report(inputs=[make(tmp_path)], output=tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_output_that_is_an_input_is_refused(tmp_path: Path) -> None:
+    path = cases.drag(tmp_path)
+    with pytest.raises(UsageError, match="also an input"):
+        report(inputs=[path], output=path)
+
+
+# ---------------------------------------------------------------- Markdown, JSON, command line
+
+
+def test_json_has_every_digit(tmp_path: Path) -> None:
+    """Results and evidence in one document that reads back to the same numbers."""
+    path = cases.drag(tmp_path)
+    report(inputs=[path], output=tmp_path / "all.json")
+    document = json.loads((tmp_path / "all.json").read_text())
+    assert document["format"] == "swimid-report/1"
+    (entry,) = document["results"]
+    file = parameters.read(path)
+    assert entry["result"]["parameters"]["added_mass"]["value"] == file.value("added_mass")
+    assert evidence.Evidence.model_validate(entry["evidence"]) == evidence.read(evidence.sidecar(path))
+
+
+def test_markdown_tables_are_sound(tmp_path: Path) -> None:
+    """Every row of a table has as many cells; pipes in texts are escaped."""
+    path = cases.drag(tmp_path)
+    record = evidence.read(evidence.sidecar(path))
+    checks = [*record.checks, Check(name="|r| < 1", value="a|b", verdict="pass")]
+    evidence.write(evidence.sidecar(path), record.model_copy(update={"checks": checks}))
+    text = report(inputs=[path], format="md").summary
+    assert "| `drag_coefficient` | 0.705 ± 0.033 |" in text
+    assert "**Figure: Residuals.**" in text
+    tables = re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE)
+    assert len(tables) >= 5
+    for table in tables:
+        widths = {len(re.findall(r"(?<!\\)\|", row)) for row in table.splitlines()}
+        assert len(widths) == 1, table
+
+
+def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of calls: arguments, exit status, what is said."""
+    monkeypatch.chdir(tmp_path)
+    cases.drag(tmp_path)
+    run = CliRunner()
+    table: list[tuple[list[str], int, str]] = [
+        (["drag.yaml", "-o", "r.html"], 0, "Caution"),
+        (["drag.yaml"], 2, "needs a file"),
+        (["drag.yaml", "--format", "md"], 0, "## Checks"),
+        (["drag.yaml", "--format", "md", "-q"], 0, "## Checks"),
+        (["drag.yaml", "--format", "json", "-o", "-"], 0, "swimid-report/1"),
+        (["drag.yaml", "-o", "r.md"], 0, "Caution"),
+        (["none.yaml", "-o", "r.html"], 3, "none.yaml: cannot be read"),
+        ([], 2, "RESULT"),
+    ]
+    for arguments, code, text in table:
+        result = run.invoke(command, arguments)
+        assert result.exit_code == code, (arguments, result.output)
+        assert text in result.output, (arguments, result.output)
+    assert (tmp_path / "r.md").read_text().startswith("# Drag and added mass")
+    machine = json.loads(run.invoke(command, ["drag.yaml", "--json"]).stdout)
+    assert machine["ok"] is True
+    assert machine["result"]["results"][0]["file"] == "drag.yaml"
+    (tmp_path / "mine.html").write_text("<p>my own page</p>")
+    assert run.invoke(command, ["drag.yaml", "-o", "mine.html"]).exit_code == 2
+    assert run.invoke(command, ["drag.yaml", "-o", "mine.html", "--force"]).exit_code == 0
+
+
+# ---------------------------------------------------------------- size and odd figures
+
+
+def test_twenty_full_figures_stay_small_and_quick(tmp_path: Path) -> None:
+    """Twenty figures of four traces with the most points allowed: below 3 MB, in seconds."""
+    rng = np.random.default_rng(5)
+    time_s = np.linspace(0, 60, MAX_POINTS)
+    figures = []
+    for number in range(20):
+        wave = np.sin(2 * np.pi * (0.2 + 0.1 * number) * time_s)
+        traces = [
+            Trace(
+                x=time_s, y=wave + rng.normal(0, 0.1, MAX_POINTS), style="points", label="measured", group=0
+            ),
+            Trace(x=time_s, y=wave, label="model", group=0),
+            Trace(x=time_s, y=0.9 * wave, style="dashed", label="rival", group=1),
+            Trace(x=time_s, y=0.1 * wave, label="difference", group=2),
+        ]
+        panel = Panel(x_label="time (s)", y_label="speed (m/s)", traces=traces)
+        figures.append(Figure(id=f"f{number}", title=f"Trial {number}", caption="Good.", panels=[panel]))
+    path = cases.drag(tmp_path)
+    record = evidence.read(evidence.sidecar(path))
+    evidence.write(evidence.sidecar(path), record.model_copy(update={"figures": figures}))
+    start = time.perf_counter()
+    report(inputs=[path], output=tmp_path / "r.html")
+    seconds = time.perf_counter() - start
+    size = (tmp_path / "r.html").stat().st_size
+    assert size < 3_000_000, size
+    # About 4 s on one core; the limit leaves room for a loaded machine.
+    assert seconds < 60, seconds
+
+
+def test_ordinary_page_is_below_three_megabytes(mixture: Path) -> None:
+    assert mixture.stat().st_size < 3_000_000
+
+
+def _panel(**options: object) -> Panel:
+    return Panel(x_label="x", y_label="y", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [
+        _panel(traces=[]),
+        _panel(traces=[Trace(x=[], y=[])]),
+        _panel(traces=[Trace(x=[1.0], y=[2.0], style="bars")]),
+        _panel(traces=[Trace(x=[1.0, 2.0], y=[None, None])]),
+        _panel(traces=[Trace(x=[1.0, 2.0], y=[0.0, -1.0])], y_scale="log"),
+        _panel(traces=[Trace(x=[1.0, 2.0], y=[3e-9, 4e-9])], x_scale="log", y_scale="log"),
+        _panel(traces=[Trace(x=[0.0, 0.0], y=[0.0, 0.0], style="points")], equal_aspect=True),
+        _panel(traces=[Trace(x=[0.0, 1e-3], y=[0.0, 9.0])], equal_aspect=True, invert_y=True),
+        _panel(traces=[Trace(x=[0.0, 1.0], y=[1e12, 1e12 + 1])]),
+        _panel(traces=[Trace(x=[0.0, 1.0], y=[1.0, 2.0], style="stems")], x_categories=["a", "b" * 60]),
+        _panel(
+            traces=[Trace(x=[0.0, 1.0], y=[1.0, 2.0])],
+            spans=[cases.Span(start=0.0, end=0.5, label=n) for n in "ab"],
+        ),
+    ],
+)
+def test_odd_panels_are_drawn(panel: Panel) -> None:
+    """Empty, constant, missing, tiny and huge data give an SVG and no warning."""
+    from swimid.reporting.figures import draw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (drawing,) = draw(Figure(id="f", title="t", caption="c", panels=[panel]), "p")
+    assert drawing.wide is not None
+    assert drawing.wide.endswith("</svg>")
+    assert "NaN" not in drawing.wide
+
+
+def test_long_traces_are_reduced_and_said(tmp_path: Path) -> None:
+    """Evidence with more points than allowed is drawn as its envelope, and the caption says so."""
+    path = cases.drag(tmp_path)
+    x = np.arange(5000.0)
+    y = np.sin(x / 50)
+    y[2500] = 7.5
+    figure = Figure(id="f", title="t", caption="c", panels=[_panel(traces=[Trace(x=x, y=y)])])
+    record = evidence.read(evidence.sidecar(path))
+    evidence.write(evidence.sidecar(path), record.model_copy(update={"figures": [figure]}))
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    assert "Long traces are drawn as their envelope" in outline(tmp_path / "r.html").words
+
+
+def test_every_point_of_a_cloud_is_drawn() -> None:
+    """A cloud of dots has one dot per sample that is there."""
+    from swimid.reporting.figures import draw
+
+    rng = np.random.default_rng(7)
+    y = rng.normal(size=400)
+    y[10:20] = math.nan
+    panel = _panel(traces=[Trace(x=np.arange(400.0), y=y, style="points")])
+    (drawing,) = draw(Figure(id="f", title="t", caption="c", panels=[panel]), "p")
+    assert drawing.narrow.count("h0") == 390
+
+
+def test_parquet_logs_are_read(tmp_path: Path) -> None:
+    time_s = np.arange(0, 1, 0.1)
+    log.write(tmp_path / "a.parquet", {"t_s": time_s, "x_m": time_s**2}, {"source": "rig"})
+    with recorded():
+        section = results.load(tmp_path / "a.parquet")
+    assert ("Samples", "10") in section.facts
