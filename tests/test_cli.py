@@ -1,0 +1,144 @@
+"""The command line: help, streams, exit statuses, what it refuses to overwrite."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import swimid as package
+from swimid.cli.main import SECTIONS, main
+from tests.conftest import Ran
+
+Run = Callable[..., Ran]
+
+
+def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
+    listed = [name for _, names in SECTIONS for name in names]
+    assert sorted(listed) == sorted(main.commands)
+    for name in listed:
+        help_text = swimid(name, "--help").out
+        assert "Example" in help_text or "Commands" in help_text, name
+    for name in ("video", "setup"):
+        assert "Example" in swimid("track", name, "--help").out
+
+
+def test_every_verb_takes_the_shared_options() -> None:
+    import click
+
+    def leaves(group: click.Group) -> list[click.Command]:
+        found = []
+        for command in group.commands.values():
+            found += leaves(command) if isinstance(command, click.Group) else [command]
+        return found
+
+    for command in leaves(main):
+        flags = {flag for p in command.params if isinstance(p, click.Option) for flag in p.opts}
+        assert {"-o", "--json", "-q", "-v", "--no-progress", "--debug", "--force"} <= flags, command.name
+
+
+def test_version(swimid: Run) -> None:
+    assert package.__version__ in swimid("--version").out
+
+
+@pytest.mark.parametrize(
+    "words, status, text",
+    [
+        (["no-such-verb"], 2, "No such command"),
+        (["fit-drag"], 2, "Missing argument"),
+        (["fit-drag", "x.yaml", "--method", "magic"], 2, "magic"),
+        (["fit-drag", "absent.yaml"], 3, "absent.yaml: cannot be read: No such file"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag=1"], 2, "did you mean 'drag_coefficient'"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag_coefficient"], 2, "NAME=VALUE"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag_coefficient=high"], 2, "'high' is not a number"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "--bounds", "added_mass=2,1"], 2, "wrong way round"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "-o", "no/such/folder/d.yaml"], 3, "does not exist"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "-o", "{samples}/rig/trials.yaml"], 2, "also an input"),
+        (["fit-drag", "{samples}/cruise/trials.yaml"], 3, "'cruise' is not allowed"),
+        (["fit-drag", "{samples}/rig/trials.yaml", "--method", "two-point", "--points", "3,6"], 4, "samples lie within"),
+        (["schema", "trails"], 2, "did you mean 'trials'"),
+    ],
+)
+def test_statuses(swimid: Run, samples: Path, words: list[str], status: int, text: str) -> None:
+    ran = swimid(*[w.format(samples=samples) for w in words])
+    assert ran.status == status, ran.err
+    assert text in ran.err
+    assert "Traceback" not in ran.err
+    assert ran.out == ""
+
+
+def test_json_is_one_document_on_failure_too(swimid: Run) -> None:
+    ran = swimid("fit-drag", "absent.yaml", "--json")
+    assert ran.status == 3
+    document = json.loads(ran.out)
+    assert document["ok"] is False
+    assert document["error"]["file"] == "absent.yaml"
+    assert document["error"]["exit_status"] == 3
+
+
+def test_quiet_prints_nothing(swimid: Run, samples: Path) -> None:
+    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-q")
+    assert (ran.status, ran.out, ran.err) == (0, "", "")
+
+
+def test_debug_shows_where(swimid: Run) -> None:
+    assert "Traceback" in swimid("fit-drag", "absent.yaml", "--debug").err
+
+
+def test_results_of_others_are_not_overwritten(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    out = tmp_path / "drag.yaml"
+    out.write_text("my own notes\n")
+    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out)
+    assert ran.status == 2
+    assert "not written by swimid" in ran.err
+    assert out.read_text() == "my own notes\n"
+    assert swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out, "--force").status == 0
+    # its own result may be replaced by a rerun
+    assert swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out).status == 0
+
+
+def test_a_bug_is_reported_as_one(swimid: Run, samples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a / b")
+
+    monkeypatch.setattr("swimid.verbs.fit_drag.fit_drag", broken)
+    ran = swimid("fit-drag", samples / "rig" / "trials.yaml")
+    assert ran.status == 1
+    assert "bug in swimid" in ran.err
+    assert "--debug" in ran.err
+
+
+@pytest.mark.parametrize("name", ["trials", "robot", "parameters", "setup", "evidence"])
+def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
+    document = json.loads(swimid("schema", name).out)
+    assert document["$schema"].startswith("https://json-schema.org/")
+    assert "properties" in document or "oneOf" in document
+
+
+def test_schema_lists_formats(swimid: Run) -> None:
+    assert swimid("schema").out.split() == ["trials", "robot", "parameters", "setup", "evidence"]
+
+
+def test_doctor(swimid: Run, tmp_path: Path) -> None:
+    ran = swimid("doctor", "--json", "-o", tmp_path / "d.json", "--warm-up")
+    assert ran.status == 0
+    assert ran.json["result"]["healthy"] is True
+    assert json.loads((tmp_path / "d.json").read_text())["swimid"] == package.__version__
+
+
+def test_unwritable_and_unreadable(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    ran = swimid("fit-drag", tmp_path)
+    assert ran.status == 3
+    assert "Is a directory" in ran.err
+    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", tmp_path)
+    assert ran.status == 2
+    assert "is a folder" in ran.err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_full_disk(swimid: Run, samples: Path) -> None:
+    ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", "/dev/full")
+    assert ran.status == 3
+    assert "No space left" in ran.err

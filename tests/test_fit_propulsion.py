@@ -1,0 +1,226 @@
+"""The recoil law and the surge model, against the boxfish paper's figures and independent data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from swimid.formats import evidence, parameters
+from swimid.formats import robot as robot_format
+from swimid.models import propulsion
+from swimid.signals.beat import find_beat
+from tests.conftest import Ran
+from tests.generators import cruise
+
+#: The paper's C_d, A, m_f + m_a.
+DRAG_AREA = 0.5 * 997 * 0.705 * 0.00698
+MOVING = 1.196 + 0.685
+
+
+@pytest.fixture(scope="module")
+def drag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drag file with the paper's values and errors."""
+
+    def known(value: float, stderr: float, unit: str) -> parameters.Estimate:
+        return parameters.Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
+
+    path = tmp_path_factory.mktemp("drag") / "drag.yaml"
+    parameters.write(
+        path,
+        parameters.ParameterFile(
+            model="falling-weight", robot="boxfish",
+            parameters={"drag_coefficient": known(0.705, 0.0165, "1"), "added_mass": known(0.685, 0.0185, "kg")},
+        ),
+    )  # fmt: skip
+    return path
+
+
+class TestPublishedFigures:
+    def test_velocity_ratio(self) -> None:
+        """Section 4.2: b1 = 0.0130 per cm, R_v(0, 115 cm) = 0.688, 1.05 % for 4 cm."""
+        b1 = DRAG_AREA / MOVING
+        assert b1 == pytest.approx(1.30, abs=0.005)
+        ratio = float(propulsion.velocity_ratio(b1, 0.0, 1.15))
+        assert ratio == pytest.approx(0.688, abs=5e-4)
+        assert float(propulsion.velocity_ratio(b1, 0.0, 1.19)) / ratio - 1 == pytest.approx(0.0105, abs=0.001)
+
+    def test_velocity_ratio_against_integration(self) -> None:
+        run = solve_ivp(lambda _, s: [s[1], 1.0 - 1.3 * s[1] ** 2], (0, 30), [0, 0], rtol=1e-10, atol=1e-12, dense_output=True)
+        t = np.linspace(0, 5, 200001)
+        x = run.sol(t)[0]
+        t1, t2 = np.interp([0.3, 1.15], x, t)
+        expected = (0.85 / (t2 - t1)) / np.sqrt(1 / 1.3)
+        assert float(propulsion.velocity_ratio(1.3, 0.3, 1.15)) == pytest.approx(expected, rel=1e-6)
+
+    def test_inertia_of_the_fins(self) -> None:
+        """Eq 6 with Table 2: 317.1, 702.8 and 1272.8 g cm2."""
+        fins = robot_format.read("boxfish").fins
+        for name, value in (("2025Rect", 317.1), ("2925Rect", 702.8), ("3825Rect", 1272.8)):
+            fin = fins[name]
+            found = propulsion.plate_inertia(height_m=fin.height_m, length_m=fin.length_m, axle_gap_m=fin.axle_gap_m, density_kg_m3=997)
+            assert 1e7 * found == pytest.approx(value, abs=0.06)
+
+    def test_largest_and_smallest_force(self) -> None:
+        """3825Rect at 4 Hz: 9.67 cm/s -> 14.06 cm/s -> 48.42 mN; 2025Rect at 1.5 Hz: 2.81 mN, 2.87 by the law."""
+        terminal = 0.0967 / float(propulsion.velocity_ratio(DRAG_AREA / MOVING, 0.0, 1.15))
+        assert terminal == pytest.approx(0.1406, abs=1e-4)
+        assert 1e3 * DRAG_AREA * terminal**2 == pytest.approx(48.42, abs=0.1)
+        power = 8 * 0.341 * np.pi**2 * 1.5**3 * 317.1e-7 * np.deg2rad(16 - 5.42) ** 2
+        assert 1e3 * DRAG_AREA * np.cbrt(power / DRAG_AREA) ** 2 == pytest.approx(2.87, abs=0.01)
+
+    def test_strouhal_conventions(self) -> None:
+        """With efficiency 34.1 %: 0.67-0.77 on the fin's length, 0.77-0.94 from the axle."""
+        found = {"fin": [], "axle": []}
+        for fin in ("2025Rect", "2925Rect", "3825Rect"):
+            f = robot_format.read("boxfish").fins[fin]
+            inertia = propulsion.plate_inertia(height_m=f.height_m, length_m=f.length_m, axle_gap_m=f.axle_gap_m, density_kg_m3=997)
+            terminal = np.cbrt(8 * 0.341 * np.pi**2 * 2.0**3 * inertia * np.deg2rad(16 - 5.42) ** 2 / DRAG_AREA)
+            for name, lever in (("fin", f.length_m), ("axle", f.length_m + f.axle_gap_m)):
+                found[name].append(float(propulsion.strouhal(2.0, np.deg2rad(16), lever, terminal)))
+        assert (min(found["fin"]), max(found["fin"])) == pytest.approx((0.67, 0.77), abs=0.01)
+        assert (min(found["axle"]), max(found["axle"])) == pytest.approx((0.77, 0.94), abs=0.01)
+
+
+class TestCruise:
+    def test_samples(self, swimid: Callable[..., Ran], samples: Path, drag: Path, tmp_path: Path) -> None:
+        out = tmp_path / "propulsion.yaml"
+        ran = swimid("fit-propulsion", samples / "cruise" / "trials.yaml", "--drag", drag, "-o", out)
+        assert ran.status == 0, ran.err
+        file = parameters.read(out, model="propulsion")
+        efficiency, offset = file.parameters["recoil_efficiency"], file.parameters["amplitude_offset_deg"]
+        assert efficiency.value == pytest.approx(cruise.EFFICIENCY, abs=0.02)
+        assert offset.value == pytest.approx(5.4, abs=0.4)
+        assert abs(offset.value - cruise.OFFSET_DEG) < 3 * offset.stderr  # type: ignore[operator]
+        # the drag file's 2.3 % carry into the efficiency
+        assert efficiency.stderr == pytest.approx(0.34 * 0.023, rel=0.5)
+        assert file.derived["velocity_ratio"].value == pytest.approx(0.688, abs=5e-4)
+        extra = file.fit.model_extra  # type: ignore[union-attr]
+        point = next(p for p in extra["operating_points"] if (p["fin"], p["frequency_hz"]) == ("3825Rect", 4.0))
+        # the stop watch's 0.05 s on 11.9 s are 0.8 % of the force
+        assert 1e3 * point["propulsive_force_N"] == pytest.approx(48.4, rel=0.03)
+        assert [d["frequency_hz"] for d in extra["departures"]] == [4.0]
+        assert "SWM030" in ran.err
+        assert "slower" in ran.err
+        page = evidence.read(evidence.sidecar(out))
+        assert {"fins", "points", "offsets", "departures"} == {t.id for t in page.tables}
+
+    def test_intervals_cover_the_truth(self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path) -> None:
+        """40 seeded tables without flexing fins: 95 % intervals of both parameters."""
+        exact = parameters.ParameterFile(
+            model="falling-weight",
+            parameters={
+                n: parameters.Estimate(value=v, stderr=0.0, unit=u, status="estimated")
+                for n, v, u in (("drag_coefficient", 0.705, "1"), ("added_mass", 0.685, "kg"))
+            },
+        )
+        parameters.write(tmp_path / "drag.yaml", exact)
+        times = {s: cruise.swim_time(cruise.fin_inertia(*cruise.FINS[s[0]]), s[1], s[2]) for s in cruise.settings()}
+        hits = np.zeros(2)
+        for seed in range(40):
+            rng = np.random.default_rng(seed)
+            rows = [(*s, 1.15, t + rng.normal(0, 0.1)) for s, t in times.items()]
+            cruise.write_table(tmp_path / "speeds.csv", rows)
+            (tmp_path / "trials.yaml").write_text((samples / "cruise" / "trials.yaml").read_text())
+            p = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", tmp_path / "drag.yaml", "--json").json["result"]["parameters"]
+            for i, (name, true) in enumerate((("recoil_efficiency", 0.341), ("amplitude_offset_deg", 5.42))):
+                hits[i] += abs(p[name]["value"] - true) < 1.96 * p[name]["stderr"]
+        # 40 draws at 95 % give at least 33 with 99 % probability
+        assert np.all(hits >= 33), hits
+
+    def test_a_law_that_does_not_hold_is_said(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+        """Speeds growing with the 0.8th power of frequency: the exponent of power is 2.4, not 3."""
+        rows = []
+        for fin, f, a in cruise.settings():
+            t = cruise.swim_time(cruise.fin_inertia(*cruise.FINS[fin]), 2.5, a) * (f / 2.5) ** -0.8
+            rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.05)))
+        cruise.write_table(tmp_path / "speeds.csv", rows)
+        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
+        ran = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--json", "--keep-departures")
+        assert "SWM031" in ran.err
+        free = ran.json["result"]["derived"]["free_frequency_exponent"]
+        assert free["value"] == pytest.approx(2.4, abs=0.05)
+
+    @pytest.mark.parametrize(
+        "table, words",
+        [
+            ("fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rct,2,16,1.15,20\n", ["no fin '3825Rct'", "did you mean '3825Rect'"]),
+            ("fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rect,2,16,1.15,abc\n", ["line 2", "time_s"]),
+        ],
+    )
+    def test_bad_tables(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, table: str, words: list[str]) -> None:
+        (tmp_path / "speeds.csv").write_text(table)
+        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
+        ran = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag)
+        assert ran.status == 3
+        for word in words:
+            assert word in ran.err
+
+    def test_needs_a_drag_file(self, swimid: Callable[..., Ran], samples: Path) -> None:
+        ran = swimid("fit-propulsion", samples / "cruise" / "trials.yaml")
+        assert ran.status == 3
+        assert "run fit-drag first" in ran.err
+
+    def test_one_run_is_no_result(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path) -> None:
+        cruise.write_table(tmp_path / "speeds.csv", [("3825Rect", 2.0, 16.0, 1.15, 20.0)])
+        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
+        assert swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag).status == 4
+
+
+class TestBeat:
+    def test_frequency_and_error(self) -> None:
+        inside = 0
+        for seed in range(50):
+            rng = np.random.default_rng(seed)
+            t = np.sort(rng.uniform(0, 12, 300))
+            x = 0.1 * np.sin(2 * np.pi * 1.83 * t + 1.0) + 0.02 * t + rng.normal(0, 0.05, 300)
+            beat = find_beat(t, x)
+            assert beat is not None
+            inside += abs(beat.frequency_hz - 1.83) < 1.96 * beat.stderr_hz
+        assert inside >= 47
+
+    def test_noise_has_no_beat(self, rng: np.random.Generator) -> None:
+        assert find_beat(np.arange(0, 10, 0.03), rng.normal(size=334)) is None
+        assert find_beat(np.arange(0, 10, 0.03), np.zeros(334)) is None
+        assert find_beat(np.arange(5.0), np.ones(5)) is None
+
+
+def write_real_fish(folder: Path, data: Path, *, frequency_hz: float, own_speed: bool = True) -> Path:
+    """The straight runs of the tail-actuated fish as swimid logs with a trials file."""
+    lines = ["format: swimid-trials/1", "experiment: free-swim", "robot: fish.yaml", "trials:"]
+    (folder / "fish.yaml").write_text("format: swimid-robot/1\nname: tail-fish\n")
+    for amplitude in (15, 20, 30):
+        for run in (1, 2):
+            rows = np.loadtxt(data / "msu_tail_fish" / f"Amp{amplitude}Bias0" / f"STATES{run}.txt")
+            columns = [0, 5, 6, 4, 1] if own_speed else [0, 5, 6, 4]
+            header = "t_s,x_m,y_m,yaw_rad" + (",u_m_s" if own_speed else "")
+            np.savetxt(folder / f"a{amplitude}_{run}.csv", rows[:, columns], delimiter=",", header=header, comments="")
+            lines.append(f"  - {{log: a{amplitude}_{run}.csv, drive: {{frequency_hz: {frequency_hz}, amplitude_deg: {amplitude}}}}}")
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    return folder / "trials.yaml"
+
+
+class TestRealFish:
+    @pytest.mark.parametrize("own_speed", [True, False], ids=["logged surge", "surge from position"])
+    def test_thrust_grows_with_amplitude_squared(self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path, own_speed: bool) -> None:
+        """Beat-averaged: du/dt = 0.166 A^2 - 0.656 u^2 by an independent fit; exponent 2.0 to 2.3."""
+        ran = swimid("fit-propulsion", write_real_fish(tmp_path, real_data, frequency_hz=2.0, own_speed=own_speed), "--json")
+        result = ran.json["result"]
+        drag, thrust = result["parameters"]["surge_drag"], result["derived"]["thrust_coefficient"]
+        exponent = result["derived"]["free_amplitude_exponent"]["value"]
+        assert 2.0 <= exponent <= 2.3
+        assert abs(drag["value"] - 0.656) < 1.96 * drag["stderr"]
+        assert abs(thrust["value"] - 0.166) < 1.96 * thrust["stderr"]
+        if own_speed:
+            assert drag["value"] == pytest.approx(0.66, rel=0.10)
+        assert "SWM032" not in ran.err
+
+    def test_wrong_beat_in_the_metadata_is_flagged(self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path) -> None:
+        ran = swimid("fit-propulsion", write_real_fish(tmp_path, real_data, frequency_hz=1.0), "--json")
+        assert ran.json["result"]["derived"]["beat_frequency"]["value"] == pytest.approx(2.0, abs=0.05)
+        flagged = [w for w in ran.json["warnings"] if w["code"] == "SWM032"]
+        assert len(flagged) == 6
+        assert all("says 1 Hz" in w["text"] for w in flagged)
