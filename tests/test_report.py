@@ -508,3 +508,46 @@ def test_parquet_logs_are_read(tmp_path: Path) -> None:
     with recorded():
         section = results.load(tmp_path / "a.parquet")
     assert ("Samples", "10") in section.facts
+
+
+#: Machado, Oliveira and Fernandes (2009), severity 1.0, on linear RGB. doi:10.1109/TVCG.2009.113
+VISION = {
+    "normal": np.eye(3),
+    "protan": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deutan": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritan": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+def _linear(colour: str) -> np.ndarray:
+    value = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _lab(rgb: np.ndarray) -> np.ndarray:
+    ratio = TO_XYZ @ np.clip(rgb, 0, 1) / np.array([0.9505, 1.0, 1.089])
+    f = np.where(ratio > 0.008856, np.cbrt(ratio), 7.787 * ratio + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_palette_is_told_apart(scheme: str) -> None:
+    """Every pair differs by 10 in CIELAB for each kind of vision; 3 to 1 against the page (WCAG 1.4.11)."""
+    css = (Path(page.__file__).parent / "templates" / "report.css").read_text()
+    block = css.split("@media")[["light", "dark"].index(scheme)]
+    colours = [_linear(colour) for colour in re.findall(r"--s\d: (#\w{6})", block)]
+    assert len(colours) == 6
+    paper = _linear(re.search(r"--paper: (#\w{6})", block)[1])  # type: ignore[index]
+    for index, colour in enumerate(colours):
+        bright = sorted([TO_XYZ[1] @ colour, TO_XYZ[1] @ paper])
+        assert (bright[1] + 0.05) / (bright[0] + 0.05) > 3.0
+        for matrix in VISION.values():
+            for other in colours[:index]:
+                assert np.linalg.norm(_lab(matrix @ colour) - _lab(matrix @ other)) > 10
