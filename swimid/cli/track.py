@@ -68,7 +68,9 @@ class _Pick(click.ParamType):
 
     name = "NAME@X,Y"
 
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float, float]:
+    def convert(
+        self, value: str, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float, float]:
         """Split the text; click reports what is wrong with it."""
         name, at, place = value.partition("@")
         parts = place.split(",")
@@ -84,7 +86,11 @@ class _Pick(click.ParamType):
 @track.command("setup")
 @click.argument("video", type=click.Path(path_type=Path))
 @click.option(
-    "--marker", "markers", type=_Pick(), multiple=True, help="Pick a marker by one of its pixels; head first, then tail."
+    "--marker",
+    "markers",
+    type=_Pick(),
+    multiple=True,
+    help="Pick a marker by one of its pixels; head first, then tail.",
 )
 @click.option("--frame", type=int, default=0, show_default=True, help="Frame the --marker pixels are in.")
 @click.option("--metres-per-pixel", type=float, help="Scale as a factor.")

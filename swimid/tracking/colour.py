@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from swimid.formats.setup import HsvRange
 
 #: Share of the way a confident sight moves the model.
-ADAPTATION = 0.03
+ADAPTATION = 0.12
 #: Farthest the model may drift from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
 #: Drift worth a warning, same units.
@@ -91,7 +91,7 @@ class ColourModel:
     def forget(self) -> None:
         """Move a little back to the setup's colours, while the marker is lost."""
         if self.drift.any():
-            self._move(self.drift * (1 - ADAPTATION))
+            self._move(self.drift * (1 - 0.2 * ADAPTATION))
 
     def _move(self, drift: NDArray[np.float64]) -> None:
         changed = np.any(np.round(drift) != np.round(self.drift))

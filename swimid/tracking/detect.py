@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -59,26 +60,39 @@ class Blob:
 
 @dataclass(frozen=True)
 class Patch:
-    """A connected patch of marker colour before it is measured, in window pixels."""
+    """A connected patch of marker colour before it is measured.
 
-    label: int
+    Attributes
+    ----------
+    contour : ndarray of int, shape (n, 1, 2)
+        Its outline in mask pixels.
+    area : float
+        Picture pixels.
+    left, top, right, bottom : int
+        Box in mask pixels; right and bottom exclusive.
+    clipped : bool
+        It goes on beyond the window.
+    """
+
+    contour: NDArray[np.int32]
     area: float
     left: int
     top: int
-    width: int
-    height: int
+    right: int
+    bottom: int
     clipped: bool
 
 
 @njit(cache=True)
-def _weighted_centre(bgr, inner, near, far):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Centre of a marker by soft membership.
 
-    ``inner`` marks the filled core (weight 1), ``near`` the dilated blob, ``far`` what is
-    certainly background. Each pixel is projected on the axis from mean background to mean
-    core colour; that opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
+    ``inner`` marks the filled core (weight 1), ``near`` the dilated blob, outside ``far`` is
+    certainly background; one mask pixel covers ``step`` x ``step`` picture pixels. Each
+    picture pixel is projected on the axis from mean background to mean core colour; that
+    opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
     """
-    rows, columns = inner.shape
+    rows, columns = bgr.shape[0], bgr.shape[1]
     core = np.zeros(3)
     back = np.zeros(3)
     square = np.zeros(3)
@@ -86,11 +100,12 @@ def _weighted_centre(bgr, inner, near, far):  # type: ignore[no-untyped-def]  # 
     n_back = 0
     for i in range(rows):
         for j in range(columns):
-            if inner[i, j]:
+            mi, mj = i // step, j // step
+            if inner[mi, mj]:
                 n_core += 1
                 for c in range(3):
                     core[c] += bgr[i, j, c]
-            elif far[i, j] == 0:
+            elif far[mi, mj] == 0:
                 n_back += 1
                 for c in range(3):
                     value = float(bgr[i, j, c])
@@ -117,10 +132,11 @@ def _weighted_centre(bgr, inner, near, far):  # type: ignore[no-untyped-def]  # 
     sum_y = 0.0
     for i in range(rows):
         for j in range(columns):
+            mi, mj = i // step, j // step
             weight = 0.0
-            if inner[i, j]:
+            if inner[mi, mj]:
                 weight = 1.0
-            elif near[i, j]:
+            elif near[mi, mj]:
                 alpha = 0.0
                 for c in range(3):
                     alpha += (bgr[i, j, c] - back[c]) * axis[c]
@@ -132,53 +148,70 @@ def _weighted_centre(bgr, inner, near, far):  # type: ignore[no-untyped-def]  # 
     return sum_x / total, sum_y / total, np.sqrt(length2), np.sqrt(spread), core
 
 
-def marker_mask(window: NDArray[np.uint8], model: ColourModel, *, smooth: bool = True) -> NDArray[np.uint8]:
+def marker_mask(window: NDArray[np.uint8], model: ColourModel) -> NDArray[np.uint8]:
     """255 on pixels of marker colour. Light smoothing first keeps chroma noise from fraying it."""
-    source = cv2.blur(window, (3, 3)) if smooth else window
-    return model.mask(cv2.cvtColor(source, cv2.COLOR_BGR2HSV))
+    return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
+
+
+def thinned(window: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+    """The middle pixel of every ``step`` x ``step`` block of a window, whole blocks only."""
+    if step == 1:
+        return window
+    rows, columns = window.shape[0] // step * step, window.shape[1] // step * step
+    return np.ascontiguousarray(window[step // 2 : rows : step, step // 2 : columns : step])
 
 
 def patches(
-    mask: NDArray[np.uint8], area_px: tuple[float, float], *, inside: tuple[bool, bool, bool, bool]
-) -> tuple[list[Patch], NDArray[np.int32]]:
+    mask: NDArray[np.uint8],
+    area_px: tuple[float, float],
+    *,
+    step: int = 1,
+    inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
+) -> list[Patch]:
     """Connected patches of a mask with an area in range.
 
     Parameters
     ----------
     mask : ndarray of uint8, shape (rows, columns)
     area_px : (float, float)
-        Smallest and largest area, px.
+        Smallest and largest area, picture pixels.
+    step : int
+        Picture pixels to a mask pixel.
     inside : (bool, bool, bool, bool)
         Whether the left, top, right, bottom side of the window is inside the picture: a
-        patch touching such a side is ``clipped``, it goes on beyond the window.
-
-    Returns
-    -------
-    list of Patch, and the label image
+        patch touching such a side is ``clipped``.
     """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_32S)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rows, columns = mask.shape
+    square = step * step
     found = []
-    if count > 1:
-        areas = stats[1:, cv2.CC_STAT_AREA]
-        for label in 1 + np.flatnonzero(areas >= 0.5 * area_px[0]):
-            left, top, width, height, area = (int(v) for v in stats[label])
-            clipped = (
-                (inside[0] and left == 0)
-                or (inside[1] and top == 0)
-                or (inside[2] and left + width == columns)
-                or (inside[3] and top + height == rows)
-            )
-            if clipped or area_px[0] <= area <= area_px[1]:
-                found.append(Patch(int(label), area, left, top, width, height, clipped))
-    return found, labels
+    for contour in contours:
+        outline = len(contour)
+        # A patch with an outline of n pixels holds less than n^2 / 8 + n of them.
+        if square * (0.125 * outline * outline + outline) < 0.5 * area_px[0]:
+            continue
+        # Pick's theorem: pixels inside and on the outline, holes included.
+        area = square * (cv2.contourArea(contour) + 0.5 * outline + (1 if outline > 1 else 0.5))
+        if area < 0.5 * area_px[0]:
+            continue
+        left, top, width, height = cv2.boundingRect(contour)
+        right, bottom = left + width, top + height
+        clipped = (
+            (inside[0] and left == 0)
+            or (inside[1] and top == 0)
+            or (inside[2] and right == columns)
+            or (inside[3] and bottom == rows)
+        )
+        if clipped or area_px[0] <= area <= area_px[1]:
+            found.append(Patch(contour, area, left, top, right, bottom, clipped))
+    return found
 
 
 def measure(
     window: NDArray[np.uint8],
-    labels: NDArray[np.int32],
     patch: Patch,
     *,
+    step: int,
     origin: tuple[int, int],
     picture: tuple[int, int],
 ) -> Blob | None:
@@ -187,31 +220,42 @@ def measure(
     Parameters
     ----------
     window : ndarray of uint8, shape (rows, columns, 3)
+        At full resolution.
+    step : int
+        Picture pixels to a mask pixel.
     origin : (int, int)
         Left and top of the window in the picture.
     picture : (int, int)
         Width and height of the picture.
     """
-    rows, columns = labels.shape
-    x0, y0 = max(patch.left - MARGIN, 0), max(patch.top - MARGIN, 0)
-    x1 = min(patch.left + patch.width + MARGIN, columns)
-    y1 = min(patch.top + patch.height + MARGIN, rows)
-    own = cv2.compare(labels[y0:y1, x0:x1], patch.label, cv2.CMP_EQ)
-    hull_core = _filled(own)
-    near = cv2.dilate(own, _KERNEL5)
-    far = cv2.dilate(near, _KERNEL5)
-    column, row, contrast, scatter, colour = _weighted_centre(window[y0:y1, x0:x1], hull_core, near, far)
-    if not np.isfinite(column):
+    rows, columns = window.shape[0], window.shape[1]
+    margin = -(-MARGIN // step) if step < 3 else 4
+    x0, y0 = max(patch.left - margin, 0), max(patch.top - margin, 0)
+    x1 = min(patch.right + margin, columns // step)
+    y1 = min(patch.bottom + margin, rows // step)
+    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
+    # The core of the hull has weight 1, so that glints leave no hole; the rim is left soft.
+    large = min(patch.right - patch.left, patch.bottom - patch.top) >= 10
+    core = cv2.erode(hull, _KERNEL5 if large else _KERNEL3, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    if not core.any():
+        core = hull
+    near = cv2.dilate(hull, _KERNEL5 if step < 3 else _KERNEL3)
+    far = cv2.dilate(near, _KERNEL5 if step < 3 else _KERNEL3)
+    part = window[step * y0 : step * y1, step * x0 : step * x1]
+    column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
+    if not math.isfinite(column):
         return None
     if contrast < max(MIN_CONTRAST_LEVELS, MIN_CONTRAST_SIGMA * min(scatter, 15.0)):
         return None
-    left, top = origin[0] + patch.left, origin[1] + patch.top
-    right, bottom = left + patch.width, top + patch.height
-    at_edge = left <= 0 or top <= 0 or right >= picture[0] or bottom >= picture[1]
+    left, top = origin[0] + step * patch.left, origin[1] + step * patch.top
+    right, bottom = origin[0] + step * patch.right, origin[1] + step * patch.bottom
+    # Blocks that do not fill up at the right and lower side are not looked at.
+    at_edge = left <= 0 or top <= 0 or right > picture[0] - step or bottom > picture[1] - step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     return Blob(
-        x=origin[0] + x0 + column,
-        y=origin[1] + y0 + row,
+        x=origin[0] + step * x0 + column,
+        y=origin[1] + step * y0 + row,
         area=patch.area,
         box=(left, top, right, bottom),
         contrast=contrast,
@@ -219,15 +263,3 @@ def measure(
         hsv=mean_hsv(colour),
         at_edge=at_edge,
     )
-
-
-def _filled(own: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The core of the patch's convex hull: holes of glints are filled, the rim is left soft."""
-    contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points = contours[0] if len(contours) == 1 else np.concatenate(contours)
-    hull = np.zeros_like(own)
-    cv2.fillConvexPoly(hull, cv2.convexHull(points), 255)
-    core = cv2.erode(hull, _KERNEL3, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-    if not core.any():
-        return own
-    return core

@@ -25,6 +25,10 @@ LOST, WINDOW, GROWN, FULL = range(4)
 SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
 #: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
 DECIMATION = 4
+#: In a window the mask is made of every n-th pixel at most.
+MASK_STEP = 4
+#: Frames between steps of the colour model.
+ADAPT_EVERY = 5
 #: Frames between looks for other things of the marker's colour.
 LOOK_AROUND_FRAMES = 90
 #: Earlier frames kept, to see whether a thing was there before the marker was lost.
@@ -239,7 +243,7 @@ class Follower:
                 target.see(blob, time)
                 sure = blob.confidence * likeness**0.5
                 row.append((blob.x, blob.y, blob.area, sure, status, blob.at_edge, *blob.hsv))
-                if blob.confidence > 0.5 and not blob.at_edge:
+                if self._frame % ADAPT_EVERY == 0 and blob.confidence > 0.3 and not blob.at_edge:
                     group.model.adapt(blob.hsv)
             if not sights:
                 group.model.forget()
@@ -250,7 +254,10 @@ class Follower:
         if self._frame % LOOK_AROUND_FRAMES == LOOK_AROUND_FRAMES // 6:
             places = {t.name: (t.x, t.y) for t in self._targets if t.sights and not t.missed}
             if places:
-                self._memory.append((frame.copy(), places))
+                # The oldest frame's memory is used again: fresh pages cost more than the copy.
+                old = self._memory.popleft()[0] if len(self._memory) == MEMORIES else np.empty_like(frame)
+                np.copyto(old, frame)
+                self._memory.append((old, places))
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
@@ -307,7 +314,11 @@ class Follower:
             for target, blob in self._in_picture(group, lost, taken, time, frame):
                 sights[target.name] = (blob, FULL)
         for target in known:
-            if target.missed and target.name in sights and self._was_there(group, target, sights[target.name][0]):
+            if (
+                target.missed
+                and target.name in sights
+                and self._was_there(group, target, sights[target.name][0])
+            ):
                 group.scenery.append(sights.pop(target.name)[0])
         if not lost and self._frame >= group.next_look:
             self._look_around(group, [blob for blob, _ in sights.values()], frame)
@@ -329,30 +340,30 @@ class Follower:
                     statuses.append(status)
         if not candidates:
             return {}
-        cost = np.full((len(known), len(candidates)), _NO)
-        for i, target in enumerate(known):
-            px, py = target.predicted(time)
-            allowed = target.radius + 2 * target.reach(time - target.time)
-            for j, blob in enumerate(candidates):
-                away = math.hypot(blob.x - px, blob.y - py)
-                if away <= allowed + target.radius and self._alike(group, target, blob):
-                    cost[i, j] = (away / allowed) ** 2 + 0.3 * abs(math.log(blob.area / target.area))
-                    cost[i, j] = min(cost[i, j] + self._misfit(target, blob, time), _NO)
-        found = {}
-        for i, j in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[i, j] < _NO:
-                found[known[i].name] = (candidates[j], statuses[j])
+        cost = [[self._cost(group, target, blob, time) for blob in candidates] for target in known]
+        found = {known[i].name: (candidates[j], statuses[j]) for i, j in _assigned(cost)}
         if len(known) > 1:
             self._drop_merged(known, found, time)
         return found
+
+    def _cost(self, group: _Group, target: Target, blob: Blob, time: float) -> float:
+        """How unlikely a blob near the prediction is the target, ``_NO`` for impossible."""
+        px, py = target.predicted(time)
+        allowed = target.radius + 2 * target.reach(time - target.time)
+        away = math.hypot(blob.x - px, blob.y - py)
+        if away > allowed + target.radius or not self._alike(group, target, blob):
+            return _NO
+        cost = (away / allowed) ** 2 + 0.3 * abs(math.log(blob.area / target.area))
+        return min(cost + self._misfit(target, blob, time), _NO)
 
     def _window(self, group: _Group, target: Target, time: float, frame: Frame) -> tuple[list[Blob], int]:
         """Blobs in the target's window, grown until nothing that matters is cut by its border."""
         cx, cy = target.predicted(time)
         half = 1.3 * target.radius + target.reach(time - target.time) + 4
         status = WINDOW
+        step = max(min(int(target.radius / 6), MASK_STEP), 1)
         for _ in range(3):
-            blobs, cut = self._blobs(group, frame, cx, cy, half)
+            blobs, cut = self._blobs(group, frame, cx, cy, half, step)
             if any(self._alike(group, target, blob) for blob in blobs):
                 return blobs, status
             if cut is not None:
@@ -362,25 +373,28 @@ class Follower:
         return [], LOST
 
     def _blobs(
-        self, group: _Group, frame: Frame, cx: float, cy: float, half: float
+        self, group: _Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
     ) -> tuple[list[Blob], tuple[int, int, int, int] | None]:
-        """Whole blobs in a window, and the box of the largest one the window cuts."""
+        """Whole blobs in a window, and the box of the largest one the window cuts.
+
+        The colour of every ``step``-th pixel says what is marker; its centre is taken from all.
+        """
         width, height = self.size
         x0, x1 = max(int(cx - half), 0), min(int(cx + half) + 2, width)
         y0, y1 = max(int(cy - half), 0), min(int(cy + half) + 2, height)
-        if x1 - x0 < 3 or y1 - y0 < 3:
+        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
             return [], None
         window = frame[y0:y1, x0:x1]
-        mask = detect.marker_mask(window, group.model)
+        mask = detect.marker_mask(detect.thinned(window, step), group.model)
         inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found, labels = detect.patches(mask, group.area_px, inside=inside)
+        found = detect.patches(mask, group.area_px, step=step, inside=inside)
         blobs = []
         cut: detect.Patch | None = None
         for patch in found:
             if patch.clipped:
                 cut = patch if cut is None or patch.area > cut.area else cut
                 continue
-            blob = detect.measure(window, labels, patch, origin=(x0, y0), picture=self.size)
+            blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
             if (
                 blob is not None
                 and self._allowed(blob)
@@ -389,7 +403,7 @@ class Follower:
                 blobs.append(blob)
         box = None
         if cut is not None:
-            box = (x0 + cut.left, y0 + cut.top, x0 + cut.left + cut.width, y0 + cut.top + cut.height)
+            box = (x0 + step * cut.left, y0 + step * cut.top, x0 + step * cut.right, y0 + step * cut.bottom)
         return blobs, box
 
     def _allowed(self, blob: Blob) -> bool:
@@ -454,7 +468,7 @@ class Follower:
             x, y = places[target.name]
             if math.hypot(blob.x - x, blob.y - y) < 2 * max(target.radius, blob.radius) + 4:
                 continue
-            old, _ = self._blobs(group, frame, blob.x, blob.y, blob.radius + detect.MARGIN)
+            old, _ = self._blobs(group, frame, blob.x, blob.y, 1.3 * blob.radius + detect.MARGIN)
             taken = [place for name, place in places.items() if name != target.name]
             if any(_same_place(blob, b) and _far(b, taken) for b in old):
                 return True
@@ -483,13 +497,8 @@ class Follower:
                 self._note_rivals(group, blobs)
         missing = [t for t in lost if t.sights]
         if missing and blobs:
-            cost = np.full((len(missing), len(blobs)), _NO)
-            for i, target in enumerate(missing):
-                for j, blob in enumerate(blobs):
-                    cost[i, j] = self._return_cost(group, target, blob, time)
-            for i, j in zip(*linear_sum_assignment(cost), strict=True):
-                if cost[i, j] < _NO:
-                    pairs.append((missing[i], blobs[j]))
+            cost = [[self._return_cost(group, t, blob, time) for blob in blobs] for t in missing]
+            pairs += [(missing[i], blobs[j]) for i, j in _assigned(cost)]
         return pairs
 
     def _return_cost(self, group: _Group, target: Target, blob: Blob, time: float) -> float:
@@ -557,18 +566,26 @@ class Follower:
         return blobs
 
     def _scan_at(self, group: _Group, frame: Frame, step: int) -> list[Blob]:
-        small = frame if step == 1 else np.ascontiguousarray(frame[::step, ::step])
-        mask = detect.marker_mask(small, group.model)
-        least = group.area_px[0] / step**2
-        rough, _ = detect.patches(mask, (0.4 * least, 1e9), inside=(False,) * 4)
+        mask = detect.marker_mask(detect.thinned(frame, step), group.model)
+        rough = detect.patches(mask, (0.4 * group.area_px[0], 1e12), step=step)
         rough.sort(key=lambda patch: -patch.area)
         blobs: list[Blob] = []
         for patch in rough[:24]:
-            cx, cy = step * (patch.left + 0.5 * patch.width), step * (patch.top + 0.5 * patch.height)
-            half = 0.5 * step * max(patch.width, patch.height) + 2 * step + detect.MARGIN
-            found, _ = self._blobs(group, frame, cx, cy, half)
+            cx, cy = 0.5 * step * (patch.left + patch.right), 0.5 * step * (patch.top + patch.bottom)
+            size = step * max(patch.right - patch.left, patch.bottom - patch.top)
+            fine = max(min(int(size / 12), MASK_STEP), 1)
+            found, _ = self._blobs(group, frame, cx, cy, 0.5 * size + 2 * step + detect.MARGIN, fine)
             blobs += [b for b in found if _is_new(b, blobs)]
         return blobs
+
+
+def _assigned(cost: list[list[float]]) -> list[tuple[int, int]]:
+    """Pairs (row, column) of least total cost; pairs that cost ``_NO`` are left out."""
+    if len(cost) == 1:
+        best = min(range(len(cost[0])), key=cost[0].__getitem__)
+        return [(0, best)] if cost[0][best] < _NO else []
+    rows, columns = linear_sum_assignment(np.array(cost))
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i][j] < _NO]
 
 
 def _within(blob: Blob, box: tuple[float, float, float, float]) -> bool:
@@ -618,7 +635,8 @@ def _drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) ->
         before = start - (ends[k - 1] if k else 0)
         after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end
         alone = (before > SHORTEST_RUN or start == 0) and (after > SHORTEST_RUN or end == len(seen))
-        flash = end - start < SHORTEST_RUN and alone
+        about = seen[max(start - 15, 0) : end + 15]
+        flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
         part = slice(start, end)
         ratio = float(np.median(area[part])) / usual_area
         stranger = end - start < STRANGER_SHARE * seen.sum() and (

@@ -115,7 +115,9 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     moving = []
     for frame in frames:
         change = cv2.absdiff(cv2.blur(frame, (3, 3)), still).max(axis=2)
-        moving.append(np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8))
+        moving.append(
+            np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
+        )
     return Samples(video.info, np.array(list(kept)), frames, factor, background, moving)
 
 
@@ -127,7 +129,9 @@ def candidates(samples: Samples) -> list[Candidate]:
     NoTrustworthyResult
         When the video has no colour, or nothing coloured moves.
     """
-    pixels = [_moving_colours(frame, mask) for frame, mask in zip(samples.frames, samples.moving, strict=True)]
+    pixels = [
+        _moving_colours(frame, mask) for frame, mask in zip(samples.frames, samples.moving, strict=True)
+    ]
     hsv = np.concatenate(pixels) if pixels else np.zeros((0, 3))
     if len(hsv) < 4 * len(samples.frames):
         seen = census.describe_colours(samples.frames[::6])
@@ -276,7 +280,9 @@ def _still(samples: Samples, model: ColourModel, least: float) -> list[tuple[flo
     for left, top, width, height, area in sorted(stats[1:count].tolist(), key=lambda s: -s[4])[:8]:
         if area >= least:
             f = samples.factor
-            boxes.append(tuple(float(round(v)) for v in (f * left, f * top, f * (left + width), f * (top + height))))
+            boxes.append(
+                tuple(float(round(v)) for v in (f * left, f * top, f * (left + width), f * (top + height)))
+            )
     return boxes  # type: ignore[return-value]
 
 
@@ -334,7 +340,9 @@ def picked(frame: Frame, name: str, x: float, y: float, *, path: Path, index: in
     rows, columns = frame.shape[:2]
     if not (0 <= x < columns and 0 <= y < rows):
         raise InputError(
-            f"--marker {name}@{x:g},{y:g} is outside the picture of {columns} x {rows} pixels", file=path, frame=index
+            f"--marker {name}@{x:g},{y:g} is outside the picture of {columns} x {rows} pixels",
+            file=path,
+            frame=index,
         )
     i, j = int(y), int(x)
     chroma = census.chroma(frame)

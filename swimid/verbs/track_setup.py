@@ -94,16 +94,18 @@ def track_setup(
     sheet = output.with_suffix(".markers.png")
     _draw(sheet, run, setup)
     lines = [
-        f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(marker)}, area "
-        f"{_area(marker)} px"
+        f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(marker)}, area {_area(marker)} px"
         for (name, share), marker in zip(shares.items(), setup.markers, strict=True)
     ]
     lines.append(
-        f"head {setup.head or setup.marker_names[0]}" + (f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw")
+        f"head {setup.head or setup.marker_names[0]}"
+        + (f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw")
     )
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
-    lines.append(f"look at {sheet.name}, then: swimid track video {video.name} --setup {output.name} -o run.csv")
+    lines.append(
+        f"look at {sheet.name}, then: swimid track video {video.name} --setup {output.name} -o run.csv"
+    )
     result = {
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
@@ -117,7 +119,9 @@ def _scale(
     factor: float | None, points: tuple[float, float, float, float] | None, distance_m: float | None
 ) -> dict[str, Any] | None:
     if factor is not None and (points is not None or distance_m is not None):
-        raise UsageError("contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m")
+        raise UsageError(
+            "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
+        )
     if (points is None) != (distance_m is None):
         raise UsageError("--scale-points and --scale-distance-m go together")
     for name, value in (("--metres-per-pixel", factor), ("--scale-distance-m", distance_m)):
@@ -150,7 +154,13 @@ def _unattended(video: Path, common: dict[str, Any], progress: Progress) -> tupl
     tried = []
     for first in found[:3]:
         second = propose.partner(first, found)
-        pair = [first] if second is None else [first, second] if propose.leads(first, second) else [second, first]
+        pair = (
+            [first]
+            if second is None
+            else [first, second]
+            if propose.leads(first, second)
+            else [second, first]
+        )
         names: list[str] = []
         for candidate in pair:
             names.append(propose.name_of(candidate, names))
@@ -222,7 +232,9 @@ def _measured(setup: Setup, run: Run) -> Setup:
         whole = run.track.found[i] & ~run.track.at_edge[i]
         if whole.sum() >= 10:
             low, high = np.percentile(run.track.area[i, whole], [2, 98])
-            marker = marker.model_copy(update={"area_px": (float(max(round(0.3 * low), 4)), float(round(2.5 * high)))})
+            marker = marker.model_copy(
+                update={"area_px": (float(max(round(0.3 * low), 4)), float(round(2.5 * high)))}
+            )
         markers.append(marker)
     return setup.model_copy(update={"markers": markers})
 

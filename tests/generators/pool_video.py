@@ -145,7 +145,12 @@ class _Canvas:
         return 1e-3 / math.hypot(b[0] - a[0], b[1] - a[1])
 
     def capsule(
-        self, image: np.ndarray, start: tuple[float, float], end: tuple[float, float], radius: float, colour: tuple
+        self,
+        image: np.ndarray,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        radius: float,
+        colour: tuple,
     ) -> None:
         """A rounded bar on the water (a disc where start is end), its rim softened by the lens."""
         scale = self.metres_per_pixel(*start)
@@ -181,9 +186,13 @@ def frames(scene: Scene) -> Iterator[np.ndarray]:
         (rng.uniform(5, 11) / w, rng.uniform(0, 2 * np.pi), rng.uniform(1.5, 3.5), rng.uniform(0, 2 * np.pi))
         for _ in range(6)
     ]
-    small_x, small_y = np.meshgrid(np.arange(0, w + 8, 8, dtype=np.float32), np.arange(0, h + 8, 8, dtype=np.float32))
+    small_x, small_y = np.meshgrid(
+        np.arange(0, w + 8, 8, dtype=np.float32), np.arange(0, h + 8, 8, dtype=np.float32)
+    )
     # Sensor noise: one large tile, shifted at random for every frame.
-    tile = rng.normal(0, scene.noise, (h + 64, w + 64, 1)) + rng.normal(0, 0.5 * scene.noise, (h + 64, w + 64, 3))
+    tile = rng.normal(0, scene.noise, (h + 64, w + 64, 1)) + rng.normal(
+        0, 0.5 * scene.noise, (h + 64, w + 64, 3)
+    )
     tile = tile.astype(np.float32)
     for i, t in enumerate(times):
         image = water.copy()
@@ -195,7 +204,10 @@ def frames(scene: Scene) -> Iterator[np.ndarray]:
         light = np.zeros_like(small_x)
         for k, (wave, phase, speed, angle) in enumerate(waves):
             light += np.sin(
-                2 * np.pi * wave * (small_x * math.cos(angle) + small_y * math.sin(angle)) + phase + speed * t + k
+                2 * np.pi * wave * (small_x * math.cos(angle) + small_y * math.sin(angle))
+                + phase
+                + speed * t
+                + k
             )
         light = 1 + scene.caustics * np.maximum(light / 3, -0.6) ** 3
         gain = 1 - 0.5 * scene.exposure_drift * (1 - math.cos(2 * math.pi * t / max(scene.duration_s, 1e-9)))
@@ -216,7 +228,12 @@ def _water(scene: Scene, rng: np.random.Generator) -> np.ndarray:
         image *= (1 - 0.12 * np.exp(-(((y - line) * h / (0.004 * h + 1)) ** 2)))[..., None]
     image *= shade[..., None]
     for _ in range(scene.glare):
-        cx, cy, sx, sy = rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9), rng.uniform(0.01, 0.04), rng.uniform(0.01, 0.03)
+        cx, cy, sx, sy = (
+            rng.uniform(0.1, 0.9),
+            rng.uniform(0.1, 0.9),
+            rng.uniform(0.01, 0.04),
+            rng.uniform(0.01, 0.03),
+        )
         bright = np.exp(-(((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2))
         image += 70 * bright[..., None]
     return image
