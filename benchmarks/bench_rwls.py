@@ -15,8 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from swimid.estimators.arx import Orders, Record, estimate, regression
+from swimid.estimators.arx import estimate, regression
 from swimid.estimators.recursive import recursive_least_squares
+from swimid.models.difference import Orders, Record
 from swimid.verbs.rwls import KEPT
 
 SAMPLES = 100_000

@@ -95,8 +95,10 @@ class TestCruise:
         assert efficiency.value == pytest.approx(cruise.EFFICIENCY, abs=0.02)
         assert offset.value == pytest.approx(5.4, abs=0.4)
         assert abs(offset.value - cruise.OFFSET_DEG) < 3 * offset.stderr  # type: ignore[operator]
-        # the drag file's 2.3 % carry into the efficiency
-        assert efficiency.stderr == pytest.approx(0.34 * 0.023, rel=0.5)
+        # The drag file's errors carry over. eta ~ C_d / R_v^3, and by the paper's 1.05 % for 3.5 %
+        # d ln R_v / d ln b1 = 0.30: C_d nearly cancels, the mass enters with 0.9.
+        from_drag = np.hypot(0.1 * 0.0165 / 0.705, 0.9 * 0.0185 / 1.881)
+        assert efficiency.stderr == pytest.approx(0.341 * from_drag, rel=0.3)
         assert file.derived["velocity_ratio"].value == pytest.approx(0.688, abs=5e-4)
         extra = file.fit.model_extra  # type: ignore[union-attr]
         point = next(p for p in extra["operating_points"] if (p["fin"], p["frequency_hz"]) == ("3825Rect", 4.0))

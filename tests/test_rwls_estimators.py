@@ -12,8 +12,11 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import armax, order, prediction, recursive, sampling, working_point
-from swimid.estimators.arx import Orders, Record, estimate, regression
+from swimid.estimators import armax, order, prediction, recursive, working_point
+from swimid.estimators.arx import estimate, regression
+from swimid.models import difference
+from swimid.models.difference import Orders, Record
+from swimid.signals import sampling
 
 A, B = np.array([-1.5, 0.7]), np.array([0.5, 0.25])
 TRUTH = np.concatenate((A, B))
@@ -276,24 +279,24 @@ def test_armax_one_step_prediction_leaves_the_noise():
 
 def test_free_run_equals_a_filter_and_restarts_after_gaps():
     record = simulated(22, n=300, noise=0.0)
-    run = prediction.simulate(record, Orders(2, 2), TRUTH)
+    run = difference.simulate(record, Orders(2, 2), TRUTH)
     np.testing.assert_allclose(run[2:], record.output[2:], rtol=1e-9, atol=1e-9)
     assert np.isnan(run[:2]).all()
     u = record.source.copy()
     u[100:110] = np.nan
-    run = prediction.simulate(Record("g", record.time_s, u, record.output), Orders(2, 2), TRUTH)
+    run = difference.simulate(Record("g", record.time_s, u, record.output), Orders(2, 2), TRUTH)
     assert np.isnan(run[101:112]).all()
     np.testing.assert_allclose(run[112:], record.output[112:], rtol=1e-9, atol=1e-9)
     # A gap of the output alone does not stop a free run.
     y = record.output.copy()
     y[50:200] = np.nan
-    run = prediction.simulate(Record("g", record.time_s, record.source, y), Orders(2, 2), TRUTH)
+    run = difference.simulate(Record("g", record.time_s, record.source, y), Orders(2, 2), TRUTH)
     np.testing.assert_allclose(run[2:], record.output[2:], rtol=1e-9, atol=1e-9)
 
 
 def test_runaway_free_run_never_overflows():
     record = simulated(23, n=5000)
-    run = prediction.simulate(record, Orders(1, 1), np.array([-1.5, 1.0]))
+    run = difference.simulate(record, Orders(1, 1), np.array([-1.5, 1.0]))
     assert np.isnan(run[-1])
     assert np.nanmax(np.abs(run)) < 1e5
 
@@ -308,7 +311,7 @@ def test_pole_uncertainty_matches_repeats():
     sizes, errors = [], []
     for seed in range(200):
         found = estimate([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
-        pole = prediction.poles(found.theta[:2], found.covariance[:2, :2], 0.1)[0]
+        pole = difference.poles(found.theta[:2], found.covariance[:2, :2], 0.1)[0]
         sizes.append(pole.magnitude)
         errors.append(pole.stderr)
     assert np.mean(errors) == pytest.approx(np.std(sizes), rel=0.15)
@@ -327,10 +330,10 @@ def test_frequency_response_uncertainty_matches_repeats():
 
 
 def test_integrating_and_unstable_poles():
-    on = prediction.poles(np.array([-1.0]), np.array([[1e-4]]), 0.1)[0]
-    near = prediction.poles(np.array([-0.99]), np.array([[1e-4]]), 0.1)[0]
-    inside = prediction.poles(np.array([-0.9]), np.array([[1e-4]]), 0.1)[0]
-    outside = prediction.poles(np.array([-1.1]), np.array([[1e-4]]), 0.1)[0]
+    on = difference.poles(np.array([-1.0]), np.array([[1e-4]]), 0.1)[0]
+    near = difference.poles(np.array([-0.99]), np.array([[1e-4]]), 0.1)[0]
+    inside = difference.poles(np.array([-0.9]), np.array([[1e-4]]), 0.1)[0]
+    outside = difference.poles(np.array([-1.1]), np.array([[1e-4]]), 0.1)[0]
     assert (on.integrating, on.unstable) == (True, True)
     assert (near.integrating, near.unstable) == (True, False)
     assert (inside.integrating, inside.unstable) == (False, False)
@@ -390,7 +393,7 @@ def test_hair_dryer_free_run_on_the_second_half():
     found = estimate(working_point.shifted([first], point), orders)
     moved, _ = prediction.about_own_level(working_point.shifted([second], point), orders, found.theta)
     assert (
-        prediction.score(moved[0].output, prediction.simulate(moved[0], orders, found.theta)).fit_percent
+        prediction.score(moved[0].output, difference.simulate(moved[0], orders, found.theta)).fit_percent
         >= 89.0
     )
 
@@ -399,5 +402,5 @@ def test_hair_dryer_free_run_on_the_second_half():
 def test_ball_beam_is_an_integrator():
     first, _ = _halves("ballbeam", 0.1)
     found = estimate([first], Orders(4, 4))
-    poles = prediction.poles(found.theta[:4], found.covariance[:4, :4], 0.1)
+    poles = difference.poles(found.theta[:4], found.covariance[:4, :4], 0.1)
     assert poles[0].integrating or poles[0].unstable

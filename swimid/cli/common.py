@@ -234,7 +234,9 @@ def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ..
 
 
 def _ours(path: Path) -> bool:
-    """Whether swimid wrote this file (or it is empty): a rerun may replace it."""
+    """Whether swimid wrote this file (or it is empty, or a device): a rerun may replace it."""
+    if not path.is_file():
+        return True
     try:
         with path.open("rb") as stream:
             head = stream.read(4096)
@@ -249,7 +251,13 @@ def _ours(path: Path) -> bool:
 @contextmanager
 def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.progress import Progress as Bars
 
     columns = (

@@ -27,7 +27,8 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import armax, recursive
 from swimid.estimators import residual_tests as rt
-from swimid.estimators.sampling import quantum
+from swimid.models.difference import Orders, Record
+from swimid.signals.sampling import quantum
 
 #: Residuals below this share of the output's deviation are rounding, not noise.
 EXACT = 1e-9
@@ -35,68 +36,8 @@ EXACT = 1e-9
 RANK_TOLERANCE = 1e-10
 
 
-@dataclass(frozen=True)
-class Record:
-    """Input and output on one grid of constant rate.
-
-    Attributes
-    ----------
-    name : str
-        The log it came from.
-    time_s, source, output : ndarray, shape (n,)
-        Time, u and y; NaN in u or y where the sample is missing.
-    """
-
-    name: str
-    time_s: np.ndarray
-    source: np.ndarray
-    output: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.time_s)
 
 
-@dataclass(frozen=True)
-class Orders:
-    """Orders of the model.
-
-    Attributes
-    ----------
-    na, nb, nc : int
-        Number of coefficients of A, B and C.
-    nk : int
-        Delay of b1, samples.
-    """
-
-    na: int
-    nb: int
-    nk: int = 1
-    nc: int = 0
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """a1 .. b1 .. c1 .."""
-        counts = {"a": self.na, "b": self.nb, "c": self.nc}
-        return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
-
-    @property
-    def count(self) -> int:
-        """Number of parameters."""
-        return self.na + self.nb + self.nc
-
-    @property
-    def lag(self) -> int:
-        """Samples before the present one that a row needs."""
-        return max(self.na, self.nk + self.nb - 1)
-
-    def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The coefficients of A, B and C."""
-        theta = np.asarray(theta, dtype=float)
-        return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
-
-    def __str__(self) -> str:
-        noise = f", nc={self.nc}" if self.nc else ""
-        return f"na={self.na}, nb={self.nb}, nk={self.nk}{noise}"
 
 
 @dataclass(frozen=True)

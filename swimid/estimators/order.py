@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators.arx import EXACT, Orders, Record, check_enough, regression
+from swimid.estimators.arx import EXACT, check_enough, regression
 from swimid.estimators.metrics import Score, score
-from swimid.estimators.prediction import about_own_level, simulate
+from swimid.estimators.prediction import about_own_level
+from swimid.models.difference import Orders, Record, simulate
 from swimid.progress import Progress, silent
 
 

@@ -7,21 +7,14 @@ start. Poles, stability and frequency response come with uncertainty by the delt
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from swimid.estimators import armax, recursive
-from swimid.estimators.arx import Orders, Record, regression
+from swimid.estimators import armax
+from swimid.estimators.arx import regression
 from swimid.estimators.metrics import Score, score
-
-#: A pole at least this close to the unit circle integrates, whatever its uncertainty.
-INTEGRATING = 0.999
-#: The standard error of a pole that is less certain than this says nothing about integration:
-#: the linearisation behind it fails, for nearly double poles above all.
-BLURRED = 0.05
-#: A free run that strays this many times the output's range from it is given up.
-RUNAWAY = 100.0
+from swimid.models.difference import Orders, Record, simulate
 
 
 def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
@@ -80,19 +73,6 @@ def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.nda
     return result
 
 
-def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Free run over a record from its first ``na`` outputs, shape (n,).
-
-    A run that strays :data:`RUNAWAY` times the range of the output away is given up: NaN.
-    """
-    a, b, _ = orders.split(theta)
-    values = record.output[np.isfinite(record.output)]
-    span = float(np.ptp(values)) if len(values) else 0.0
-    # Without a range (a start from rest) only overflow is kept away.
-    limit = float(np.max(np.abs(values))) + RUNAWAY * span if span > 0 else 1e150
-    return recursive.free_run(
-        np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
-    )
 
 
 def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> float:
@@ -142,68 +122,8 @@ def horizon_errors(
     return [score(measured, np.concatenate(predicted[h])) for h in horizons]
 
 
-@dataclass(frozen=True)
-class Pole:
-    """A pole in the z plane.
-
-    Attributes
-    ----------
-    value : complex
-    magnitude, stderr : float
-        Modulus and its standard error (NaN for a repeated pole, where it has none).
-    frequency_hz, damping_ratio : float
-        Of the continuous pole log(z) / Ts; NaN for z = 0.
-    """
-
-    value: complex
-    magnitude: float
-    stderr: float
-    frequency_hz: float
-    damping_ratio: float
-
-    @property
-    def integrating(self) -> bool:
-        """Whether the pole cannot be told from the unit circle, from inside or on it."""
-        near = self.stderr < BLURRED and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
-        return bool(near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING)
-
-    @property
-    def unstable(self) -> bool:
-        """Whether it lies on or outside the unit circle."""
-        return self.magnitude >= 1.0
 
 
-def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
-    """Roots of A, largest first, with the standard error of their modulus.
-
-    Parameters
-    ----------
-    a : ndarray, shape (na,)
-        a1 .. ana.
-    covariance : ndarray, shape (na, na), or None
-        Of a.
-    sample_time_s : float
-        Sample time, s.
-
-    Notes
-    -----
-    For a simple root z of ``p(z) = z^n + a1 z^(n-1) + ...``: ``dz/da_i = -z^(n-i) / p'(z)``.
-    """
-    n = len(a)
-    polynomial = np.concatenate(([1.0], a))
-    result = []
-    for z in np.roots(polynomial) if n else []:
-        stderr = np.nan
-        slope = np.polyval(np.polyder(polynomial), z)
-        if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
-            gradient = -(z ** np.arange(n - 1, -1, -1)) / slope
-            along = np.real(np.conj(z) / abs(z) * gradient)
-            stderr = float(np.sqrt(max(along @ covariance @ along, 0.0)))
-        continuous = np.log(complex(z)) / sample_time_s if abs(z) > 0 else complex(np.nan, np.nan)
-        size = abs(continuous)
-        damping = float(-continuous.real / size) if size > 0 else np.nan
-        result.append(Pole(complex(z), float(abs(z)), stderr, float(size / (2 * np.pi)), damping))
-    return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
 
 
 def response_spread(

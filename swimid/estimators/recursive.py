@@ -244,64 +244,7 @@ def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
     return windup
 
 
-@njit(cache=True, error_model="numpy")
-def free_run(
-    a: np.ndarray, b: np.ndarray, delay: int, source: np.ndarray, measured: np.ndarray, limit: float
-) -> np.ndarray:
-    """Simulate A(z^-1) y = B(z^-1) u from its input and its first outputs alone.
-
-    Parameters
-    ----------
-    a : ndarray, shape (na,)
-        a1 .. ana of A = 1 + a1 z^-1 + ...
-    b : ndarray, shape (nb,)
-        b1 .. bnb of B = b1 z^-delay + b2 z^-(delay+1) + ...
-    delay : int
-        nk, samples.
-    source : ndarray, shape (n,)
-        u, NaN where missing.
-    measured : ndarray, shape (n,)
-        y, NaN where missing. Read only to start: the first na samples before which every
-        sample needed is there, and again after a stretch of missing input.
-    limit : float
-        A run that leaves +-limit is given up: NaN from there until the next start.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The simulated output; NaN where there is none, the starting samples included.
-    """
-    n, na, nb = len(source), len(a), len(b)
-    result = np.full(n, np.nan)
-    state = np.full(n, np.nan)
-    running = False
-    blown = False
-    for k in range(n):
-        known = k >= delay + nb - 1
-        total = 0.0
-        if known:
-            for j in range(nb):
-                total += b[j] * source[k - delay - j]
-            known = total == total
-        if not known:
-            running = False
-            blown = False
-            continue
-        if not running and not blown and k >= na:
-            for i in range(1, na + 1):
-                state[k - i] = measured[k - i]
-            running = True
-        if not running:
-            continue
-        for i in range(na):
-            total -= a[i] * state[k - 1 - i]
-        if total != total:
-            running = False
-            continue
-        if abs(total) > limit:
-            running = False
-            blown = True
-            continue
-        state[k] = total
-        result[k] = total
-    return result
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    rows = np.ones((2, 1))
+    recursive_least_squares(rows, np.ones(2))

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.estimators import residual_tests as rt
-from swimid.estimators.arx import EXACT, Orders, Record, Regression, covariance, directions, regression
-from swimid.estimators.prediction import INTEGRATING, poles, simulate
+from swimid.estimators.arx import EXACT, Regression, covariance, directions, regression
+from swimid.models.difference import INTEGRATING, Orders, Record, poles, simulate
 
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0

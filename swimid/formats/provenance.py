@@ -52,7 +52,8 @@ def collect(inputs: Iterable[str | Path], *, settings: dict[str, Any] | None = N
 
 def command_line() -> str:
     """The command as it was typed, with the program's bare name."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    program = Path(sys.argv[0]).name
+    return shlex.join(["swimid" if program == "__main__.py" else program, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:

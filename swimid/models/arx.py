@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.estimators import sampling
-from swimid.estimators.arx import Orders, Record
-from swimid.estimators.prediction import poles, simulate
 from swimid.formats.parameters import Estimate, ParameterFile, Pole
 from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.models.difference import Orders, Record, poles, simulate
+from swimid.signals import sampling
 
 if TYPE_CHECKING:
     import control

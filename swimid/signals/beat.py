@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize, signal
 
-from swimid.models.base import Array
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

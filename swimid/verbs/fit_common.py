@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from swimid.estimators import metrics
 from swimid.estimators.output_error import HETEROGENEITY, STEP_ERROR, FitResult
 from swimid.estimators.residual_tests import autocorrelation, joined, ljung_box
 from swimid.formats import evidence as ev
+from swimid.formats import parameters as parameters_format
 from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
 from swimid.models.base import Parameter
 from swimid.notices import Notice, warn
@@ -372,6 +374,17 @@ def summary_rows(file: ParameterFile, parameters: tuple[Parameter, ...] = ()) ->
         rows.append((name, text))
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
+
+
+def save(output: Path | None, file: ParameterFile, evidence: ev.Evidence) -> list[Path]:
+    """Write a parameter file and its evidence beside it; a device takes the parameters alone."""
+    if output is None:
+        return []
+    parameters_format.write(output, file)
+    if output.exists() and not output.is_file():
+        return [output]
+    ev.write(ev.sidecar(output), evidence)
+    return [output, ev.sidecar(output)]
 
 
 def judgement(evidence: ev.Evidence) -> str:

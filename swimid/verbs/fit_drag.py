@@ -17,7 +17,6 @@ from swimid.estimators.residual_tests import fit_autoregression
 from swimid.experiments import rig as rig_experiment
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
-from swimid.formats import parameters as parameters_format
 from swimid.formats import provenance
 from swimid.formats.parameters import Estimate, Fit, ParameterFile
 from swimid.models import theory
@@ -125,11 +124,7 @@ def fit_drag(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    outputs = []
-    if output is not None:
-        parameters_format.write(output, file)
-        ev.write(ev.sidecar(output), evidence)
-        outputs = [output, ev.sidecar(output)]
+    outputs = fit_common.save(output, file, evidence)
     return Outcome("fit-drag", _summary(experiment, file, evidence, pair), file.model_dump(mode="json"), outputs)
 
 

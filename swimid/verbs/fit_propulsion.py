@@ -16,7 +16,6 @@ from swimid.estimators.output_error import FitResult
 from swimid.experiments import propulsion as experiment_module
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
-from swimid.formats import parameters as parameters_format
 from swimid.formats import provenance
 from swimid.formats.parameters import Estimate, ParameterFile
 from swimid.models.base import Array, Parameter, Trial, chosen
@@ -87,11 +86,7 @@ def fit_propulsion(
     for notice in notices:
         warn(notice.code, notice.text)
     evidence.notices = fit_common.notices(notices)
-    outputs = []
-    if output is not None:
-        parameters_format.write(output, file)
-        ev.write(ev.sidecar(output), evidence)
-        outputs = [output, ev.sidecar(output)]
+    outputs = fit_common.save(output, file, evidence)
     summary = "\n".join(
         [
             f"{experiment.name} of {experiment.robot.name}",

@@ -12,14 +12,16 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.estimators import order as order_search
-from swimid.estimators import prediction, working_point
-from swimid.estimators.arx import Estimate, Orders, Record, estimate, regression
-from swimid.formats import evidence, parameters, provenance
+from swimid.estimators import working_point
+from swimid.estimators.arx import Estimate, estimate, regression
+from swimid.formats import parameters, provenance
+from swimid.models import difference
 from swimid.models.arx import NAME
+from swimid.models.difference import Orders, Record
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.reporting import numbers
-from swimid.verbs import rwls_data, rwls_evidence, rwls_scores
+from swimid.verbs import fit_common, rwls_data, rwls_evidence, rwls_scores
 from swimid.verbs.outcome import Outcome
 from swimid.verbs.rwls_scores import Scores, Tests
 
@@ -122,7 +124,7 @@ def rwls(
                 stride=stride or max(1, -(-rows // KEPT)),
             )
             a, _, _ = orders.split(found.theta)
-            poles = prediction.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
+            poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
             fit_scores = rwls_scores.scores(fit, found, poles, horizon)
             scores: dict[str, Scores] = {}
             for name, part in held.items():
@@ -177,11 +179,9 @@ def rwls(
                 tests=tests,
                 file=file,
             ),
-            notices=[evidence.NoticeRecord(code=n.code, text=n.text) for n in notices],
+            notices=fit_common.notices(notices),
         )
-        parameters.write(output, file)
-        evidence.write(evidence.sidecar(output), shown)
-        outputs = [output, evidence.sidecar(output)]
+        outputs = fit_common.save(output, file, shown)
     result = file.model_dump(mode="python")
     result["orders_tried"] = [
         {
@@ -240,7 +240,7 @@ def _warn(
     data: rwls_data.Data,
     found: Estimate,
     point: working_point.WorkingPoint,
-    poles: list[prediction.Pole],
+    poles: list[difference.Pole],
     fit_scores: Scores,
     scores: dict[str, Scores],
 ) -> None:
@@ -309,7 +309,7 @@ def _warn(
             )
 
 
-def _warn_stability(poles: list[prediction.Pole], fit_scores: Scores, scores: dict[str, Scores]) -> None:
+def _warn_stability(poles: list[difference.Pole], fit_scores: Scores, scores: dict[str, Scores]) -> None:
     diverged = [n for n, s in {"the fitted part": fit_scores, **scores}.items() if s.diverged]
     tail = f"; its free run diverges on {', '.join(diverged)}" if diverged else ""
     outside = [p for p in poles if p.unstable]
@@ -331,7 +331,7 @@ def _warn_stability(poles: list[prediction.Pole], fit_scores: Scores, scores: di
         )
 
 
-def stability(poles: list[prediction.Pole]) -> str:
+def stability(poles: list[difference.Pole]) -> str:
     """``stable``, ``integrating`` or ``unstable``."""
     if any(p.unstable for p in poles):
         return "unstable"
@@ -341,7 +341,7 @@ def stability(poles: list[prediction.Pole]) -> str:
 def _parameter_file(
     data: rwls_data.Data,
     found: Estimate,
-    poles: list[prediction.Pole],
+    poles: list[difference.Pole],
     fit_scores: Scores,
     scores: dict[str, Scores],
     held: dict[str, list[Record]],
@@ -424,7 +424,7 @@ def _summary(
     data: rwls_data.Data,
     found: Estimate,
     file: parameters.ParameterFile,
-    poles: list[prediction.Pole],
+    poles: list[difference.Pole],
     fit_scores: Scores,
     scores: dict[str, Scores],
     horizon: int,

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError, UsageError
-from swimid.estimators import sampling
-from swimid.estimators.arx import Record
 from swimid.formats import log as log_format
 from swimid.formats import trials
 from swimid.models.arx import sine_input
+from swimid.models.difference import Record
 from swimid.notices import warn
 from swimid.reporting import numbers
+from swimid.signals import sampling
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swimid.estimators import prediction
-from swimid.estimators.arx import Estimate, Record
+from swimid.estimators.arx import Estimate
 from swimid.estimators.order import Candidate
 from swimid.estimators.residual_tests import Correlation
 from swimid.formats.evidence import (
@@ -27,7 +27,9 @@ from swimid.formats.evidence import (
     thinned,
 )
 from swimid.formats.parameters import ParameterFile
+from swimid.models import difference
 from swimid.models.arx import to_control
+from swimid.models.difference import Record
 from swimid.reporting import numbers
 
 if TYPE_CHECKING:
@@ -58,7 +60,7 @@ class Material:
     level: float
     centred: bool
     found: Estimate
-    poles: list[prediction.Pole]
+    poles: list[difference.Pole]
     weight: float
     forgetting: float
     fit_scores: Scores
@@ -333,7 +335,7 @@ def _joined(
     end = 0.0
     for k, record in enumerate(records):
         one = prediction.predict(record, m.found.orders, m.found.theta)
-        run = prediction.simulate(record, m.found.orders, m.found.theta)
+        run = difference.simulate(record, m.found.orders, m.found.theta)
         delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.sample_time_s - record.time_s[0]
         time = record.time_s + delay
         if k:
@@ -548,7 +550,7 @@ def _excited(m: Material) -> list[Span]:
 def _step(m: Material) -> Figure:
     import control
 
-    inside = [p.magnitude for p in m.poles if p.magnitude < prediction.INTEGRATING]
+    inside = [p.magnitude for p in m.poles if p.magnitude < difference.INTEGRATING]
     slowest = max(inside, default=0.5)
     count = (
         60 if any(p.unstable for p in m.poles) else int(np.clip(5 / -math.log(max(slowest, 0.1)), 30, 1000))

@@ -10,8 +10,10 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import prediction
 from swimid.estimators import residual_tests as rt
-from swimid.estimators.arx import Estimate, Record
+from swimid.estimators.arx import Estimate
 from swimid.estimators.metrics import Score, score
+from swimid.models import difference
+from swimid.models.difference import Record
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def _check_long(records: list[Record], found: Estimate) -> int:
     return longest
 
 
-def scores(records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int) -> Scores:
+def scores(records: list[Record], found: Estimate, poles: list[difference.Pole], horizon: int) -> Scores:
     """Errors one step ahead, ``horizon`` steps ahead and in free run.
 
     Raises
@@ -77,7 +79,7 @@ def scores(records: list[Record], found: Estimate, poles: list[prediction.Pole],
     errors = prediction.horizon_errors(records, found.orders, found.theta, steps)
     by_step = dict(zip(steps, errors, strict=True))
     measured = np.concatenate([r.output for r in records])
-    runs = [prediction.simulate(r, found.orders, found.theta) for r in records]
+    runs = [difference.simulate(r, found.orders, found.theta) for r in records]
     simulated = np.concatenate(runs)
     free = score(measured, simulated)
     at_risk = any(p.unstable or p.integrating for p in poles)
@@ -101,18 +103,18 @@ def scores(records: list[Record], found: Estimate, poles: list[prediction.Pole],
 def pooled(sets: list[list[Record]], found: Estimate) -> Score:
     """Free-run score over several sets of records together."""
     records = [r for records in sets for r in records]
-    runs = [prediction.simulate(r, found.orders, found.theta) for r in records]
+    runs = [difference.simulate(r, found.orders, found.theta) for r in records]
     return score(np.concatenate([r.output for r in records]), np.concatenate(runs))
 
 
 def about_own_level(
-    records: list[Record], found: Estimate, poles: list[prediction.Pole], horizon: int
+    records: list[Record], found: Estimate, poles: list[difference.Pole], horizon: int
 ) -> tuple[list[Record], Scores]:
     """Held-out records about their own level, with their errors there and at the predicted level."""
     _check_long(records, found)
     strict = score(
         np.concatenate([r.output for r in records]),
-        np.concatenate([prediction.simulate(r, found.orders, found.theta) for r in records]),
+        np.concatenate([difference.simulate(r, found.orders, found.theta) for r in records]),
     )
     moved, level = prediction.about_own_level(records, found.orders, found.theta)
     return moved, replace(scores(moved, found, poles, horizon), strict=strict, level=level)

@@ -218,7 +218,7 @@ def _frame(video: Path, index: int) -> Frame:
     if index < 0:
         raise UsageError(f"--frame {index} must not be negative")
     count = 0
-    for count, (_, frame) in enumerate(Video(video).frames(), start=1):  # noqa: B007 - the count is used below
+    for count, (_, frame) in enumerate(Video(video).frames(), start=1):
         if count - 1 == index:
             return frame
     raise InputError(f"has {count} frames; frame {index} does not exist", file=video)

@@ -16,7 +16,7 @@ from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.tracking import checks, overlay, pictures, plane, pose
 from swimid.tracking.census import describe_colours
-from swimid.tracking.follow import RawTrack
+from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.run import follow
 from swimid.verbs.outcome import Outcome
 

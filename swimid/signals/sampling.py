@@ -126,8 +126,7 @@ def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
 def quantum(values: Sequence[float] | np.ndarray) -> float:
     """Step of the last decimal place the values were written with, 0 when there is none.
 
-    Two thirds of what a log file holds are rounded decimals; below that step the data say
-    nothing.
+    Logs hold rounded decimals; below their last place the data say nothing.
 
     >>> quantum(np.array([0.25, 1.5, -0.75]))
     0.01

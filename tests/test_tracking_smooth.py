@@ -1,0 +1,110 @@
+"""The filter and smoother against filterpy, and against what noise theory says."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from swimid.tracking import smooth as module
+
+
+def _white_acceleration(rng, times, power):
+    """Position and velocity of a body pushed by white acceleration, drawn exactly."""
+    x, v = np.zeros(len(times)), np.zeros(len(times))
+    for k in range(1, len(times)):
+        dt = times[k] - times[k - 1]
+        noise = power * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        kick = np.linalg.cholesky(noise) @ rng.normal(size=2)
+        x[k] = x[k - 1] + v[k - 1] * dt + kick[0]
+        v[k] = v[k - 1] + kick[1]
+    return x, v
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_filter_and_smoother_equal_filterpy(order):
+    """Uneven steps and missing samples; filterpy's smoother method is right with varying steps."""
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.01, 0.08, 80))
+    values = np.sin(times) + rng.normal(0, 0.02, 80)
+    values[30:42] = np.nan
+    variances = rng.uniform(1, 4, 80) * 4e-4
+    q, start = 0.7, np.diag([1.0, 2.0, 3.0][:order])
+    means, covariances, _, _ = module.kalman(times, values, variances, q, order, start)
+    smooth, spread = module.rts(times, means, covariances, q, order)
+
+    oracle = KalmanFilter(dim_x=order, dim_z=1)
+    oracle.x = np.r_[values[0], np.zeros(order - 1)]
+    oracle.P, oracle.H = start.copy(), np.eye(1, order)
+    xs, ps, fs, qs = [], [], [], []
+    for k, t in enumerate(times):
+        dt = 0.0 if k == 0 else t - times[k - 1]
+        # Van Loan's integral, taken numerically: other code than the closed form under test.
+        s = np.linspace(0, dt, 2001)
+        impulse = np.array([s ** (order - 1 - i) / np.prod(range(1, order - i)) for i in range(order)])
+        oracle.F = np.array(
+            [[dt ** (j - i) / np.prod(range(1, j - i + 1)) if j >= i else 0.0 for j in range(order)] for i in range(order)]
+        )
+        oracle.Q = q * np.trapezoid(impulse[:, None, :] * impulse[None, :, :], s, axis=2)
+        oracle.R = np.array([[variances[k]]])
+        fs.append(oracle.F)
+        qs.append(oracle.Q)
+        oracle.predict()
+        oracle.update(None if np.isnan(values[k]) else values[k])
+        xs.append(oracle.x.copy().ravel())
+        ps.append(oracle.P.copy())
+    np.testing.assert_allclose(means, xs, atol=1e-8)
+    np.testing.assert_allclose(covariances, ps, atol=1e-8)
+    # filterpy takes the matrices of the step after k from Fs[k + 1].
+    back, back_cov, _, _ = oracle.rts_smoother(np.array(xs), np.array(ps), fs, qs)
+    np.testing.assert_allclose(smooth, back, atol=1e-6)
+    np.testing.assert_allclose(spread, back_cov, atol=1e-6)
+
+
+def test_noise_is_recovered_and_errors_fit_their_deviations():
+    """Likelihood finds both noises (20 %); normalised errors have size one."""
+    rng = np.random.default_rng(11)
+    times = np.cumsum(rng.choice([0.02, 0.033, 0.05], 3000))
+    x, v = _white_acceleration(rng, times, 0.5)
+    values = x + rng.normal(0, 0.01, len(times))
+    out = module.smooth(times, values[None], np.ones(len(times)), [(0, len(times))])
+    assert out.order == 2
+    assert out.measurement_sd == pytest.approx(0.01, rel=0.2)
+    assert out.process_noise == pytest.approx(0.5, rel=0.35)
+    inner = slice(20, -20)
+    for error, sd in (
+        ((out.position[0] - x)[inner], out.position_sd[0][inner]),
+        ((out.velocity[0] - v)[inner], out.velocity_sd[0][inner]),
+    ):
+        assert np.sqrt(np.mean((error / sd) ** 2)) == pytest.approx(1.0, abs=0.2)
+
+
+def test_gap_widens_the_band_and_segments_are_kept_apart():
+    """Inside a gap the deviation grows; outside the segments there is nothing."""
+    rng = np.random.default_rng(5)
+    times = np.arange(400) / 30
+    values = np.sin(times) + rng.normal(0, 0.005, 400)
+    values[100:115] = np.nan
+    values[200:260] = np.nan
+    out = module.smooth(times, values[None], np.ones(400), [(0, 200), (260, 400)])
+    assert out.position_sd[0, 107] > 2 * out.position_sd[0, 90]
+    assert np.isnan(out.position[0, 200:260]).all()
+    assert np.isfinite(out.position[0, 260:]).all()
+    error = np.abs(out.position[0, 100:115] - np.sin(times[100:115])) / out.position_sd[0, 100:115]
+    assert error.max() < 3
+
+
+def test_weight_of_a_doubtful_measurement():
+    """A measurement of large variance hardly moves the path."""
+    rng = np.random.default_rng(6)
+    times = np.arange(100) / 30
+    values = 0.2 * times + rng.normal(0, 0.001, 100)
+    values[50] += 0.1
+    weights = np.ones(100)
+    trusted = module.smooth(times, values[None], weights, [(0, 100)])
+    weights[50] = 1e6
+    doubted = module.smooth(times, values[None], weights, [(0, 100)])
+    truth = 0.2 * times[50]
+    # Left out altogether it would be the same.
+    values[50] = np.nan
+    without = module.smooth(times, values[None], np.ones(100), [(0, 100)])
+    assert abs(doubted.position[0, 50] - without.position[0, 50]) < 1e-4
+    assert abs(doubted.position[0, 50] - truth) < abs(trusted.position[0, 50] - truth) + 0.001
