@@ -41,7 +41,10 @@ def test_filter_and_smoother_equal_filterpy(order):
         s = np.linspace(0, dt, 2001)
         impulse = np.array([s ** (order - 1 - i) / np.prod(range(1, order - i)) for i in range(order)])
         oracle.F = np.array(
-            [[dt ** (j - i) / np.prod(range(1, j - i + 1)) if j >= i else 0.0 for j in range(order)] for i in range(order)]
+            [
+                [dt ** (j - i) / np.prod(range(1, j - i + 1)) if j >= i else 0.0 for j in range(order)]
+                for i in range(order)
+            ]
         )
         oracle.Q = q * np.trapezoid(impulse[:, None, :] * impulse[None, :, :], s, axis=2)
         oracle.R = np.array([[variances[k]]])

@@ -85,7 +85,9 @@ def test_stated_deviations_are_honest(pool):
     _, _, log, truth, _ = pool
     seen = log.found == 1
     for column in ("x", "y"):
-        size = np.sqrt(np.mean(((log[f"{column}_m"] - truth[f"{column}_m"]) / log[f"{column}_sd_m"])[seen] ** 2))
+        size = np.sqrt(
+            np.mean(((log[f"{column}_m"] - truth[f"{column}_m"]) / log[f"{column}_sd_m"])[seen] ** 2)
+        )
         assert 0.5 < size < 1.6
 
 
@@ -96,7 +98,12 @@ def test_log_columns_and_evidence(pool):
     for column in ("x_sd_m", "red_x_px", "yellow_area_px", "segment", "confidence", "red_status"):
         assert column in log
     proof = evidence.read(folder / "run.evidence.json")
-    assert {c.name for c in proof.checks} >= {"Frames found", "Longest gap", "Marker separation", "Frame timing"}
+    assert {c.name for c in proof.checks} >= {
+        "Frames found",
+        "Longest gap",
+        "Marker separation",
+        "Frame timing",
+    }
     assert {f.id for f in proof.figures} == {"path", "pose", "speed", "quality"}
     assert 3 <= len(proof.images) <= 6
     assert (folder / "run.png").stat().st_size > 10_000
@@ -124,7 +131,9 @@ def test_variable_frame_rate_uses_the_stamps(tmp_path):
     assert np.sqrt(np.mean((log.u_m_s - truth.u_m_s)[inner] ** 2)) < 0.01
     assert "SWM043" in output.output
     even = run("video", video, "--setup", setup, "-o", tmp_path / "even.csv", "--fps", "30")
-    np.testing.assert_allclose(np.diff(pd.read_csv(tmp_path / "even.csv", comment="#").t_s), 1 / 30, atol=1e-9)
+    np.testing.assert_allclose(
+        np.diff(pd.read_csv(tmp_path / "even.csv", comment="#").t_s), 1 / 30, atol=1e-9
+    )
     assert "SWM043" not in even.output
 
 
@@ -187,7 +196,9 @@ def test_lens_and_height():
     matrix = [[600.0, 0, 320.0], [0, 600.0, 240.0], [0, 0, 1.0]]
     distortion = [-0.25, 0.08, 0.001, -0.0005, 0.0]
     rays = np.array([[-0.4, -0.3, 1], [0.3, 0.1, 1], [0.0, 0.0, 1]])
-    seen = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(matrix), np.array(distortion))[0].reshape(-1, 2)
+    seen = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(matrix), np.array(distortion))[
+        0
+    ].reshape(-1, 2)
     rules = setup_format.Setup.model_validate(
         {
             "format": "swimid-setup/1",

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from swimid.formats.evidence import Check
 from swimid.formats.setup import Setup
 from swimid.notices import warn
-from swimid.tracking.follow import RawTrack
 from swimid.tracking.pose import Pose
+from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import irregular
 
 Grade = Literal["pass", "warn", "fail"]

@@ -140,12 +140,12 @@ def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
 
 
 def hue_difference(a: Any, b: Any) -> Any:
-    """a - b on the circle of 180 steps, in [-90, 90)."""
+    """A - b on the circle of 180 steps, in [-90, 90)."""
     return (a - b + _HALF) % _TURN - _HALF
 
 
 def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """a - b of two HSV colours, the hue the short way round."""
+    """A - b of two HSV colours, the hue the short way round."""
     out = a - b
     out[0] = hue_difference(a[0], b[0])
     return out

@@ -84,7 +84,7 @@ class Patch:
 
 
 @njit(cache=True)
-def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # noqa: C901 # pragma: no cover
     """Centre of a marker by soft membership.
 
     ``inner`` marks the filled core (weight 1), ``near`` the dilated blob, outside ``far`` is
@@ -92,59 +92,55 @@ def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-de
     picture pixel is projected on the axis from mean background to mean core colour; that
     opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
     """
-    rows, columns = bgr.shape[0], bgr.shape[1]
     core = np.zeros(3)
     back = np.zeros(3)
     square = np.zeros(3)
     n_core = 0
     n_back = 0
-    for i in range(rows):
-        for j in range(columns):
-            mi, mj = i // step, j // step
+    for mi in range(inner.shape[0]):
+        for mj in range(inner.shape[1]):
             if inner[mi, mj]:
-                n_core += 1
-                for c in range(3):
-                    core[c] += bgr[i, j, c]
+                for i in range(mi * step, (mi + 1) * step):
+                    for j in range(mj * step, (mj + 1) * step):
+                        for c in range(3):
+                            core[c] += bgr[i, j, c]
+                n_core += step * step
             elif far[mi, mj] == 0:
-                n_back += 1
-                for c in range(3):
-                    value = float(bgr[i, j, c])
-                    back[c] += value
-                    square[c] += value * value
+                for i in range(mi * step, (mi + 1) * step):
+                    for j in range(mj * step, (mj + 1) * step):
+                        for c in range(3):
+                            value = float(bgr[i, j, c])
+                            back[c] += value
+                            square[c] += value * value
+                n_back += step * step
     if n_core == 0 or n_back == 0:
         return np.nan, np.nan, 0.0, 0.0, core
-    axis = np.zeros(3)
-    length2 = 0.0
-    for c in range(3):
-        core[c] /= n_core
-        back[c] /= n_back
-        axis[c] = core[c] - back[c]
-        length2 += axis[c] * axis[c]
+    core /= n_core
+    back /= n_back
+    axis = core - back
+    length2 = np.sum(axis * axis)
     if length2 <= 0.0:
         return np.nan, np.nan, 0.0, 0.0, core
     # Scatter of the background along the axis, channels taken as independent.
-    spread = 0.0
-    for c in range(3):
-        variance = max(square[c] / n_back - back[c] * back[c], 0.0)
-        spread += variance * axis[c] * axis[c] / length2
+    spread = np.sum(np.maximum(square / n_back - back * back, 0.0) * axis * axis) / length2
+    offset = np.sum(back * axis)
     total = 0.0
     sum_x = 0.0
     sum_y = 0.0
-    for i in range(rows):
-        for j in range(columns):
-            mi, mj = i // step, j // step
-            weight = 0.0
-            if inner[mi, mj]:
-                weight = 1.0
-            elif near[mi, mj]:
-                alpha = 0.0
-                for c in range(3):
-                    alpha += (bgr[i, j, c] - back[c]) * axis[c]
-                alpha /= length2
-                weight = min(max(2.0 * alpha - 0.5, 0.0), 1.0)
-            total += weight
-            sum_x += weight * j
-            sum_y += weight * i
+    for mi in range(inner.shape[0]):
+        for mj in range(inner.shape[1]):
+            if near[mi, mj] == 0:
+                continue
+            solid = inner[mi, mj] != 0
+            for i in range(mi * step, (mi + 1) * step):
+                for j in range(mj * step, (mj + 1) * step):
+                    weight = 1.0
+                    if not solid:
+                        along = bgr[i, j, 0] * axis[0] + bgr[i, j, 1] * axis[1] + bgr[i, j, 2] * axis[2]
+                        weight = min(max(2.0 * (along - offset) / length2 - 0.5, 0.0), 1.0)
+                    total += weight
+                    sum_x += weight * j
+                    sum_y += weight * i
     return sum_x / total, sum_y / total, np.sqrt(length2), np.sqrt(spread), core
 
 
@@ -157,8 +153,10 @@ def thinned(window: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """The middle pixel of every ``step`` x ``step`` block of a window, whole blocks only."""
     if step == 1:
         return window
-    rows, columns = window.shape[0] // step * step, window.shape[1] // step * step
-    return np.ascontiguousarray(window[step // 2 : rows : step, step // 2 : columns : step])
+    half = step // 2
+    rows, columns = (window.shape[0] - half) // step, (window.shape[1] - half) // step
+    blocks = window[half : half + step * rows, half : half + step * columns]
+    return cv2.resize(blocks, (columns, rows), interpolation=cv2.INTER_NEAREST)
 
 
 def patches(
@@ -231,8 +229,8 @@ def measure(
     rows, columns = window.shape[0], window.shape[1]
     margin = -(-MARGIN // step) if step < 3 else 4
     x0, y0 = max(patch.left - margin, 0), max(patch.top - margin, 0)
-    x1 = min(patch.right + margin, columns // step)
-    y1 = min(patch.bottom + margin, rows // step)
+    x1 = min(patch.right + margin, (columns - step // 2) // step)
+    y1 = min(patch.bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
     # The core of the hull has weight 1, so that glints leave no hole; the rim is left soft.
@@ -251,7 +249,7 @@ def measure(
     left, top = origin[0] + step * patch.left, origin[1] + step * patch.top
     right, bottom = origin[0] + step * patch.right, origin[1] + step * patch.bottom
     # Blocks that do not fill up at the right and lower side are not looked at.
-    at_edge = left <= 0 or top <= 0 or right > picture[0] - step or bottom > picture[1] - step
+    at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     return Blob(
         x=origin[0] + step * x0 + column,

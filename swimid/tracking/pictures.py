@@ -13,8 +13,8 @@ from swimid.formats import atomic
 from swimid.formats.evidence import Figure, Image, Panel, Span, Trace, thinned
 from swimid.formats.setup import Setup
 from swimid.tracking import checks
-from swimid.tracking.follow import LOST, STATUS, RawTrack
 from swimid.tracking.pose import Pose
+from swimid.tracking.rawtrack import LOST, STATUS, RawTrack
 from swimid.tracking.reader import Frame
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
 from swimid.formats.setup import Setup
-from swimid.tracking.follow import STATUS, RawTrack
 from swimid.tracking.plane import Plane
+from swimid.tracking.rawtrack import STATUS, RawTrack
 from swimid.tracking.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]

@@ -10,8 +10,9 @@ import numpy as np
 from swimid.formats.setup import Setup
 from swimid.notices import warn
 from swimid.progress import Step
-from swimid.tracking.follow import Follower, RawTrack
+from swimid.tracking.follow import Follower
 from swimid.tracking.pictures import FrameKeeper
+from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, Video, VideoInfo
 
 #: Least share of frames, and least way in marker radii, for a second look to be preferred.

@@ -1,0 +1,110 @@
+"""Where every marker was seen, in image pixels, before anything is smoothed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.tracking.colour import hue_difference
+
+#: Words of the status column, by code.
+STATUS = ("lost", "window", "grown", "full")
+LOST, WINDOW, GROWN, FULL = range(4)
+#: A sighting this short, alone between losses, is not believed.
+SHORTEST_RUN = 3
+#: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
+RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
+#: Only a run shorter than this share of all sightings is doubted for its look.
+STRANGER_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """Every marker in every frame, in image pixels.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    names : list of str
+        The m markers.
+    x, y, area, confidence : ndarray, shape (m, n)
+        NaN where not found (confidence 0). The centre is sub-pixel, y down.
+    status : ndarray of int, shape (m, n)
+        Index into :data:`STATUS`.
+    at_edge : ndarray of bool, shape (m, n)
+        The marker touches the edge of the picture.
+    drift : dict of str to ndarray, shape (3,)
+        Largest drift of each marker kind's colour: hue (2 deg), saturation, value (of 255).
+    rivals : dict of str to int
+        Other things of the colour that were about.
+    """
+
+    times: NDArray[np.float64]
+    names: list[str]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    area: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+    status: NDArray[np.int64]
+    at_edge: NDArray[np.bool_]
+    drift: dict[str, NDArray[np.float64]]
+    rivals: dict[str, int]
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Where each marker was really seen, shape (m, n)."""
+        return self.status > LOST
+
+
+def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
+    """Take back sightings that, seen from the end, were something else.
+
+    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone
+    between longer losses), or short and unlike the marker's usual look in colour, size or
+    confidence.
+
+    Parameters
+    ----------
+    track : RawTrack
+        Changed in place.
+    marker : int
+        Its row.
+    looks : ndarray, shape (n, 3)
+        Mean HSV of each sighting.
+    """
+    seen = track.status[marker] > LOST
+    if not seen.any():
+        return
+    usual = np.median(looks[seen], axis=0)
+    turn = 2 * np.pi * looks[seen, 0] / 180
+    usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+    hue = np.abs(hue_difference(looks[:, 0], usual[0]))
+    saturation = np.abs(looks[:, 1] / max(usual[1], 1.0) - 1)
+    area, confidence = track.area[marker], track.confidence[marker]
+    usual_area = float(np.median(area[seen]))
+    usual_confidence = float(np.median(confidence[seen]))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], seen.astype(np.int8), [0]))))
+    starts, ends = edges[::2], edges[1::2]
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        before = start - (ends[k - 1] if k else 0)
+        after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end
+        alone = (before > SHORTEST_RUN or start == 0) and (after > SHORTEST_RUN or end == len(seen))
+        about = seen[max(start - 15, 0) : end + 15]
+        flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
+        part = slice(start, end)
+        ratio = float(np.median(area[part])) / usual_area
+        stranger = end - start < STRANGER_SHARE * seen.sum() and (
+            float(np.median(hue[part])) > RETURN_HUE
+            or float(np.median(saturation[part])) > RETURN_SATURATION
+            or not 0.25 < ratio < 4
+            or (float(np.median(confidence[part])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
+        )
+        if (flash and end - start < seen.sum()) or stranger:
+            for values in (track.x, track.y, track.area):
+                values[marker, part] = np.nan
+            track.confidence[marker, part] = 0.0
+            track.status[marker, part] = LOST
+            track.at_edge[marker, part] = False
