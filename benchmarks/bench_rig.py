@@ -54,7 +54,9 @@ def scipy_fit(trials: list[Trial]) -> np.ndarray:
         return np.concatenate([t.measured["x_m"] - solve(p, t.settings["mass"], 1e-8) for t in trials])
 
     start = [1.0, 0.6, 0.02]
-    return least_squares(residuals, start, bounds=([0, 0, 0], [5, np.inf, np.inf]), x_scale=[0.5, 0.6, 0.05]).x
+    return least_squares(
+        residuals, start, bounds=([0, 0, 0], [5, np.inf, np.inf]), x_scale=[0.5, 0.6, 0.05]
+    ).x
 
 
 def swimid_fit(trials: list[Trial], *, integrated: bool = False) -> np.ndarray:
@@ -86,7 +88,9 @@ def main() -> None:
         ("solve_ivp + scipy least_squares", *measured(lambda: scipy_fit(trials), 3)),
     ]
     reference = rows[-1]
-    print(f"{'fit of 10 drops x 1001 samples':<34}{'wall s':>9}{'CPU s':>9}{'wall ratio':>12}   C_d, m_a, f_c")
+    print(
+        f"{'fit of 10 drops x 1001 samples':<34}{'wall s':>9}{'CPU s':>9}{'wall ratio':>12}   C_d, m_a, f_c"
+    )
     for name, wall, cpu, found in rows:
         values = "  ".join(f"{v:.5f}" for v in found)
         print(f"{name:<34}{wall:9.4f}{cpu:9.4f}{reference[1] / wall:11.1f}x   {values}")

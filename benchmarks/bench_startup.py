@@ -1,6 +1,6 @@
 """How long ``swimid --help`` takes over a bare interpreter.
 
-    python benchmarks/bench_startup.py
+python benchmarks/bench_startup.py
 """
 
 from __future__ import annotations

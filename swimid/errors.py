@@ -89,6 +89,7 @@ class InputError(SwimidError, ValueError):
         super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
+        """The error with its place, as the ``error`` member of the ``--json`` envelope."""
         return super().to_dict() | {
             "file": self.file,
             "line": self.line,

@@ -9,13 +9,17 @@ from typing import Protocol
 class Step(Protocol):
     """Advances one running bar."""
 
-    def __call__(self, amount: int = 1) -> None: ...
+    def __call__(self, amount: int = 1) -> None:
+        """Advance by ``amount``."""
+        ...
 
 
 class Progress(Protocol):
     """Opens a bar: ``with progress("tracking", total=600) as step: step()``."""
 
-    def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]: ...
+    def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
+        """Open a bar of ``total`` steps, or of an unknown number."""
+        ...
 
 
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:

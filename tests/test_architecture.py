@@ -54,7 +54,8 @@ def test_help_imports_nothing_heavy() -> None:
     """numpy and what is heavier stay out of --help and completion."""
     code = (
         "import sys; from swimid.cli.main import main; main(['--help'], standalone_mode=False); "
-        "heavy = {'numpy', 'scipy', 'pandas', 'numba', 'cv2', 'control', 'filterpy', 'matplotlib', 'pydantic'}; "
+        "heavy = "
+        "{'numpy', 'scipy', 'pandas', 'numba', 'cv2', 'control', 'filterpy', 'matplotlib', 'pydantic'}; "
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

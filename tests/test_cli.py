@@ -52,12 +52,20 @@ def test_version(swimid: Run) -> None:
         (["fit-drag", "absent.yaml"], 3, "absent.yaml: cannot be read: No such file"),
         (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag=1"], 2, "did you mean 'drag_coefficient'"),
         (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag_coefficient"], 2, "NAME=VALUE"),
-        (["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag_coefficient=high"], 2, "'high' is not a number"),
+        (
+            ["fit-drag", "{samples}/rig/trials.yaml", "--fix", "drag_coefficient=high"],
+            2,
+            "'high' is not a number",
+        ),
         (["fit-drag", "{samples}/rig/trials.yaml", "--bounds", "added_mass=2,1"], 2, "wrong way round"),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "no/such/folder/d.yaml"], 3, "does not exist"),
         (["fit-drag", "{samples}/rig/trials.yaml", "-o", "{samples}/rig/trials.yaml"], 2, "also an input"),
         (["fit-drag", "{samples}/cruise/trials.yaml"], 3, "'cruise' is not allowed"),
-        (["fit-drag", "{samples}/rig/trials.yaml", "--method", "two-point", "--points", "3,6"], 4, "samples lie within"),
+        (
+            ["fit-drag", "{samples}/rig/trials.yaml", "--method", "two-point", "--points", "3,6"],
+            4,
+            "samples lie within",
+        ),
         (["schema", "trails"], 2, "did you mean 'trials'"),
     ],
 )

@@ -30,9 +30,13 @@ STEP = 0.00785
 def _settings(weight: int) -> dict[str, object]:
     mass = weight / 1000
     return {
-        "inertia": 1.196 + mass + 0.02, "area_factor": AREA_FACTOR, "force": mass * 9.8,
-        "pulley": True, "release_s": 0.0, "x0": 0.0,
-    }  # fmt: skip
+        "inertia": 1.196 + mass + 0.02,
+        "area_factor": AREA_FACTOR,
+        "force": mass * 9.8,
+        "pulley": True,
+        "release_s": 0.0,
+        "x0": 0.0,
+    }
 
 
 def _model() -> rig_model.RigModel:
@@ -48,16 +52,23 @@ def clicks() -> dict[int, np.ndarray]:
 @pytest.mark.kernels
 class TestModel:
     @pytest.mark.parametrize(
-        "quadratic, linear, dry, stiffness", [(2.4, 0, 0, 0), (2.4, 0.5, 0.05, 0), (0, 0.3, 0, 8.0), (3.0, 0.1, 0, 20.0)]
+        "quadratic, linear, dry, stiffness",
+        [(2.4, 0, 0, 0), (2.4, 0.5, 0.05, 0), (0, 0.3, 0, 8.0), (3.0, 0.1, 0, 20.0)],
     )
     def test_integration_against_an_adaptive_solver(
         self, quadratic: float, linear: float, dry: float, stiffness: float
     ) -> None:
         time = np.linspace(0, 5, 101)
-        x, v = rig_model.integrate(time, 0.0, 0.005, np.array([0.2]), 1.9, quadratic, linear, dry, stiffness, 0.0, 0.1, 0.3)
+        x, v = rig_model.integrate(
+            time, 0.0, 0.005, np.array([0.2]), 1.9, quadratic, linear, dry, stiffness, 0.0, 0.1, 0.3
+        )
 
         def rate(_: float, s: np.ndarray) -> list[float]:
-            return [s[1], (0.2 - dry * np.sign(s[1]) - linear * s[1] - quadratic * s[1] * abs(s[1]) - stiffness * s[0]) / 1.9]
+            return [
+                s[1],
+                (0.2 - dry * np.sign(s[1]) - linear * s[1] - quadratic * s[1] * abs(s[1]) - stiffness * s[0])
+                / 1.9,
+            ]
 
         run = solve_ivp(rate, (0, 5), [0.1, 0.3], method="DOP853", rtol=1e-11, atol=1e-12, t_eval=time)
         # fourth order at this step; the dry case keeps moving forward, so its force is smooth
@@ -78,16 +89,25 @@ class TestModel:
     def test_closed_form_is_the_integral(self) -> None:
         time = np.linspace(0, 12, 200)
         x, v = rig_model.falling_weight_closed_form(time, 0.0, 1.921, AREA_FACTOR * 0.705, 0.165)
-        xi, vi = rig_model.integrate(time, 0.0, 0.005, np.array([0.165]), 1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        xi, vi = rig_model.integrate(
+            time, 0.0, 0.005, np.array([0.165]), 1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
         assert np.max(np.abs(x - xi)) < 1e-10
         assert np.max(np.abs(v - vi)) < 1e-10
 
     def test_published_terminal_speeds_and_times(self) -> None:
-        """From the boxfish paper's parameters: 10 to 40 g reach 16.6 to 38.4 cm/s, 115 cm take 10.1 to 4.4 s."""
-        for weight, speed, duration in ((10, 0.166, 10.1), (20, 0.260, 6.5), (30, 0.328, 5.1), (40, 0.384, 4.4)):
+        """The boxfish paper's parameters: 10 to 40 g reach 16.6 to 38.4 cm/s, 115 cm take 10.1 to 4.4 s."""
+        for weight, speed, duration in (
+            (10, 0.166, 10.1),
+            (20, 0.260, 6.5),
+            (30, 0.328, 5.1),
+            (40, 0.384, 4.4),
+        ):
             force = weight / 1000 * 9.8 - 0.0308
             inertia = 1.196 + 0.685 + 0.02 + weight / 1000
-            x, v = rig_model.falling_weight_closed_form(np.linspace(0, 60, 60001), 0.0, inertia, AREA_FACTOR * 0.705, force)
+            x, v = rig_model.falling_weight_closed_form(
+                np.linspace(0, 60, 60001), 0.0, inertia, AREA_FACTOR * 0.705, force
+            )
             assert v[-1] == pytest.approx(speed, abs=6e-4)
             assert np.interp(1.15, x, np.linspace(0, 60, 60001)) == pytest.approx(duration, abs=0.06)
 
@@ -114,16 +134,23 @@ class TestLevenberg:
         upper = np.array([10.0, 10.0, 0.3 if seed % 2 else 5.0])
         start = rng.uniform([0.1, 0.1, 0.0], [5.0, 3.0, 0.3])
         ours = minimise(residuals, jacobian, start, lower=np.zeros(3), upper=upper, scale=np.ones(3))
-        scipys = optimize.least_squares(residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        scipys = optimize.least_squares(
+            residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
         assert ours.success
         assert ours.cost <= 2 * scipys.cost * (1 + 1e-9)
         assert ours.x == pytest.approx(scipys.x, abs=1e-5)
 
     def test_gives_up_honestly(self) -> None:
         never = minimise(
-            lambda p: np.array([np.exp(-p[0])]), lambda p: np.array([[-np.exp(-p[0])]]), np.array([0.0]),
-            lower=np.array([-np.inf]), upper=np.array([np.inf]), scale=np.ones(1), max_iterations=5,
-        )  # fmt: skip
+            lambda p: np.array([np.exp(-p[0])]),
+            lambda p: np.array([[-np.exp(-p[0])]]),
+            np.array([0.0]),
+            lower=np.array([-np.inf]),
+            upper=np.array([np.inf]),
+            scale=np.ones(1),
+            max_iterations=5,
+        )
         assert not never.success
 
 
@@ -160,7 +187,9 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
         x = np.arange(len(exact)) * STEP
         if kind == "clicks":
             speed = np.gradient(x, exact)
-            late = rng.normal(0, 0.004, len(exact)) + rng.normal(0, 2e-4, len(exact)) / np.maximum(speed, 1e-3)
+            late = rng.normal(0, 0.004, len(exact)) + rng.normal(0, 2e-4, len(exact)) / np.maximum(
+                speed, 1e-3
+            )
             t = np.sort(exact + np.r_[0, late[1:]])
         else:
             # a quintic through the exact clicks, mirrored at the start where the speed is zero
@@ -180,10 +209,15 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
         use = slice(1, None) if record.kind == "clicks" else slice(None)
         trials.append(
             Trial(
-                f"w{w}", "fit", record.time_s[use], {"x_m": encoder.true_position(record, "floor")[use]}, settings=_settings(w),
-                time_sd_s=record.time_sd_s, stamps_uncertain=record.kind == "clicks",
+                f"w{w}",
+                "fit",
+                record.time_s[use],
+                {"x_m": encoder.true_position(record, "floor")[use]},
+                settings=_settings(w),
+                time_sd_s=record.time_sd_s,
+                stamps_uncertain=record.kind == "clicks",
             )
-        )  # fmt: skip
+        )
     return trials
 
 
@@ -208,7 +242,9 @@ def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> 
         assert np.all(share <= 0.985), share
 
 
-def test_profile_interval_matches_the_standard_error_of_a_nearly_linear_fit(clicks: dict[int, np.ndarray]) -> None:
+def test_profile_interval_matches_the_standard_error_of_a_nearly_linear_fit(
+    clicks: dict[int, np.ndarray],
+) -> None:
     result = output_error.fit(_model(), _measure(clicks, "white", np.random.default_rng(1)))
     for name in TRUTH:
         low, high = output_error.profile_interval(result, name)
@@ -224,7 +260,10 @@ def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.n
     trials = _measure(clicks, "white", np.random.default_rng(2))
     agreed = output_error.fit(_model(), trials)
     # the third drop's weight was 5 % heavier than written down
-    odd = [replace(t, settings={**t.settings, "force": t.settings["force"] / 1.05}) if t.id == "w20" else t for t in trials]
+    odd = [
+        replace(t, settings={**t.settings, "force": t.settings["force"] / 1.05}) if t.id == "w20" else t
+        for t in trials
+    ]
     scattered = output_error.fit(_model(), odd)
     assert agreed.scatter == 1.0
     assert scattered.scatter > 2.0
@@ -240,7 +279,9 @@ def test_a_slow_drag_dominated_drop_cannot_tell_the_added_mass(rng: np.random.Ge
     model = rig_model.falling_weight(mass_kg=0.04, force_N=1.0, area_known=False, pulley=False)
     settings = {"inertia": inertia, "force": force, "pulley": False, "release_s": 0.0, "x0": 0.0}
     parameters_ = tuple(replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters)
-    result = output_error.fit(model, [Trial("a", "fit", t, {"x_m": x}, settings=settings)], parameters=parameters_)
+    result = output_error.fit(
+        model, [Trial("a", "fit", t, {"x_m": x}, settings=settings)], parameters=parameters_
+    )
     assert result.status["added_mass"] in ("unidentifiable", "at-bound")
     assert result.status["quadratic_drag"] == "estimated"
 
@@ -255,9 +296,14 @@ class TestTwoPoint:
                 t = np.sort(exact + np.r_[0, rng.normal(0, 2e-3, len(exact) - 1)])
                 drops.append(two_point.Drop(f"w{w}", w / 1000, t, np.arange(len(exact)) * STEP))
             found = two_point.two_point(
-                drops, inertial_mass_kg=1.196, pulley_inertia_kg=0.02, frontal_area_m2=0.00698, density_kg_m3=997,
-                gravity_m_s2=9.8, points_m=(0.293, 0.584),
-            )  # fmt: skip
+                drops,
+                inertial_mass_kg=1.196,
+                pulley_inertia_kg=0.02,
+                frontal_area_m2=0.00698,
+                density_kg_m3=997,
+                gravity_m_s2=9.8,
+                points_m=(0.293, 0.584),
+            )
             inside += all(abs(getattr(found, n) - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
         # three correlated 2-sigma statements hold together in about nine of ten
         assert inside >= 32
@@ -274,7 +320,9 @@ def test_theory_estimates() -> None:
 
 
 class TestCommand:
-    def test_samples_give_the_published_values(self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path) -> None:
+    def test_samples_give_the_published_values(
+        self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path
+    ) -> None:
         out = tmp_path / "drag.yaml"
         ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out, "--json", "--profile")
         assert ran.status == 0, ran.err
@@ -296,7 +344,15 @@ class TestCommand:
         assert {t.id for t in page.tables} == {"methods", "terminal"}
 
     def test_two_point_method_of_the_paper(self, swimid: Callable[..., Ran], samples: Path) -> None:
-        ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "--method", "two-point", "--points", "0.293,0.584", "--json")
+        ran = swimid(
+            "fit-drag",
+            samples / "rig" / "trials.yaml",
+            "--method",
+            "two-point",
+            "--points",
+            "0.293,0.584",
+            "--json",
+        )
         for name, true in TRUTH.items():
             e = ran.json["result"]["parameters"][name]
             assert abs(e["value"] - true) < 2 * e["stderr"]
@@ -311,7 +367,14 @@ class TestCommand:
             x = np.interp(t, exact, np.arange(len(exact)) * STEP)
             x[t < exact[1]] = STEP * (t[t < exact[1]] / exact[1]) ** 2
             counts = np.floor(x / STEP) if rounding == "floor" else np.round(x / STEP)
-            np.savetxt(tmp_path / f"w{w}.csv", np.c_[t, counts * STEP], delimiter=",", header="t_s,x_m", comments="", fmt="%.6f")
+            np.savetxt(
+                tmp_path / f"w{w}.csv",
+                np.c_[t, counts * STEP],
+                delimiter=",",
+                header="t_s,x_m",
+                comments="",
+                fmt="%.6f",
+            )
             lines.append(f"  - {{log: w{w}.csv, pulling_mass_kg: {w / 1000}}}")
         (tmp_path / "trials.yaml").write_text("\n".join(lines))
         ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
@@ -320,12 +383,22 @@ class TestCommand:
         # linear interpolation between clicks is good to a tenth of a step
         assert result["parameters"]["added_mass"]["value"] == pytest.approx(0.685, abs=0.005)
 
-    def test_a_late_release_is_noticed(self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
+    def test_a_late_release_is_noticed(
+        self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+    ) -> None:
         lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
         for w, idle in zip(WEIGHTS, rng.uniform(0.3, 1.0, 7), strict=True):
             t = np.arange(0, 5, 0.02)
-            x, _ = rig_model.falling_weight_closed_form(t, idle, 1.901 + w / 1000, AREA_FACTOR * 0.705, w / 1000 * 9.8 - 0.0308)
-            np.savetxt(tmp_path / f"w{w}.csv", np.c_[t, x + rng.normal(0, 5e-4, len(t))], delimiter=",", header="t_s,x_m", comments="")
+            x, _ = rig_model.falling_weight_closed_form(
+                t, idle, 1.901 + w / 1000, AREA_FACTOR * 0.705, w / 1000 * 9.8 - 0.0308
+            )
+            np.savetxt(
+                tmp_path / f"w{w}.csv",
+                np.c_[t, x + rng.normal(0, 5e-4, len(t))],
+                delimiter=",",
+                header="t_s,x_m",
+                comments="",
+            )
             lines.append(f"  - {{log: w{w}.csv, pulling_mass_kg: {w / 1000}}}")
         (tmp_path / "trials.yaml").write_text("\n".join(lines))
         ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
@@ -334,28 +407,55 @@ class TestCommand:
         for name, true in TRUTH.items():
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"]
 
-    def test_free_decay_and_towing(self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
+    def test_free_decay_and_towing(
+        self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+    ) -> None:
         (tmp_path / "hull.yaml").write_text(
             "format: swimid-robot/1\nname: hull\nbody: {inertial_mass_kg: 3.0, roll_inertia_kg_m2: 0.5}\n"
             "rig: {roll_stiffness_N_m_rad: 4.0}\n"
         )
         t = np.arange(0, 20, 0.02)
         run = solve_ivp(
-            lambda _, s: [s[1], (-4.0 * s[0] - 0.04 * s[1] - 0.3 * s[1] * abs(s[1])) / 0.7], (0, 20), [0.3, 0],
-            t_eval=t, rtol=1e-10, atol=1e-12,
-        )  # fmt: skip
-        np.savetxt(tmp_path / "roll.csv", np.c_[t, run.y[0] + rng.normal(0, 1e-3, len(t))], delimiter=",", header="t_s,roll_rad", comments="")
-        (tmp_path / "decay.yaml").write_text("format: swimid-trials/1\nexperiment: free-decay\nrobot: hull.yaml\ntrials: [{log: roll.csv}]\n")
+            lambda _, s: [s[1], (-4.0 * s[0] - 0.04 * s[1] - 0.3 * s[1] * abs(s[1])) / 0.7],
+            (0, 20),
+            [0.3, 0],
+            t_eval=t,
+            rtol=1e-10,
+            atol=1e-12,
+        )
+        np.savetxt(
+            tmp_path / "roll.csv",
+            np.c_[t, run.y[0] + rng.normal(0, 1e-3, len(t))],
+            delimiter=",",
+            header="t_s,roll_rad",
+            comments="",
+        )
+        (tmp_path / "decay.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: free-decay\nrobot: hull.yaml\ntrials: [{log: roll.csv}]\n"
+        )
         p = swimid("fit-drag", tmp_path / "decay.yaml", "--json").json["result"]["parameters"]
         for name, true in (("added_inertia", 0.2), ("linear_damping", 0.04), ("quadratic_damping", 0.3)):
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
         force = 2.0 * np.sin(1.5 * t) + 1.0
         run = solve_ivp(
-            lambda s, y: [y[1], (np.interp(s, t, force) - 5.0 * y[1] * abs(y[1])) / 4.0], (0, 20), [0, 0],
-            t_eval=t, rtol=1e-9, atol=1e-11, max_step=0.02,
-        )  # fmt: skip
-        np.savetxt(tmp_path / "tow.csv", np.c_[t, force, run.y[0] + rng.normal(0, 1e-3, len(t))], delimiter=",", header="t_s,force_N,x_m", comments="")
-        (tmp_path / "tow.yaml").write_text("format: swimid-trials/1\nexperiment: towed\nrobot: hull.yaml\ntrials: [{log: tow.csv}]\n")
+            lambda s, y: [y[1], (np.interp(s, t, force) - 5.0 * y[1] * abs(y[1])) / 4.0],
+            (0, 20),
+            [0, 0],
+            t_eval=t,
+            rtol=1e-9,
+            atol=1e-11,
+            max_step=0.02,
+        )
+        np.savetxt(
+            tmp_path / "tow.csv",
+            np.c_[t, force, run.y[0] + rng.normal(0, 1e-3, len(t))],
+            delimiter=",",
+            header="t_s,force_N,x_m",
+            comments="",
+        )
+        (tmp_path / "tow.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: towed\nrobot: hull.yaml\ntrials: [{log: tow.csv}]\n"
+        )
         p = swimid("fit-drag", tmp_path / "tow.yaml", "--json").json["result"]["parameters"]
         for name, true in (("added_mass", 1.0), ("quadratic_drag", 5.0)):
             assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name

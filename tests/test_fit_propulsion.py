@@ -32,10 +32,14 @@ def drag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parameters.write(
         path,
         parameters.ParameterFile(
-            model="falling-weight", robot="boxfish",
-            parameters={"drag_coefficient": known(0.705, 0.0165, "1"), "added_mass": known(0.685, 0.0185, "kg")},
+            model="falling-weight",
+            robot="boxfish",
+            parameters={
+                "drag_coefficient": known(0.705, 0.0165, "1"),
+                "added_mass": known(0.685, 0.0185, "kg"),
+            },
         ),
-    )  # fmt: skip
+    )
     return path
 
 
@@ -49,7 +53,14 @@ class TestPublishedFigures:
         assert float(propulsion.velocity_ratio(b1, 0.0, 1.19)) / ratio - 1 == pytest.approx(0.0105, abs=0.001)
 
     def test_velocity_ratio_against_integration(self) -> None:
-        run = solve_ivp(lambda _, s: [s[1], 1.0 - 1.3 * s[1] ** 2], (0, 30), [0, 0], rtol=1e-10, atol=1e-12, dense_output=True)
+        run = solve_ivp(
+            lambda _, s: [s[1], 1.0 - 1.3 * s[1] ** 2],
+            (0, 30),
+            [0, 0],
+            rtol=1e-10,
+            atol=1e-12,
+            dense_output=True,
+        )
         t = np.linspace(0, 5, 200001)
         x = run.sol(t)[0]
         t1, t2 = np.interp([0.3, 1.15], x, t)
@@ -61,11 +72,13 @@ class TestPublishedFigures:
         fins = robot_format.read("boxfish").fins
         for name, value in (("2025Rect", 317.1), ("2925Rect", 702.8), ("3825Rect", 1272.8)):
             fin = fins[name]
-            found = propulsion.plate_inertia(height_m=fin.height_m, length_m=fin.length_m, axle_gap_m=fin.axle_gap_m, density_kg_m3=997)
+            found = propulsion.plate_inertia(
+                height_m=fin.height_m, length_m=fin.length_m, axle_gap_m=fin.axle_gap_m, density_kg_m3=997
+            )
             assert 1e7 * found == pytest.approx(value, abs=0.06)
 
     def test_largest_and_smallest_force(self) -> None:
-        """3825Rect at 4 Hz: 9.67 cm/s -> 14.06 cm/s -> 48.42 mN; 2025Rect at 1.5 Hz: 2.81 mN, 2.87 by the law."""
+        """3825Rect at 4 Hz: 9.67 -> 14.06 cm/s -> 48.42 mN; 2025Rect at 1.5 Hz: 2.81 mN, 2.87 by the law."""
         terminal = 0.0967 / float(propulsion.velocity_ratio(DRAG_AREA / MOVING, 0.0, 1.15))
         assert terminal == pytest.approx(0.1406, abs=1e-4)
         assert 1e3 * DRAG_AREA * terminal**2 == pytest.approx(48.42, abs=0.1)
@@ -77,8 +90,12 @@ class TestPublishedFigures:
         found = {"fin": [], "axle": []}
         for fin in ("2025Rect", "2925Rect", "3825Rect"):
             f = robot_format.read("boxfish").fins[fin]
-            inertia = propulsion.plate_inertia(height_m=f.height_m, length_m=f.length_m, axle_gap_m=f.axle_gap_m, density_kg_m3=997)
-            terminal = np.cbrt(8 * 0.341 * np.pi**2 * 2.0**3 * inertia * np.deg2rad(16 - 5.42) ** 2 / DRAG_AREA)
+            inertia = propulsion.plate_inertia(
+                height_m=f.height_m, length_m=f.length_m, axle_gap_m=f.axle_gap_m, density_kg_m3=997
+            )
+            terminal = np.cbrt(
+                8 * 0.341 * np.pi**2 * 2.0**3 * inertia * np.deg2rad(16 - 5.42) ** 2 / DRAG_AREA
+            )
             for name, lever in (("fin", f.length_m), ("axle", f.length_m + f.axle_gap_m)):
                 found[name].append(float(propulsion.strouhal(2.0, np.deg2rad(16), lever, terminal)))
         assert (min(found["fin"]), max(found["fin"])) == pytest.approx((0.67, 0.77), abs=0.01)
@@ -101,7 +118,9 @@ class TestCruise:
         assert efficiency.stderr == pytest.approx(0.341 * from_drag, rel=0.3)
         assert file.derived["velocity_ratio"].value == pytest.approx(0.688, abs=5e-4)
         extra = file.fit.model_extra  # type: ignore[union-attr]
-        point = next(p for p in extra["operating_points"] if (p["fin"], p["frequency_hz"]) == ("3825Rect", 4.0))
+        point = next(
+            p for p in extra["operating_points"] if (p["fin"], p["frequency_hz"]) == ("3825Rect", 4.0)
+        )
         # the stop watch's 0.05 s on 11.9 s are 0.8 % of the force
         assert 1e3 * point["propulsive_force_N"] == pytest.approx(48.4, rel=0.03)
         assert [d["frequency_hz"] for d in extra["departures"]] == [4.0]
@@ -110,7 +129,9 @@ class TestCruise:
         page = evidence.read(evidence.sidecar(out))
         assert {"fins", "points", "offsets", "departures"} == {t.id for t in page.tables}
 
-    def test_intervals_cover_the_truth(self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path) -> None:
+    def test_intervals_cover_the_truth(
+        self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path
+    ) -> None:
         """40 seeded tables without flexing fins: 95 % intervals of both parameters."""
         exact = parameters.ParameterFile(
             model="falling-weight",
@@ -120,28 +141,38 @@ class TestCruise:
             },
         )
         parameters.write(tmp_path / "drag.yaml", exact)
-        times = {s: cruise.swim_time(cruise.fin_inertia(*cruise.FINS[s[0]]), s[1], s[2]) for s in cruise.settings()}
+        times = {
+            s: cruise.swim_time(cruise.fin_inertia(*cruise.FINS[s[0]]), s[1], s[2]) for s in cruise.settings()
+        }
         hits = np.zeros(2)
         for seed in range(40):
             rng = np.random.default_rng(seed)
             rows = [(*s, 1.15, t + rng.normal(0, 0.1)) for s, t in times.items()]
             cruise.write_table(tmp_path / "speeds.csv", rows)
             (tmp_path / "trials.yaml").write_text((samples / "cruise" / "trials.yaml").read_text())
-            p = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", tmp_path / "drag.yaml", "--json").json["result"]["parameters"]
+            p = swimid(
+                "fit-propulsion", tmp_path / "trials.yaml", "--drag", tmp_path / "drag.yaml", "--json"
+            ).json["result"]["parameters"]
             for i, (name, true) in enumerate((("recoil_efficiency", 0.341), ("amplitude_offset_deg", 5.42))):
                 hits[i] += abs(p[name]["value"] - true) < 1.96 * p[name]["stderr"]
         # 40 draws at 95 % give at least 33 with 99 % probability
         assert np.all(hits >= 33), hits
 
-    def test_a_law_that_does_not_hold_is_said(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    def test_a_law_that_does_not_hold_is_said(
+        self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator
+    ) -> None:
         """Speeds growing with the 0.8th power of frequency: the exponent of power is 2.4, not 3."""
         rows = []
         for fin, f, a in cruise.settings():
             t = cruise.swim_time(cruise.fin_inertia(*cruise.FINS[fin]), 2.5, a) * (f / 2.5) ** -0.8
             rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.05)))
         cruise.write_table(tmp_path / "speeds.csv", rows)
-        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
-        ran = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--json", "--keep-departures")
+        (tmp_path / "trials.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
+        )
+        ran = swimid(
+            "fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--json", "--keep-departures"
+        )
         assert "SWM031" in ran.err
         free = ran.json["result"]["derived"]["free_frequency_exponent"]
         assert free["value"] == pytest.approx(2.4, abs=0.05)
@@ -149,13 +180,23 @@ class TestCruise:
     @pytest.mark.parametrize(
         "table, words",
         [
-            ("fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rct,2,16,1.15,20\n", ["no fin '3825Rct'", "did you mean '3825Rect'"]),
-            ("fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rect,2,16,1.15,abc\n", ["line 2", "time_s"]),
+            (
+                "fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rct,2,16,1.15,20\n",
+                ["no fin '3825Rct'", "did you mean '3825Rect'"],
+            ),
+            (
+                "fin,frequency_hz,amplitude_deg,distance_m,time_s\n3825Rect,2,16,1.15,abc\n",
+                ["line 2", "time_s"],
+            ),
         ],
     )
-    def test_bad_tables(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, table: str, words: list[str]) -> None:
+    def test_bad_tables(
+        self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, table: str, words: list[str]
+    ) -> None:
         (tmp_path / "speeds.csv").write_text(table)
-        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
+        (tmp_path / "trials.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
+        )
         ran = swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag)
         assert ran.status == 3
         for word in words:
@@ -168,7 +209,9 @@ class TestCruise:
 
     def test_one_run_is_no_result(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path) -> None:
         cruise.write_table(tmp_path / "speeds.csv", [("3825Rect", 2.0, 16.0, 1.15, 20.0)])
-        (tmp_path / "trials.yaml").write_text("format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n")
+        (tmp_path / "trials.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
+        )
         assert swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag).status == 4
 
 
@@ -199,17 +242,32 @@ def write_real_fish(folder: Path, data: Path, *, frequency_hz: float, own_speed:
             rows = np.loadtxt(data / "msu_tail_fish" / f"Amp{amplitude}Bias0" / f"STATES{run}.txt")
             columns = [0, 5, 6, 4, 1] if own_speed else [0, 5, 6, 4]
             header = "t_s,x_m,y_m,yaw_rad" + (",u_m_s" if own_speed else "")
-            np.savetxt(folder / f"a{amplitude}_{run}.csv", rows[:, columns], delimiter=",", header=header, comments="")
-            lines.append(f"  - {{log: a{amplitude}_{run}.csv, drive: {{frequency_hz: {frequency_hz}, amplitude_deg: {amplitude}}}}}")
+            np.savetxt(
+                folder / f"a{amplitude}_{run}.csv",
+                rows[:, columns],
+                delimiter=",",
+                header=header,
+                comments="",
+            )
+            lines.append(
+                f"  - {{log: a{amplitude}_{run}.csv, "
+                f"drive: {{frequency_hz: {frequency_hz}, amplitude_deg: {amplitude}}}}}"
+            )
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
     return folder / "trials.yaml"
 
 
 class TestRealFish:
     @pytest.mark.parametrize("own_speed", [True, False], ids=["logged surge", "surge from position"])
-    def test_thrust_grows_with_amplitude_squared(self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path, own_speed: bool) -> None:
+    def test_thrust_grows_with_amplitude_squared(
+        self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path, own_speed: bool
+    ) -> None:
         """Beat-averaged: du/dt = 0.166 A^2 - 0.656 u^2 by an independent fit; exponent 2.0 to 2.3."""
-        ran = swimid("fit-propulsion", write_real_fish(tmp_path, real_data, frequency_hz=2.0, own_speed=own_speed), "--json")
+        ran = swimid(
+            "fit-propulsion",
+            write_real_fish(tmp_path, real_data, frequency_hz=2.0, own_speed=own_speed),
+            "--json",
+        )
         result = ran.json["result"]
         drag, thrust = result["parameters"]["surge_drag"], result["derived"]["thrust_coefficient"]
         exponent = result["derived"]["free_amplitude_exponent"]["value"]
@@ -220,7 +278,9 @@ class TestRealFish:
             assert drag["value"] == pytest.approx(0.66, rel=0.10)
         assert "SWM032" not in ran.err
 
-    def test_wrong_beat_in_the_metadata_is_flagged(self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path) -> None:
+    def test_wrong_beat_in_the_metadata_is_flagged(
+        self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path
+    ) -> None:
         ran = swimid("fit-propulsion", write_real_fish(tmp_path, real_data, frequency_hz=1.0), "--json")
         assert ran.json["result"]["derived"]["beat_frequency"]["value"] == pytest.approx(2.0, abs=0.05)
         flagged = [w for w in ran.json["warnings"] if w["code"] == "SWM032"]

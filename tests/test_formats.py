@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,10 @@ def _file(folder: Path, text: str, name: str = "x.csv") -> Path:
 
 class TestLog:
     def test_round_trip_keeps_every_bit(self, tmp_path: Path, rng: np.random.Generator) -> None:
-        columns = {"t_s": np.cumsum(rng.random(50)), "x_m": rng.normal(size=50) * 10.0 ** rng.integers(-12, 12, 50)}
+        columns = {
+            "t_s": np.cumsum(rng.random(50)),
+            "x_m": rng.normal(size=50) * 10.0 ** rng.integers(-12, 12, 50),
+        }
         for name in ("a.csv", "a.parquet"):
             log.write(tmp_path / name, columns, {"robot": "boxfish", "pulling_mass_kg": 0.01, "list": [1, 2]})
             back = log.read(tmp_path / name, required=("x_m",), optional=())
@@ -103,7 +107,12 @@ class TestLog:
 
     def test_ordinary_logs_raise_no_suspicion(self, tmp_path: Path) -> None:
         with recorded() as notices:
-            log.read(_file(tmp_path, "t_s,x_m,yaw_rad,yaw_rate_rad_s,u_m_s\n0,0,3.1,0,0\n0.5,0.2,-3.1,9,1\n1,0.4,3,-9,0\n"))
+            log.read(
+                _file(
+                    tmp_path,
+                    "t_s,x_m,yaw_rad,yaw_rate_rad_s,u_m_s\n0,0,3.1,0,0\n0.5,0.2,-3.1,9,1\n1,0.4,3,-9,0\n",
+                )
+            )
         assert notices == []
 
 
@@ -134,12 +143,16 @@ class TestYaml:
     def test_bomb_is_refused_at_once(self, tmp_path: Path) -> None:
         lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
         names = "abcdefghij"
-        lines += [f"{n}: &{n} [{', '.join([f'*{p}'] * 9)}]" for p, n in zip(names, names[1:], strict=False)]
+        lines += [f"{n}: &{n} [{', '.join([f'*{p}'] * 9)}]" for p, n in itertools.pairwise(names)]
         with pytest.raises(InputError, match="expands to more than"):
             yamlio.load(_file(tmp_path, "\n".join(lines), "x.yaml"))
 
     def test_floats_survive_to_the_last_bit(self, tmp_path: Path, rng: np.random.Generator) -> None:
-        values = [float(v) for v in rng.normal(size=200) * 10.0 ** rng.integers(-300, 300, 200)] + [1e-5, 1e22, 5e-324]
+        values = [float(v) for v in rng.normal(size=200) * 10.0 ** rng.integers(-300, 300, 200)] + [
+            1e-5,
+            1e22,
+            5e-324,
+        ]
         yamlio.write(tmp_path / "f.yaml", {"values": values, "deep": {"leaf": {"v": values[0]}}})
         back = yamlio.load(tmp_path / "f.yaml")
         assert list(back["values"]) == values
@@ -158,19 +171,35 @@ class TestTrials:
         "text, words",
         [
             ("a: 1\n", ["no trials file"]),
-            ("format: swimid-trials/1\nexperiment: falling-weigth\nrobot: boxfish\n", ["line 2", "did you mean 'falling-weight'"]),
+            (
+                "format: swimid-trials/1\nexperiment: falling-weigth\nrobot: boxfish\n",
+                ["line 2", "did you mean 'falling-weight'"],
+            ),
             (TRIALS, ["'trials' is missing"]),
             (TRIALS + "trials: []\n", ["line 4", "trials"]),
-            (TRIALS + "trials:\n  - log: a.csv\n    puling_mass_kg: 0.01\n", ["line 6", "did you mean 'pulling_mass_kg'"]),
-            (TRIALS + "trials:\n  - log: a.csv\n    pulling_mass_kg: ten\n", ["line 6", "'ten' is not allowed"]),
+            (
+                TRIALS + "trials:\n  - log: a.csv\n    puling_mass_kg: 0.01\n",
+                ["line 6", "did you mean 'pulling_mass_kg'"],
+            ),
+            (
+                TRIALS + "trials:\n  - log: a.csv\n    pulling_mass_kg: ten\n",
+                ["line 6", "'ten' is not allowed"],
+            ),
             (TRIALS + "trials:\n  - log: a.csv\n    pulling_mass_kg: -0.1\n", ["line 6", "greater than 0"]),
             (TRIALS + "trials:\n  - log: a.csv\n", ["line 5", "pulling_mass_kg"]),
-            (TRIALS + "trials:\n  - {log: a.csv, pulling_mass_kg: 0.1}\n  - {log: a.csv, pulling_mass_kg: 0.1}\n", ["line 6", "two trials"]),
-            (TRIALS + "trials:\n  - {log: a.csv, pulling_mass_kg: 0.1, role: test}\n", ["line 5", "'fit' or 'validate'"]),
+            (
+                TRIALS
+                + "trials:\n  - {log: a.csv, pulling_mass_kg: 0.1}\n  - {log: a.csv, pulling_mass_kg: 0.1}\n",
+                ["line 6", "two trials"],
+            ),
+            (
+                TRIALS + "trials:\n  - {log: a.csv, pulling_mass_kg: 0.1, role: test}\n",
+                ["line 5", "'fit' or 'validate'"],
+            ),
             (TRIALS + "trials:\n  - {log: a.csv, pulling_mass_kg: .nan}\n", ["line 5"]),
             (TRIALS.replace("boxfish", "[1]") + "trials: []\n", ["robot"]),
         ],
-    )  # fmt: skip
+    )
     def test_each_fault_names_its_place(self, tmp_path: Path, text: str, words: list[str]) -> None:
         with pytest.raises(InputError) as caught:
             trials.read(_file(tmp_path, text, "t.yaml"))
@@ -178,7 +207,9 @@ class TestTrials:
             assert word in str(caught.value)
 
     def test_id_defaults_to_the_log(self, tmp_path: Path) -> None:
-        read = trials.read(_file(tmp_path, TRIALS + "trials:\n  - {log: logs/w10.csv, pulling_mass_kg: 0.01}\n", "t.yaml"))
+        read = trials.read(
+            _file(tmp_path, TRIALS + "trials:\n  - {log: logs/w10.csv, pulling_mass_kg: 0.01}\n", "t.yaml")
+        )
         assert isinstance(read, trials.FallingWeight)
         assert read.trials[0].id == "w10.csv"
 
@@ -213,7 +244,9 @@ class TestCruiseTable:
 
     def test_mean_speed_or_time(self, tmp_path: Path) -> None:
         by_time = cruise.read(_file(tmp_path, self.HEADER + "A,2,16,1.15,11.5\n"))
-        by_speed = cruise.read(_file(tmp_path, self.HEADER.replace("time_s", "mean_speed_m_s") + "A,2,16,1.15,0.1\n"))
+        by_speed = cruise.read(
+            _file(tmp_path, self.HEADER.replace("time_s", "mean_speed_m_s") + "A,2,16,1.15,0.1\n")
+        )
         assert by_time.mean_speed_m_s == pytest.approx(by_speed.mean_speed_m_s)
 
 
@@ -223,7 +256,9 @@ class TestParameters:
             model="arx",
             robot="long-fin",
             parameters={
-                f"a{k}": parameters.Estimate(value=float(v), stderr=float(abs(v)), unit="1", status="estimated")
+                f"a{k}": parameters.Estimate(
+                    value=float(v), stderr=float(abs(v)), unit="1", status="estimated"
+                )
                 for k, v in enumerate(rng.normal(size=20) * 10.0 ** rng.integers(-20, 20, 20))
             },
             correlation=parameters.Correlation(names=["a", "b"], matrix=[[1.0, 1 / 3], [1 / 3, 1.0]]),
@@ -254,9 +289,14 @@ class TestParameters:
 class TestAtomic:
     def test_failure_leaves_the_old_file(self, tmp_path: Path) -> None:
         path = _file(tmp_path, "old")
-        with pytest.raises(RuntimeError), atomic.replacing(path) as temporary:
-            temporary.write_text("half")
-            raise RuntimeError
+
+        def fail_halfway() -> None:
+            with atomic.replacing(path) as temporary:
+                temporary.write_text("half")
+                raise RuntimeError
+
+        with pytest.raises(RuntimeError):
+            fail_halfway()
         assert path.read_text() == "old"
         assert list(tmp_path.iterdir()) == [path]
 
@@ -293,9 +333,11 @@ class TestEvidence:
         trace = evidence.Trace(x=np.array([0.0, 1.0]), y=np.array([1.0, np.nan]))
         panel = evidence.Panel(x_label="t", y_label="y", traces=[trace])
         page = evidence.Evidence(
-            verb="rwls", title="<b>", verdict=evidence.Verdict(level="good", text="fine"),
+            verb="rwls",
+            title="<b>",
+            verdict=evidence.Verdict(level="good", text="fine"),
             figures=[evidence.Figure(id="f", title="f", caption="c", panels=[panel])],
-        )  # fmt: skip
+        )
         evidence.write(tmp_path / "e.json", page)
         back = evidence.read(tmp_path / "e.json")
         assert back == page

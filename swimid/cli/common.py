@@ -57,7 +57,9 @@ def shared_options(
     path = click.Path(path_type=Path)
     options = [
         click.option(*output_flags, "output_path", type=path, required=required, help=output_help),
-        click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document on stdout."),
+        click.option(
+            "--json", "as_json", is_flag=True, help="Print the result as one JSON document on stdout."
+        ),
         click.option("--force", is_flag=True, help="Overwrite an output that swimid did not write."),
         click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
         click.option("-v", "--verbose", count=True, help="Say more about what is done."),

@@ -8,7 +8,9 @@ from swimid.cli.common import Shared, running, shared_options
 
 
 @click.command("doctor")
-@click.option("--warm-up", is_flag=True, help="Compile the numerical kernels now, so that no later run waits.")
+@click.option(
+    "--warm-up", is_flag=True, help="Compile the numerical kernels now, so that no later run waits."
+)
 @shared_options("Write the findings as JSON to this file.")
 def command(warm_up: bool, shared: Shared) -> None:
     """Check the installation: versions, video codecs, compiled kernels.

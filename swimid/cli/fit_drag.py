@@ -20,7 +20,9 @@ from swimid.cli.parsing import bounded, named_number, number_pair
     help="ml: maximum likelihood over all samples. two-point: the boxfish paper's Eqs 13-19.",
 )
 @click.option("--fix", "fixed", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
-@click.option("--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default.")
+@click.option(
+    "--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default."
+)
 @click.option("--bounds", multiple=True, metavar="NAME=LOW,HIGH", help="Change a parameter's bounds.")
 @click.option(
     "--start-state",
@@ -29,9 +31,13 @@ from swimid.cli.parsing import bounded, named_number, number_pair
     show_default=True,
     help="Do trials start at rest at their first sample? auto: unless the data clearly say otherwise.",
 )
-@click.option("--points", metavar="X1,X2", help="Displacements of the two-point method, m. The paper: 0.293,0.584.")
+@click.option(
+    "--points", metavar="X1,X2", help="Displacements of the two-point method, m. The paper: 0.293,0.584."
+)
 @click.option("--profile", is_flag=True, help="Add profile-likelihood intervals.")
-@click.option("--coordinate", metavar="COLUMN", help="Coordinate of a free decay, when the logs hold several.")
+@click.option(
+    "--coordinate", metavar="COLUMN", help="Coordinate of a free decay, when the logs hold several."
+)
 @shared_options("Parameter file to write (YAML).")
 def command(
     trials: Path,

@@ -12,7 +12,9 @@ from swimid.cli.parsing import named_number
 
 @click.command("fit-propulsion")
 @click.argument("trials", type=click.Path(path_type=Path))
-@click.option("--drag", type=click.Path(path_type=Path), help="Drag file of the rig (fit-drag); needed for a cruise.")
+@click.option(
+    "--drag", type=click.Path(path_type=Path), help="Drag file of the rig (fit-drag); needed for a cruise."
+)
 @click.option(
     "--wake",
     type=click.Choice(["fin", "axle"]),
@@ -22,7 +24,9 @@ from swimid.cli.parsing import named_number
 )
 @click.option("--keep-departures", is_flag=True, help="Fit frequencies that depart from the law too.")
 @click.option("--fix", "fixed", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
-@click.option("--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default.")
+@click.option(
+    "--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default."
+)
 @shared_options("Parameter file to write (YAML).")
 def command(
     trials: Path,

@@ -1,0 +1,1 @@
+"""Estimators: parameters from measurements, with honest uncertainty, for whatever model."""

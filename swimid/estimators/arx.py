@@ -36,10 +36,6 @@ EXACT = 1e-9
 RANK_TOLERANCE = 1e-10
 
 
-
-
-
-
 @dataclass(frozen=True)
 class Regression:
     """The rows of ``z = H theta + e``, for A and B (C has no data columns).

@@ -342,7 +342,9 @@ def _fit_once(
             solution = problem.solve(theta, tolerance=1e-6 if round_ < rounds - 1 else 1e-10)
             theta = solution.x
             step()
-            if round_ > 1 and np.all(np.abs(theta - previous) <= 1e-7 * np.maximum(np.abs(theta), problem.scale)):
+            if round_ > 1 and np.all(
+                np.abs(theta - previous) <= 1e-7 * np.maximum(np.abs(theta), problem.scale)
+            ):
                 break
     noise = _estimate_noise(problem, theta, noise)
     if not solution.success or not np.isfinite(theta).all():
@@ -383,10 +385,16 @@ def _estimate_noise(
             values = problem.vector(theta, k)
             simulated = problem.model.simulate(values, trial)[channel]
             needs_rate = trial.stamps_uncertain or trial.time_sd_s > 0
-            rate = problem.model.sensitivity_to_time(values, trial)[channel] if needs_rate else np.zeros_like(simulated)
+            rate = (
+                problem.model.sensitivity_to_time(values, trial)[channel]
+                if needs_rate
+                else np.zeros_like(simulated)
+            )
             residuals.append(trial.measured[channel] - simulated)
             rates.append(np.abs(rate))
-            known = np.broadcast_to(np.asarray(trial.value_sd.get(channel, 0.0), dtype=float), simulated.shape)
+            known = np.broadcast_to(
+                np.asarray(trial.value_sd.get(channel, 0.0), dtype=float), simulated.shape
+            )
             shapes.append(np.sqrt(known**2 + (trial.time_sd_s * rate) ** 2))
             uncertain.append(trial.stamps_uncertain)
             places.append((k, i))
@@ -397,7 +405,9 @@ def _estimate_noise(
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
             else:
                 sd = np.sqrt(constant**2 + (stamp * rate) ** 2) if free else np.full(len(rate), constant)
-            problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, np.nanmax(np.abs(problem.trials[k].measured[channel]))))
+            problem.sd[k][i] = np.maximum(
+                sd, 1e-12 * max(1e-6, np.nanmax(np.abs(problem.trials[k].measured[channel])))
+            )
     return found
 
 
@@ -418,7 +428,9 @@ def _components(
     square = r[there] ** 2
     if not any(uncertain):
         return float(np.sqrt(np.mean(square))), 0.0
-    rate2 = np.concatenate([q**2 if u else np.zeros_like(q) for q, u in zip(rates, uncertain, strict=True)])[there]
+    rate2 = np.concatenate([q**2 if u else np.zeros_like(q) for q, u in zip(rates, uncertain, strict=True)])[
+        there
+    ]
     variance = np.full(len(square), max(float(np.mean(square)), 1e-300))
     if previous is not None:
         variance = np.maximum(previous[0] ** 2 + previous[1] ** 2 * rate2, 1e-3 * variance)
@@ -573,7 +585,9 @@ def _covariance(
     null = size == 0
     size = np.where(null, 1.0, size)
     _, singular, vt = np.linalg.svd(j / size, full_matrices=False)
-    good = singular > 1e-8 * singular[0] if len(singular) and singular[0] > 0 else np.zeros(len(singular), bool)
+    good = (
+        singular > 1e-8 * singular[0] if len(singular) and singular[0] > 0 else np.zeros(len(singular), bool)
+    )
     # a parameter with a part in a direction the data do not see is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     inverse = (vt[good].T / singular[good] ** 2) @ vt[good] / np.outer(size, size)
@@ -610,14 +624,26 @@ def _series(problem: _Problem, result: FitResult, trials: tuple[Trial, ...]) -> 
                 k = by_id[trial.id]
                 sd = problem.sd[k][problem.channels[k].index(channel)]
             else:
-                sd = np.full(len(trial.time_s), result.noise[channel].value_sd if channel in result.noise else np.nan)
+                sd = np.full(
+                    len(trial.time_s), result.noise[channel].value_sd if channel in result.noise else np.nan
+                )
             series.append(
-                Series(trial.id, trial.role, channel, trial.time_s, trial.measured[channel], simulated[channel], sd)
+                Series(
+                    trial.id,
+                    trial.role,
+                    channel,
+                    trial.time_s,
+                    trial.measured[channel],
+                    simulated[channel],
+                    sd,
+                )
             )
     return series
 
 
-def profile_interval(result: FitResult, name: str, *, level: float = 0.95) -> tuple[float | None, float | None]:
+def profile_interval(
+    result: FitResult, name: str, *, level: float = 0.95
+) -> tuple[float | None, float | None]:
     """Profile-likelihood interval of one shared parameter.
 
     The parameter is held at values ever farther from its estimate, all others are refitted,
@@ -670,4 +696,3 @@ def _weighted_problem(result: FitResult, parameters: tuple[Parameter, ...]) -> _
     for k, trial in enumerate(problem.trials):
         problem.sd[k] = [known[trial.id, channel] for channel in problem.channels[k]]
     return problem
-

@@ -73,8 +73,6 @@ def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.nda
     return result
 
 
-
-
 def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> float:
     """The output level about which records deviate, best for the free run.
 
@@ -120,10 +118,6 @@ def horizon_errors(
                 predicted[ahead].append(values)
     measured = np.concatenate([r.output for r in records])
     return [score(measured, np.concatenate(predicted[h])) for h in horizons]
-
-
-
-
 
 
 def response_spread(

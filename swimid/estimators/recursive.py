@@ -154,9 +154,22 @@ def recursive_least_squares(
     innovations, residuals = np.empty(n), np.empty(n)
     thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
     windup = _run(
-        h, z, breaks, noise_terms, 1.0 / weight, 1.0 / forgetting, WINDUP * prior_scale**2, stride,
-        theta, factors, diagonal, innovations, residuals, thetas, spreads,
-    )  # fmt: skip
+        h,
+        z,
+        breaks,
+        noise_terms,
+        1.0 / weight,
+        1.0 / forgetting,
+        WINDUP * prior_scale**2,
+        stride,
+        theta,
+        factors,
+        diagonal,
+        innovations,
+        residuals,
+        thetas,
+        spreads,
+    )
     covariance = (factors.T * diagonal) @ factors
     return Recursion(theta, covariance, innovations, residuals, kept, thetas, spreads, int(windup))
 

@@ -75,7 +75,9 @@ class TwoPointResult:
     intercepts: Array
 
 
-def speed_at(time_s: Array, displacement_m: Array, point_m: float, half_width_m: float) -> tuple[float, float]:
+def speed_at(
+    time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
+) -> tuple[float, float]:
     """Speed at a displacement by a straight-line fit around it, and its standard error.
 
     Raises
@@ -86,7 +88,8 @@ def speed_at(time_s: Array, displacement_m: Array, point_m: float, half_width_m:
     near = np.abs(displacement_m - point_m) <= half_width_m
     if near.sum() < 3:
         raise NoTrustworthyResult(
-            f"only {int(near.sum())} samples lie within {half_width_m:.3g} m of the displacement {point_m:.3g} m",
+            f"only {int(near.sum())} samples lie within {half_width_m:.3g} m of the displacement "
+            f"{point_m:.3g} m",
             hint="choose --points inside the measured displacement, or use the default method",
         )
     t, x = time_s[near], displacement_m[near]
@@ -154,8 +157,16 @@ def two_point(
 
     answer, slopes, intercepts = solve(squared)
     statistical = _statistical(solve, squared, squared_sd, slopes, intercepts, masses)
-    perfect = _perfect_speeds(drops, masses, answer, points, width, inertial_mass_kg + pulley_inertia_kg,
-                              0.5 * density_kg_m3 * frontal_area_m2, gravity_m_s2)  # fmt: skip
+    perfect = _perfect_speeds(
+        drops,
+        masses,
+        answer,
+        points,
+        width,
+        inertial_mass_kg + pulley_inertia_kg,
+        0.5 * density_kg_m3 * frontal_area_m2,
+        gravity_m_s2,
+    )
     bias = solve(perfect**2)[0] - answer
     names = ("drag_coefficient", "added_mass", "pulley_friction")
     total = np.sqrt(statistical**2 + bias**2)

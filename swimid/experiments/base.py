@@ -52,7 +52,9 @@ def input_files(path: Path, robot: str, logs: list[Path]) -> list[Path]:
     return [path, locate(robot, path.parent), *logs]
 
 
-def read_log(entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Log:
+def read_log(
+    entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Log:
     """A trial's log, cut to the stretch its entry asks for."""
     log = log_format.read(folder / entry.log, required=required, optional=optional)
     if entry.start_s is None and entry.end_s is None:
@@ -74,6 +76,7 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
     if against > 0 and value >= against:
         warn(
             "SWM002",
-            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it in grams "
+            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it "
+            "in grams "
             "(a factor of 1000)?",
         )

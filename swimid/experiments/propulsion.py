@@ -50,7 +50,10 @@ def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
     drag_path = Path(drag) if drag is not None else path.parent / entries.drag if entries.drag else None
     if drag_path is None:
         raise InputError(
-            "no drag file is given", file=path, column="drag", hint="run fit-drag first, then give --drag drag.yaml"
+            "no drag file is given",
+            file=path,
+            column="drag",
+            hint="run fit-drag first, then give --drag drag.yaml",
         )
     return _cruise(path, entries, robot, drag_path)
 
@@ -64,7 +67,8 @@ def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, 
     body = robot.body
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
         raise InputError(
-            f"the robot '{robot.name}' needs body.inertial_mass_kg and body.frontal_area_m2 for a cruise experiment"
+            f"the robot '{robot.name}' needs body.inertial_mass_kg and body.frontal_area_m2 for a "
+            "cruise experiment"
         )
     return 0.5 * robot.fluid.density_kg_m3 * coefficient * body.frontal_area_m2, body.inertial_mass_kg + added
 
@@ -146,9 +150,11 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         drive = entry.drive
         if drive is None:
             raise InputError(
-                f"the trial '{entry.id}' has no 'drive'", file=path, column="drive",
+                f"the trial '{entry.id}' has no 'drive'",
+                file=path,
+                column="drive",
                 hint="give its waveform, frequency_hz and amplitude_deg",
-            )  # fmt: skip
+            )
         log = read_log(
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
@@ -176,7 +182,11 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
             )
         )
     if turning:
-        warn("SWM018", f"{len(turning)} trials with a turning bias left out of the straight-swimming fit: {', '.join(turning)}")
+        warn(
+            "SWM018",
+            f"{len(turning)} trials with a turning bias left out of the straight-swimming fit: "
+            f"{', '.join(turning)}",
+        )
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
     if any(t.settings["amplitude_rad"] <= 0 for t in trials):
@@ -206,7 +216,8 @@ def _beat_facts(entry: FreeSwimTrial, beat: Beat | None) -> dict[str, float | st
         whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""
         warn(
             "SWM032",
-            f"{entry.id}: the yaw beats at {beat.frequency_hz:.3f} ± {beat.stderr_hz:.3f} Hz{whole}, the trials file "
+            f"{entry.id}: the yaw beats at {beat.frequency_hz:.3f} ± {beat.stderr_hz:.3f} Hz{whole}, "
+            "the trials file "
             f"says {stated:g} Hz; the measured frequency is used",
         )
     return facts

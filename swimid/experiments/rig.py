@@ -91,7 +91,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         logs.append(log.path)
         time, position = _samples(log, "x_m")
         if len(time) < 5:
-            raise InputError(f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m")
+            raise InputError(
+                f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m"
+            )
         if position[-1] <= position[0]:
             raise InputError(
                 "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
@@ -161,7 +163,9 @@ def _falling_settings(
         force = float(entry.driving_force_N or 0.0)
         if force <= 0:
             raise InputError(
-                f"the driving force of '{entry.id}' must be positive, along x_m", file=path, column="driving_force_N"
+                f"the driving force of '{entry.id}' must be positive, along x_m",
+                file=path,
+                column="driving_force_N",
             )
     travelled = position - position[0]
     from_origin = abs(position[0]) <= 0.02 * float(travelled.max())
@@ -255,7 +259,9 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         )
     inertia = trials[0].settings["inertia"]
     rig_values = robot.rig
-    stiffness = getattr(rig_values, f"{axis}_stiffness_N_m_rad", None) if rotation else rig_values.stiffness_N_m
+    stiffness = (
+        getattr(rig_values, f"{axis}_stiffness_N_m_rad", None) if rotation else rig_values.stiffness_N_m
+    )
     guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
@@ -268,7 +274,12 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     )
     facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
     return Experiment(
-        "free-decay", robot, model, trials, input_files(path, entries.robot, [log.path for log in logs]), facts=facts
+        "free-decay",
+        robot,
+        model,
+        trials,
+        input_files(path, entries.robot, [log.path for log in logs]),
+        facts=facts,
     )
 
 
@@ -291,13 +302,16 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
     if not rotation:
         mass = _mass(entry, robot, path)
         if mass == 0:
-            raise InputError("a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg")
+            raise InputError(
+                "a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg"
+            )
         return mass
     inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
     if not inertia:
         warn(
             "SWM019",
-            f"the robot '{robot.name}' has no {axis}_inertia_kg_m2: all parameters are per unit of total inertia",
+            f"the robot '{robot.name}' has no {axis}_inertia_kg_m2: all parameters are per unit of "
+            "total inertia",
         )
         return 1.0
     return float(inertia)
@@ -331,5 +345,7 @@ def _swing(time: Array, values: Array, log: Log, name: str) -> tuple[float, floa
     marked = np.flatnonzero(state)
     turns = marked[1:][np.diff(state[marked]) != 0]
     if len(turns) < 2:
-        raise InputError("does not swing: fewer than two crossings of the rest position", file=log.path, column=name)
+        raise InputError(
+            "does not swing: fewer than two crossings of the rest position", file=log.path, column=name
+        )
     return 2.0 * float(np.median(np.diff(t[turns]))), amplitude

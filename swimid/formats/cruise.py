@@ -66,19 +66,33 @@ def read(path: str | Path) -> CruiseTable:
         if column not in names:
             close = nearest(column, names)
             hint = f"did you mean '{close}'? " if close else ""
-            what = "this column is missing" if column != "time_s" else "neither time_s nor mean_speed_m_s is there"
-            raise InputError(what, file=path, line=header, column=column, hint=f"{hint}the file has: {', '.join(names)}")
+            what = (
+                "this column is missing"
+                if column != "time_s"
+                else "neither time_s nor mean_speed_m_s is there"
+            )
+            raise InputError(
+                what, file=path, line=header, column=column, hint=f"{hint}the file has: {', '.join(names)}"
+            )
     frame = frame[(frame != "").any(axis=1)]
     if frame.empty:
         raise InputError("has a header and no runs", file=path, line=header)
-    columns = {name: _numbers(frame, name, path, header, required=name in REQUIRED) for name in NUMBERS if name in names}
+    columns = {
+        name: _numbers(frame, name, path, header, required=name in REQUIRED)
+        for name in NUMBERS
+        if name in names
+    }
     with np.errstate(divide="ignore"):
         speeds = columns["distance_m"] / columns["time_s"] if speed == "time_s" else columns[speed]
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
     if np.nanmedian(speeds) > 20:
-        warn("SWM002", f"{path.name}, '{speed}': speeds of {np.nanmedian(speeds):.3g} m/s; is it mm/s (a factor of 1000)?")
+        warn(
+            "SWM002",
+            f"{path.name}, '{speed}': speeds of {np.nanmedian(speeds):.3g} m/s; is it mm/s (a factor "
+            "of 1000)?",
+        )
     if np.nanmax(columns["amplitude_deg"]) < 1.6:
         warn("SWM002", f"{path.name}, 'amplitude_deg': looks like radians (a factor of 57.3)")
     return CruiseTable(

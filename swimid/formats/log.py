@@ -66,7 +66,11 @@ class Log:
 
 
 def read(
-    path: str | Path, *, required: Sequence[str] = (), optional: Sequence[str] | None = None, min_rows: int = 2
+    path: str | Path,
+    *,
+    required: Sequence[str] = (),
+    optional: Sequence[str] | None = None,
+    min_rows: int = 2,
 ) -> Log:
     """Read a log and check it.
 
@@ -90,7 +94,9 @@ def read(
     path = Path(path)
     reader = _read_parquet if path.suffix.lower() in PARQUET_ENDINGS else _read_csv
     try:
-        metadata, columns, first_line = reader(path, list(required), None if optional is None else list(optional))
+        metadata, columns, first_line = reader(
+            path, list(required), None if optional is None else list(optional)
+        )
     except OSError as error:
         hint = "check the path" if isinstance(error, FileNotFoundError) else None
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
@@ -192,7 +198,9 @@ def _head(path: Path) -> tuple[list[str], str, int]:
                 comments.append(line[1:])
             elif line:
                 return comments, line, number
-    raise InputError("is empty" if not comments else "holds comments only, no header and no samples", file=path)
+    raise InputError(
+        "is empty" if not comments else "holds comments only, no header and no samples", file=path
+    )
 
 
 def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
@@ -345,7 +353,9 @@ def _warn_units(log: Log) -> None:
     for name, values in log.columns.items():
         largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
         jump = float(np.nanmax(np.abs(np.diff(values)))) if np.isfinite(np.diff(values)).any() else 0.0
-        if name.endswith("_rad") and (jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)):
+        if name.endswith("_rad") and (
+            jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
+        ):
             warn("SWM002", f"{log.path.name}, '{name}': looks like degrees (a factor of 57.3)")
         elif name.endswith("_rad_s") and largest > 60:
             warn("SWM002", f"{log.path.name}, '{name}': looks like degrees per second (a factor of 57.3)")

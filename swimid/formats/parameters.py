@@ -116,12 +116,16 @@ def read(path: str | Path, *, model: str | tuple[str, ...] | None = None) -> Par
     path = Path(path)
     data = yamlio.load(path)
     if data.get("format") != FORMAT:
-        raise InputError(f"is no parameter file: its 'format' must be {FORMAT}", file=path, line=1, column="format")
+        raise InputError(
+            f"is no parameter file: its 'format' must be {FORMAT}", file=path, line=1, column="format"
+        )
     parameters = yamlio.validate(data, ParameterFile, path)
     models = (model,) if isinstance(model, str) else model
     if models and parameters.model not in models:
         raise InputError(
-            f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}", file=path, column="model"
+            f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",
+            file=path,
+            column="model",
         )
     return parameters
 

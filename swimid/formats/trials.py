@@ -143,7 +143,9 @@ def read(path: str | Path, *experiments: type[T]) -> T:
     data = yamlio.load(path)
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
     if data.get("format") != FORMAT:
-        raise InputError(f"is no trials file: its 'format' must be {FORMAT}", file=path, column="format", line=1)
+        raise InputError(
+            f"is no trials file: its 'format' must be {FORMAT}", file=path, column="format", line=1
+        )
     experiment = data.get("experiment")
     if experiment not in names:
         line = data.lc.key("experiment")[0] + 1 if "experiment" in data else None

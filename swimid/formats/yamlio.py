@@ -100,7 +100,9 @@ def load(path: str | Path) -> CommentedMap:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else None
-        raise InputError(f"is not valid YAML: {error.problem or error.context}", file=path, line=line) from error
+        raise InputError(
+            f"is not valid YAML: {error.problem or error.context}", file=path, line=line
+        ) from error
     except (YAMLError, ValueError, RecursionError, AttributeError, TypeError) as error:
         if isinstance(error, InputError):
             raise
@@ -170,14 +172,26 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
         unknown = str(location[-1])
         allowed = sorted(_keys_at(model, location[:-1]))
         close = nearest(unknown, allowed)
-        hint = f"did you mean '{close}'?" if close else f"allowed here: {', '.join(allowed)}" if allowed else None
+        hint = (
+            f"did you mean '{close}'?"
+            if close
+            else f"allowed here: {', '.join(allowed)}"
+            if allowed
+            else None
+        )
         return f"unknown key '{unknown}'", hint
     if kind == "missing":
-        present = [str(k) for k in _at(data, location[:-1])] if isinstance(_at(data, location[:-1]), Mapping) else []
+        present = (
+            [str(k) for k in _at(data, location[:-1])]
+            if isinstance(_at(data, location[:-1]), Mapping)
+            else []
+        )
         close = nearest(str(location[-1]), present)
         return f"key '{location[-1]}' is missing", f"you wrote '{close}'" if close else None
     value = problem.get("input")
-    shown = repr(value) if isinstance(value, str | int | float | bool) or value is None else type(value).__name__
+    shown = (
+        repr(value) if isinstance(value, str | int | float | bool) or value is None else type(value).__name__
+    )
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
         return message, None

@@ -1,4 +1,4 @@
-"""Propulsion by a rigid caudal fin: the energy recoil law of the boxfish paper, and a beat-averaged surge model."""
+"""Propulsion by a rigid caudal fin: the boxfish paper's recoil law, and a beat-averaged surge model."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ class RecoilModel(Model):
     name = "propulsion"
     channels = (Channel(SPEED, "m/s", "average speed"),)
 
-    def __init__(self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]) -> None:
+    def __init__(
+        self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
+    ) -> None:
         """Take ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and the fins' inertias (kg m2)."""
         self.drag_area_kg_m = drag_area_kg_m
         self.b1 = drag_area_kg_m / moving_mass_kg
@@ -74,24 +76,42 @@ class RecoilModel(Model):
         typical = float(np.median(known)) if known else 1e-4
         self.parameters = (
             Parameter(
-                "recoil_efficiency", "1", 0.0, 1.0, 0.3, 0.1, free=bool(known),
-                meaning="efficiency of the recoil process", source="Eq 3",
+                "recoil_efficiency",
+                "1",
+                0.0,
+                1.0,
+                0.3,
+                0.1,
+                free=bool(known),
+                meaning="efficiency of the recoil process",
+                source="Eq 3",
             ),
             Parameter(
-                "amplitude_offset_deg", "deg", -10.0, 30.0, 2.0, 2.0,
-                meaning="flapping amplitude offset", source="Eq 27",
+                "amplitude_offset_deg",
+                "deg",
+                -10.0,
+                30.0,
+                2.0,
+                2.0,
+                meaning="flapping amplitude offset",
+                source="Eq 27",
             ),
             Parameter("frequency_exponent", "1", 0.0, 6.0, 3.0, 1.0, free=False, meaning="of power, law: 3"),
             Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of power, law: 2"),
             *(
                 Parameter(
-                    f"inertia_{fin}", "kg m^2", 0.0, math.inf, typical, typical,
+                    f"inertia_{fin}",
+                    "kg m^2",
+                    0.0,
+                    math.inf,
+                    typical,
+                    typical,
                     meaning=f"hydrodynamic inertia of {fin} at the common efficiency",
                 )
                 for fin, inertia in fins.items()
                 if inertia is None
             ),
-        )  # fmt: skip
+        )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Average speed of each run (see :meth:`Model.simulate`)."""
@@ -103,10 +123,15 @@ class RecoilModel(Model):
         # the exponents are about the middle of what was driven, so that freeing one leaves eta
         f_mid, a_mid = trial.settings["middle"]
         power = (
-            8 * efficiency * np.pi**2 * inertia
-            * f_mid**3 * (trial.inputs["frequency_hz"] / f_mid) ** p
-            * a_mid**2 * (effective / a_mid) ** q
-        )  # fmt: skip
+            8
+            * efficiency
+            * np.pi**2
+            * inertia
+            * f_mid**3
+            * (trial.inputs["frequency_hz"] / f_mid) ** p
+            * a_mid**2
+            * (effective / a_mid) ** q
+        )
         terminal = np.cbrt(power / self.drag_area_kg_m)
         return {SPEED: velocity_ratio(self.b1, 0.0, trial.inputs["distance_m"]) * terminal}
 
@@ -122,7 +147,9 @@ class SurgeModel(Model):
     name = "surge-propulsion"
     channels = (Channel("u_m_s", "m/s", "beat-averaged surge"),)
 
-    def __init__(self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float) -> None:
+    def __init__(
+        self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
+    ) -> None:
         """Take what was driven, and a typical speed for scales."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
@@ -130,14 +157,29 @@ class SurgeModel(Model):
         inf = math.inf
         self.parameters = (
             Parameter(
-                "thrust_acceleration", "m/s^2", 0.0, inf, speed_m_s**2, speed_m_s**2,
+                "thrust_acceleration",
+                "m/s^2",
+                0.0,
+                inf,
+                speed_m_s**2,
+                speed_m_s**2,
                 meaning="thrust over mass at the reference amplitude and frequency",
             ),
             Parameter("surge_drag", "1/m", 0.0, inf, 1.0, 1.0, meaning="quadratic drag over mass"),
             Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of thrust"),
             Parameter("frequency_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=many, meaning="of thrust"),
-            Parameter("initial_speed", "m/s", -inf, inf, 0.0, 0.2 * speed_m_s, True, True, "speed at the first sample"),
-        )  # fmt: skip
+            Parameter(
+                "initial_speed",
+                "m/s",
+                -inf,
+                inf,
+                0.0,
+                0.2 * speed_m_s,
+                True,
+                True,
+                "speed at the first sample",
+            ),
+        )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Surge at the trial's samples, in closed form (see :meth:`Model.simulate`)."""

@@ -90,7 +90,7 @@ def integrate(  # type: ignore[no-untyped-def]
             f_start = force[0] if constant or i == 0 else force[i - 1]
             f_end = force[0] if constant else force[i]
             width = time[i] - now
-            steps = max(1, int(math.ceil(width / max_step - 1e-9)))
+            steps = max(1, math.ceil(width / max_step - 1e-9))
             h = width / steps
             for j in range(steps):
                 f0 = f_start + (f_end - f_start) * (j / steps)
@@ -114,7 +114,9 @@ def integrate(  # type: ignore[no-untyped-def]
                     low, high = 0.0, left
                     cut = left * v / (v - v1)
                     for _ in range(30):
-                        x1, v1 = _rk4(x, v, side, cut, f0, f0, inertia, quadratic, linear, dry, stiffness, rest)
+                        x1, v1 = _rk4(
+                            x, v, side, cut, f0, f0, inertia, quadratic, linear, dry, stiffness, rest
+                        )
                         if v1 * side > 0:
                             low = cut
                         else:
@@ -296,12 +298,21 @@ def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: 
     drag = (
         Parameter("drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source="Eq 7")
         if area_known
-        else Parameter("quadratic_drag", "N s^2/m^2", 0.0, inf, 1.0, 1.0, meaning="quadratic drag", source="Eq 7")
+        else Parameter(
+            "quadratic_drag", "N s^2/m^2", 0.0, inf, 1.0, 1.0, meaning="quadratic drag", source="Eq 7"
+        )
     )
     parameters = (
         drag,
         Parameter(
-            "added_mass", "kg", 0.0, inf, 0.5 * mass_kg, 0.5 * mass_kg, meaning="added mass m_a", source="Eq 8"
+            "added_mass",
+            "kg",
+            0.0,
+            inf,
+            0.5 * mass_kg,
+            0.5 * mass_kg,
+            meaning="added mass m_a",
+            source="Eq 8",
         ),
         Parameter(
             "pulley_friction",
@@ -334,7 +345,9 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
         Parameter("added_mass", "kg", 0.0, inf, 0.5 * scale, 0.5 * scale, meaning="added mass"),
         Parameter("linear_drag", "N s/m", 0.0, inf, 0.0, 1.0, free=False, meaning="linear drag"),
         Parameter("dry_friction", "N", 0.0, inf, 0.0, 0.2 * force_N, free=False, meaning="dry friction"),
-        Parameter("force_offset", "N", -inf, inf, 0.0, 0.1 * force_N, free=False, meaning="force sensor offset"),
+        Parameter(
+            "force_offset", "N", -inf, inf, 0.0, 0.1 * force_N, free=False, meaning="force sensor offset"
+        ),
         *_nuisances("x_m", length=0.01, speed=0.05, free_start=True),
     )
     return RigModel("towed", parameters, "x_m")
@@ -373,22 +386,43 @@ def free_decay(
     damping = 0.01 * inertia * rate
     parameters = (
         Parameter(
-            names[0], "kg m^2" if rotation else "kg", 0.0, inf, 0.0, 0.3 * inertia, free=stiffness is not None,
+            names[0],
+            "kg m^2" if rotation else "kg",
+            0.0,
+            inf,
+            0.0,
+            0.3 * inertia,
+            free=stiffness is not None,
             meaning="added inertia" if rotation else "added mass",
         ),
         Parameter(
-            names[1], per_speed2, 0.0, inf, damping / (amplitude * rate), damping / (amplitude * rate),
+            names[1],
+            per_speed2,
+            0.0,
+            inf,
+            damping / (amplitude * rate),
+            damping / (amplitude * rate),
             meaning="quadratic damping",
         ),
         Parameter(names[2], per_speed, 0.0, inf, damping, damping, meaning="linear damping"),
         Parameter(
-            "stiffness", f"{moment}/{unit}", 0.0, inf, guess if stiffness is None else stiffness, guess,
-            free=stiffness is None, meaning="restoring stiffness",
+            "stiffness",
+            f"{moment}/{unit}",
+            0.0,
+            inf,
+            guess if stiffness is None else stiffness,
+            guess,
+            free=stiffness is None,
+            meaning="restoring stiffness",
         ),
-        Parameter("dry_friction", force, 0.0, inf, 0.0, 0.01 * guess * amplitude, free=False, meaning="dry friction"),
-        Parameter("rest_position", unit, -inf, inf, 0.0, 0.05 * amplitude, per_trial=True, meaning="rest position"),
+        Parameter(
+            "dry_friction", force, 0.0, inf, 0.0, 0.01 * guess * amplitude, free=False, meaning="dry friction"
+        ),
+        Parameter(
+            "rest_position", unit, -inf, inf, 0.0, 0.05 * amplitude, per_trial=True, meaning="rest position"
+        ),
         *_nuisances(coordinate, length=amplitude, speed=amplitude * rate, free_start=True),
-    )  # fmt: skip
+    )
     return RigModel("free-decay", parameters, coordinate)
 
 

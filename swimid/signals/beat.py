@@ -30,7 +30,9 @@ class Beat:
     share: float
 
 
-def find_beat(time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None) -> Beat | None:
+def find_beat(
+    time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
+) -> Beat | None:
     """The strongest periodic component of a channel, or None where there is none.
 
     Parameters
@@ -47,8 +49,9 @@ def find_beat(time_s: Array, values: Array, *, lowest_hz: float | None = None, h
 
     Notes
     -----
-    The peak of the Lomb-Scargle spectrum of the record less a cubic, refined by fitting a sine. Standard error from the sine's fit
-    (Cramer-Rao bound at the residual variance), doubled for a drifting rhythm.
+    The peak of the Lomb-Scargle spectrum of the record less a cubic, refined by fitting a sine.
+    Standard error from the sine's fit (Cramer-Rao bound at the residual variance), doubled for a
+    drifting rhythm.
     """
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
@@ -74,7 +77,12 @@ def find_beat(time_s: Array, values: Array, *, lowest_hz: float | None = None, h
         return float(np.sum((x - _sine(t, x, frequency)[0]) ** 2))
 
     width = 0.3 / duration
-    found = optimize.minimize_scalar(left, bounds=(max(guess - width, 0.5 * low), guess + width), method="bounded", options={"xatol": 1e-6 * guess})
+    found = optimize.minimize_scalar(
+        left,
+        bounds=(max(guess - width, 0.5 * low), guess + width),
+        method="bounded",
+        options={"xatol": 1e-6 * guess},
+    )
     frequency = float(found.x)
     model, amplitude = _sine(t, x, frequency)
     residual = float(np.var(x - model))

@@ -18,9 +18,21 @@ from swimid.verbs.outcome import Outcome
 
 #: Packages every verb needs, and those that widen what can be done.
 REQUIRED = (
-    "numpy", "scipy", "pandas", "numba", "opencv-python-headless", "control", "filterpy", "matplotlib",
-    "pydantic", "ruamel.yaml", "jinja2", "pyarrow", "click", "rich",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "pandas",
+    "numba",
+    "opencv-python-headless",
+    "control",
+    "filterpy",
+    "matplotlib",
+    "pydantic",
+    "ruamel.yaml",
+    "jinja2",
+    "pyarrow",
+    "click",
+    "rich",
+)
 OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = ("swimid.models.rig", "swimid.estimators.recursive")
@@ -73,7 +85,10 @@ def _version(name: str) -> str | None:
 def _video() -> bool:
     import cv2
 
-    return bool(cv2.videoio_registry.getStreamBackends()) and "FFMPEG:                      YES" in cv2.getBuildInformation()
+    return (
+        bool(cv2.videoio_registry.getStreamBackends())
+        and "FFMPEG:                      YES" in cv2.getBuildInformation()
+    )
 
 
 def _text(findings: dict[str, Any], missing: list[str]) -> str:
@@ -82,11 +97,15 @@ def _text(findings: dict[str, Any], missing: list[str]) -> str:
     lines += [f"  {name:<{width}}  {version or 'MISSING'}" for name, version in findings["packages"].items()]
     for name, version in findings["optional"].items():
         lines.append(f"  {name:<{width}}  {version or 'not installed: ' + OPTIONAL[name]}")
-    lines.append(f"  {'video decoding':<{width}}  {'FFmpeg' if findings['video_decoding'] else 'NOT AVAILABLE'}")
+    lines.append(
+        f"  {'video decoding':<{width}}  {'FFmpeg' if findings['video_decoding'] else 'NOT AVAILABLE'}"
+    )
     for name, seconds in findings.get("kernels_s", {}).items():
         lines.append(f"  {name:<{width}}  compiled and cached ({seconds:.1f} s)")
     if findings["healthy"]:
         lines.append("Everything is in place.")
     else:
-        lines.append("Not everything is in place: reinstall swimid" + (f" ({', '.join(missing)})" if missing else ""))
+        lines.append(
+            "Not everything is in place: reinstall swimid" + (f" ({', '.join(missing)})" if missing else "")
+        )
     return "\n".join(lines)

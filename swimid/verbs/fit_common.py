@@ -27,7 +27,9 @@ VALIDATION_RATIO = 2.0
 MAX_TRIALS = 10
 
 
-def estimates(result: FitResult, profiles: Mapping[str, tuple[float | None, float | None]]) -> dict[str, Estimate]:
+def estimates(
+    result: FitResult, profiles: Mapping[str, tuple[float | None, float | None]]
+) -> dict[str, Estimate]:
     """Every parameter of the model as the parameter file holds it.
 
     Parameters of single trials (start offsets, say) appear as ``name[trial]`` where they were
@@ -38,7 +40,11 @@ def estimates(result: FitResult, profiles: Mapping[str, tuple[float | None, floa
         labels = [label for label in result.labels if label.split("[")[0] == parameter.name]
         if not labels and not parameter.per_trial:
             found[parameter.name] = Estimate(
-                value=parameter.start, stderr=None, unit=parameter.unit, bounds=parameter.bounds, status="fixed"
+                value=parameter.start,
+                stderr=None,
+                unit=parameter.unit,
+                bounds=parameter.bounds,
+                status="fixed",
             )
         for label in labels:
             found[label] = Estimate(
@@ -54,7 +60,9 @@ def estimates(result: FitResult, profiles: Mapping[str, tuple[float | None, floa
 
 def correlation_of(result: FitResult) -> Correlation | None:
     """Correlation matrix of the shared parameters that were estimated."""
-    keep = [i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label) is not None]
+    keep = [
+        i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label) is not None
+    ]
     if len(keep) < 2:
         return None
     part = result.covariance[np.ix_(keep, keep)]
@@ -72,7 +80,9 @@ def identifiability(result: FitResult, correlation: Correlation | None) -> list[
         elif status == "at-bound":
             name = label.split("[")[0]
             bounds = next(p for p in result.parameters if p.name == name).bounds
-            text = f"{label} lies at its bound ({numbers.bounds_text(bounds)}): the data ask for a value outside"
+            text = (
+                f"{label} lies at its bound ({numbers.bounds_text(bounds)}): the data ask for a value outside"
+            )
             warn("SWM012", text)
     if correlation is None:
         return said
@@ -176,7 +186,9 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
             text=result.message,
         )
     ]
-    shaky = [label for label, status in result.status.items() if status == "unidentifiable" and "[" not in label]
+    shaky = [
+        label for label, status in result.status.items() if status == "unidentifiable" and "[" not in label
+    ]
     found.append(
         ev.Check(
             name="identifiable",
@@ -189,7 +201,12 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     at_bound = [label for label, status in result.status.items() if status == "at-bound"]
     if at_bound:
         found.append(
-            ev.Check(name="inside bounds", value=", ".join(at_bound), limit="no parameter at a bound", verdict="warn")
+            ev.Check(
+                name="inside bounds",
+                value=", ".join(at_bound),
+                limit="no parameter at a bound",
+                verdict="warn",
+            )
         )
     found += _whiteness(result)
     if len([t for t in result.trials if t.role == "fit"]) > 2:
@@ -222,7 +239,10 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
             )
         )
         if coarse:
-            warn("SWM016", f"halving the integration step changes samples by {result.step_error:.2g} sd of their noise")
+            warn(
+                "SWM016",
+                f"halving the integration step changes samples by {result.step_error:.2g} sd of their noise",
+            )
     return found + _validation(file)
 
 
@@ -238,13 +258,15 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
                 verdict="pass" if test.passed else "warn",
                 text=""
                 if test.passed
-                else "coloured residuals: the standard errors account for it, but the model may miss an effect",
+                else "coloured residuals: the standard errors account for it, but the model may miss an "
+                "effect",
             )
         )
         if not test.passed:
             warn(
                 "SWM013",
-                f"the residuals of {channel} are coloured (Ljung-Box p = {test.p_value:.1g}): the model may miss an "
+                f"the residuals of {channel} are coloured (Ljung-Box p = {test.p_value:.1g}): the "
+                "model may miss an "
                 "effect; the standard errors account for the colour",
             )
     return found
@@ -267,7 +289,10 @@ def _validation(file: ParameterFile) -> list[ev.Check]:
             )
         )
         if worse:
-            warn("SWM015", f"the error of {channel} on validation trials is {ratio:.1f} times that on fitted ones")
+            warn(
+                "SWM015",
+                f"the error of {channel} on validation trials is {ratio:.1f} times that on fitted ones",
+            )
     return found
 
 
@@ -308,7 +333,8 @@ def figures(result: FitResult) -> list[ev.Figure]:
             ev.Figure(
                 id=f"overlay-{channel}",
                 title=f"Measured and simulated: {channel}",
-                caption="Points are measured, lines simulated with the estimated parameters; in a good fit the "
+                caption="Points are measured, lines simulated with the estimated parameters; in a "
+                "good fit the "
                 f"lines run through the points of every trial.{count}",
                 panels=[ev.Panel(x_label="time (s)", y_label=label, traces=traces)],
             )
@@ -324,7 +350,8 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 id=f"residuals-{channel}",
                 title=f"Residuals: {channel}",
                 caption="Left: measured minus simulated over the noise's standard deviation; good residuals "
-                "scatter about zero, mostly within ±2, without a trend. Right: their autocorrelation with the "
+                "scatter about zero, mostly within ±2, without a trend. Right: their autocorrelation "
+                "with the "
                 "95 % band of white noise.",
                 columns=2,
                 panels=[

@@ -125,7 +125,9 @@ def fit_drag(
         provenance=origin,
     )
     outputs = fit_common.save(output, file, evidence)
-    return Outcome("fit-drag", _summary(experiment, file, evidence, pair), file.model_dump(mode="json"), outputs)
+    return Outcome(
+        "fit-drag", _summary(experiment, file, evidence, pair), file.model_dump(mode="json"), outputs
+    )
 
 
 # ------------------------------------------------------------ fitting
@@ -140,7 +142,10 @@ def _best_fit(
     if start_state == "estimate":
         choices = _with_free(choices, ("start_offset", "initial_speed"))
     readings = experiment.variants or {"": experiment.trials}
-    fits = {name: output_error.fit(model, trials, parameters=choices, progress=progress) for name, trials in readings.items()}
+    fits = {
+        name: output_error.fit(model, trials, parameters=choices, progress=progress)
+        for name, trials in readings.items()
+    }
     name = min(fits, key=lambda key: _misfit(fits[key]))
     result = fits[name]
     if name:
@@ -210,7 +215,9 @@ def _significant(plain: output_error.FitResult, rival: output_error.FitResult) -
     return bool(stats.chi2.sf(statistic, extra) < START_SIGNIFICANCE)
 
 
-def _profiles(result: output_error.FitResult, progress: Progress) -> dict[str, tuple[float | None, float | None]]:
+def _profiles(
+    result: output_error.FitResult, progress: Progress
+) -> dict[str, tuple[float | None, float | None]]:
     names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
     found = {}
     with progress("profiling", total=len(names)) as step:
@@ -272,14 +279,19 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     }
     parameters = {
         name: Estimate(
-            value=value, stderr=pair.stderr[name], unit=file.parameters[name].unit,
-            bounds=file.parameters[name].bounds, status="estimated" if math.isfinite(pair.stderr[name]) else "unidentifiable",
+            value=value,
+            stderr=pair.stderr[name],
+            unit=file.parameters[name].unit,
+            bounds=file.parameters[name].bounds,
+            status="estimated" if math.isfinite(pair.stderr[name]) else "unidentifiable",
         )
         for name, value in values.items()
-    }  # fmt: skip
+    }
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
-    return file.model_copy(update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit})
+    return file.model_copy(
+        update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
+    )
 
 
 # ------------------------------------------------------------ what follows from the parameters
@@ -294,11 +306,18 @@ def _derived(experiment: Experiment, result: output_error.FitResult) -> dict[str
         def swing(values: np.ndarray) -> np.ndarray:
             c = result.model.coefficients(values, trial.settings)  # type: ignore[attr-defined]
             rate = math.sqrt(max(c["stiffness"], 0.0) / c["inertia"])
-            return np.array([2 * math.pi / rate if rate else math.nan, c["linear"] / (2 * c["inertia"] * rate) if rate else math.nan])
+            return np.array(
+                [
+                    2 * math.pi / rate if rate else math.nan,
+                    c["linear"] / (2 * c["inertia"] * rate) if rate else math.nan,
+                ]
+            )
 
         value, error = _propagated(result, trial, swing)
         found["natural_period_s"] = Estimate(value=value[0], stderr=error[0], unit="s", status="estimated")
-        found["damping_ratio_linear"] = Estimate(value=value[1], stderr=error[1], unit="1", status="estimated")
+        found["damping_ratio_linear"] = Estimate(
+            value=value[1], stderr=error[1], unit="1", status="estimated"
+        )
     if experiment.name == "falling-weight":
         for trial in experiment.trials:
 
@@ -307,7 +326,12 @@ def _derived(experiment: Experiment, result: output_error.FitResult) -> dict[str
                 push = trial.settings["force"] - c["dry"]
                 if push <= 0 or c["quadratic"] <= 0:
                     return np.array([math.nan])
-                return np.array([(math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push) - c["linear"]) / (2 * c["quadratic"])])
+                return np.array(
+                    [
+                        (math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push) - c["linear"])
+                        / (2 * c["quadratic"])
+                    ]
+                )
 
             value, error = _propagated(result, trial, terminal)
             if math.isfinite(value[0]):
@@ -317,7 +341,9 @@ def _derived(experiment: Experiment, result: output_error.FitResult) -> dict[str
     return found
 
 
-def _propagated(result: output_error.FitResult, trial: Trial, function: Any) -> tuple[list[float], list[float | None]]:
+def _propagated(
+    result: output_error.FitResult, trial: Trial, function: Any
+) -> tuple[list[float], list[float | None]]:
     """A function of the parameters with its standard error, to first order."""
     values = result.values(trial.id)
     centre = function(values)
@@ -331,7 +357,9 @@ def _propagated(result: output_error.FitResult, trial: Trial, function: Any) -> 
         gradient[:, j] = (function(moved) - centre) / step
     index = [result.labels.index(label) for label in labels]
     variance = np.diag(gradient @ result.covariance[np.ix_(index, index)] @ gradient.T)
-    return [float(v) for v in centre], [float(math.sqrt(v)) if math.isfinite(v) and v >= 0 else None for v in variance]
+    return [float(v) for v in centre], [
+        float(math.sqrt(v)) if math.isfinite(v) and v >= 0 else None for v in variance
+    ]
 
 
 # ------------------------------------------------------------ words and pictures
@@ -347,7 +375,10 @@ def _answer(file: ParameterFile) -> str:
 
 
 def _tables(
-    experiment: Experiment, file: ParameterFile, pair: two_point.TwoPointResult | None, result: output_error.FitResult
+    experiment: Experiment,
+    file: ParameterFile,
+    pair: two_point.TwoPointResult | None,
+    result: output_error.FitResult,
 ) -> list[ev.Table]:
     tables = []
     rows: list[list[Any]] = []
@@ -358,10 +389,25 @@ def _tables(
         if name not in fitted:
             continue
         e = fitted[name]
-        row: list[Any] = [name, "not identifiable" if e.status == "unidentifiable" else numbers.measured(e.value, e.stderr, e.unit)]
-        row.append("" if pair is None or name not in pair.stderr else numbers.measured(getattr(pair, name), pair.stderr[name], e.unit))
-        row.append("" if pair is None or name not in pair.bias else numbers.number(pair.bias[name], 2, e.unit))
-        row.append("; ".join(f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name))
+        row: list[Any] = [
+            name,
+            "not identifiable"
+            if e.status == "unidentifiable"
+            else numbers.measured(e.value, e.stderr, e.unit),
+        ]
+        row.append(
+            ""
+            if pair is None or name not in pair.stderr
+            else numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        )
+        row.append(
+            "" if pair is None or name not in pair.bias else numbers.number(pair.bias[name], 2, e.unit)
+        )
+        row.append(
+            "; ".join(
+                f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
+            )
+        )
         rows.append(row)
     if rows:
         tables.append(
@@ -370,13 +416,20 @@ def _tables(
                 title="Both methods and theory side by side",
                 columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
                 rows=rows,
-                caption="The two-point method takes the moving mass as equal for all pulling weights; its bias is "
+                caption="The two-point method takes the moving mass as equal for all pulling "
+                "weights; its bias is "
                 "what it gives on perfect data computed at its own answer, and is part of its stated error.",
             )
         )
-    speeds = [[n[len("terminal_speed[") : -1], numbers.measured(e.value, e.stderr, e.unit)] for n, e in file.derived.items() if n.startswith("terminal_speed")]
+    speeds = [
+        [n[len("terminal_speed[") : -1], numbers.measured(e.value, e.stderr, e.unit)]
+        for n, e in file.derived.items()
+        if n.startswith("terminal_speed")
+    ]
     if speeds:
-        tables.append(ev.Table(id="terminal", title="Terminal speeds", columns=["trial", "speed"], rows=speeds))
+        tables.append(
+            ev.Table(id="terminal", title="Terminal speeds", columns=["trial", "speed"], rows=speeds)
+        )
     return tables
 
 
@@ -389,8 +442,12 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
     for i, point in enumerate(pair.points_m):
         traces.append(
             ev.Trace(
-                x=grams[order], y=pair.speed_squared[i][order], y_error=1.96 * pair.speed_squared_sd[i][order],
-                style="points", label=f"at {point:.3f} m", group=i,
+                x=grams[order],
+                y=pair.speed_squared[i][order],
+                y_error=1.96 * pair.speed_squared_sd[i][order],
+                style="points",
+                label=f"at {point:.3f} m",
+                group=i,
             )
         )
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
@@ -399,11 +456,12 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
         ev.Figure(
             id="speed-squared",
             title="Squared speed against pulling mass",
-            caption="Speeds read off at two displacements, with straight lines (Eq 13). Where the points do not lie "
+            caption="Speeds read off at two displacements, with straight lines (Eq 13). Where the "
+            "points do not lie "
             "on lines, the friction or the drag changes with speed.",
             panels=[ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)],
         )
-    ]  # fmt: skip
+    ]
 
 
 def _methods(
@@ -412,7 +470,8 @@ def _methods(
     trials = [t for t in result.trials if t.role == "fit"]
     names = [label for label in result.labels if "[" not in label]
     said = [
-        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials ({result.samples} samples) by "
+        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials "
+        f"({result.samples} samples) by "
         "output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
@@ -421,9 +480,15 @@ def _methods(
     if kinds:
         step = experiment.facts.get("resolution_m")
         size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
-        said.append(f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise model.")
+        said.append(
+            f"The displacement came from an encoder with steps{size}; its quantisation is part of "
+            "the noise model."
+        )
     if method == "two-point" and pair is not None:
-        said.append(f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} and {pair.points_m[1]:.3f} m.")
+        said.append(
+            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} "
+            f"and {pair.points_m[1]:.3f} m."
+        )
     return said
 
 
@@ -431,11 +496,19 @@ def _summary(
     experiment: Experiment, file: ParameterFile, evidence: ev.Evidence, pair: two_point.TwoPointResult | None
 ) -> str:
     assert file.fit is not None
-    shown = file.model_copy(update={"derived": {k: v for k, v in file.derived.items() if "[" not in k},
-                                    "parameters": {k: v for k, v in file.parameters.items() if "[" not in k}})  # fmt: skip
+    shown = file.model_copy(
+        update={
+            "derived": {k: v for k, v in file.derived.items() if "[" not in k},
+            "parameters": {k: v for k, v in file.parameters.items() if "[" not in k},
+        }
+    )
     lines = [
         f"{experiment.name} of {experiment.robot.name}: {len(file.fit.trials)} trials"
-        + (f", {file.fit.model_extra['samples']} samples" if file.fit.model_extra and "samples" in file.fit.model_extra else ""),
+        + (
+            f", {file.fit.model_extra['samples']} samples"
+            if file.fit.model_extra and "samples" in file.fit.model_extra
+            else ""
+        ),
         fit_common.summary_rows(shown),
     ]
     if pair is not None and getattr(file.fit, "method", "") != "two-point":
@@ -448,4 +521,3 @@ def _summary(
         )
     lines.append(f"{evidence.verdict.level.upper()}: " + fit_common.judgement(evidence))
     return "\n".join(lines)
-

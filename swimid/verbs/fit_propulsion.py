@@ -74,7 +74,12 @@ def fit_propulsion(
     with recorded() as notices:
         experiment = experiment_module.load(trials_file, drag=drag)
         choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed))
-        settings = {"wake": wake, "keep_departures": keep_departures, "fixed": dict(fixed or {}), "freed": list(freed)}
+        settings = {
+            "wake": wake,
+            "keep_departures": keep_departures,
+            "fixed": dict(fixed or {}),
+            "freed": list(freed),
+        }
         origin = provenance.collect(experiment.inputs, settings=settings)
         if experiment.name == "cruise":
             page = _cruise(experiment, choices, origin, wake, keep_departures, progress)
@@ -120,7 +125,9 @@ def _cruise(
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     departures = [] if keep_departures else _departures(model, experiment.trials, choices)
     kept = [_without(t, [d["frequency_hz"] for d in departures]) for t in experiment.trials]
-    result = output_error.fit(model, kept, parameters=choices, progress=progress) if departures else everything
+    result = (
+        output_error.fit(model, kept, parameters=choices, progress=progress) if departures else everything
+    )
     if all(result.status[label] == "unidentifiable" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents = _exponents(model, kept, choices)
@@ -128,9 +135,12 @@ def _cruise(
     points = _operating_points(experiment, result, wake)
     derived = _derived(experiment, result, model, points)
     file = fit_common.parameter_file(
-        result, robot=experiment.robot.name, provenance=origin, derived=derived | exponents,
+        result,
+        robot=experiment.robot.name,
+        provenance=origin,
+        derived=derived | exponents,
         settings={"wake": wake, "drag_file": str(experiment.facts["drag_path"])},
-    )  # fmt: skip
+    )
     assert file.fit is not None
     assert file.fit.model_extra is not None
     file.fit.model_extra["departures"] = departures
@@ -146,8 +156,10 @@ def _cruise(
         figures=_cruise_figures(experiment, result, points),
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
-            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the energy recoil "
-            "law (Eqs 5, 25 to 27), with drag coefficient and added mass from the falling-weight rig and their "
+            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares "
+            "under the energy recoil "
+            "law (Eqs 5, 25 to 27), with drag coefficient and added mass from the falling-weight rig "
+            "and their "
             "uncertainty carried along.",
             "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
         ],
@@ -169,7 +181,9 @@ def _departures(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> list[dict[str, Any]]:
     """Frequencies at which the runs lie off the law fitted to all others, worst first."""
-    levels = np.unique(np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials]))
+    levels = np.unique(
+        np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials])
+    )
     found: list[dict[str, Any]] = []
     while len(levels) - len(found) > 3 and len(found) < len(levels) // 3:
         out = [d["frequency_hz"] for d in found]
@@ -214,7 +228,9 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
-def _exponents(model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]) -> dict[str, Estimate]:
+def _exponents(
+    model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
+) -> dict[str, Estimate]:
     """Each exponent of the law set free in turn; the offset stays free with it."""
     found = {}
     for name, law in LAWS.items():
@@ -229,13 +245,18 @@ def _exponents(model: RecoilModel, trials: list[Trial], choices: tuple[Parameter
         if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
             warn(
                 "SWM031",
-                f"set free, the {name.replace('_', ' ')} of power is {numbers.measured(value, stderr)}, the law says {law:g}",
+                f"set free, the {name.replace('_', ' ')} of power is "
+                f"{numbers.measured(value, stderr)}, the law says {law:g}",
             )
     return found
 
 
 def _with_drag_error(
-    result: FitResult, model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
+    result: FitResult,
+    model: RecoilModel,
+    trials: list[Trial],
+    choices: tuple[Parameter, ...],
+    experiment: Experiment,
 ) -> FitResult:
     """Add what the drag file's uncertainty contributes to the covariance."""
     drag: ParameterFile = experiment.facts["drag"]
@@ -250,7 +271,11 @@ def _with_drag_error(
         moved = drag.model_copy(deep=True)
         moved.parameters[name].value += errors[i]
         area, mass = experiment_module.drag_numbers(moved, experiment.facts["drag_path"], experiment.robot)
-        other = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins={t.id: t.settings.get("inertia_kg_m2") for t in trials})
+        other = RecoilModel(
+            drag_area_kg_m=area,
+            moving_mass_kg=mass,
+            fins={t.id: t.settings.get("inertia_kg_m2") for t in trials},
+        )
         shifts[i] = output_error.fit(other, trials, parameters=choices).estimate - result.estimate
     rho = 0.0
     if drag.correlation and all(n in drag.correlation.names for n in names):
@@ -276,7 +301,9 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
             inertia = trial.settings.get("inertia_kg_m2")
             efficiency = None
             if inertia is not None and a > offset:
-                efficiency = float(model.drag_area_kg_m * terminal**3 / (8 * np.pi**2 * inertia * (a - offset) ** 2 * f**3))
+                efficiency = float(
+                    model.drag_area_kg_m * terminal**3 / (8 * np.pi**2 * inertia * (a - offset) ** 2 * f**3)
+                )
             args = (np.array(f), np.array(a))
             numbers_st = {
                 "fin": float(strouhal(*args, np.array(fin.length_m), np.array(terminal))),
@@ -311,8 +338,12 @@ def _derived(
         moved.parameters[name].value += drag.parameters[name].stderr or 0.0
         area, mass = experiment_module.drag_numbers(moved, experiment.facts["drag_path"], experiment.robot)
         variance += (float(velocity_ratio(area / mass, 0.0, distance)) - centre) ** 2
-    found = {"velocity_ratio": Estimate(value=centre, stderr=math.sqrt(variance), unit="1", status="estimated")}
-    relative_drag = (drag.parameters["drag_coefficient"].stderr or 0.0) / drag.parameters["drag_coefficient"].value
+    found = {
+        "velocity_ratio": Estimate(value=centre, stderr=math.sqrt(variance), unit="1", status="estimated")
+    }
+    relative_drag = (drag.parameters["drag_coefficient"].stderr or 0.0) / drag.parameters[
+        "drag_coefficient"
+    ].value
     for end, pick in (("smallest", min), ("largest", max)):
         point = pick(points, key=lambda p: p["propulsive_force_N"])
         force = point["propulsive_force_N"]
@@ -337,7 +368,15 @@ def _offsets(experiment: Experiment) -> list[list[Any]]:
             covariance = covariance * float(residual @ residual) / max(len(x) - 2, 1)
             offset = -level / slope
             gradient = np.array([level / slope**2, -1 / slope])
-            rows.append([trial.id, float(f), numbers.measured(float(offset), math.sqrt(float(gradient @ covariance @ gradient)), "deg")])
+            rows.append(
+                [
+                    trial.id,
+                    float(f),
+                    numbers.measured(
+                        float(offset), math.sqrt(float(gradient @ covariance @ gradient)), "deg"
+                    ),
+                ]
+            )
     return rows
 
 
@@ -345,12 +384,14 @@ def _law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate]
     found = [
         ev.Check(
             name="every frequency follows the law",
-            value="all" if not departures else ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures),
+            value="all"
+            if not departures
+            else ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures),
             limit=f"within {100 * DEPARTURE_SHARE:g} % or {DEPARTURE_Z:g} standard errors",
             verdict="pass" if not departures else "warn",
             text="" if not departures else "left out of the fit",
         )
-    ]  # fmt: skip
+    ]
     for name, law in LAWS.items():
         e = exponents.get(f"free_{name}")
         if e is None:
@@ -370,11 +411,14 @@ def _law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate]
 
 
 def _answer(file: ParameterFile) -> str:
-    return "; ".join(
-        f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
-        for name, e in file.parameters.items()
-        if e.status == "estimated" and "[" not in name
-    ) + "."  # fmt: skip
+    return (
+        "; ".join(
+            f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
+            for name, e in file.parameters.items()
+            if e.status == "estimated" and "[" not in name
+        )
+        + "."
+    )
 
 
 def _cruise_tables(
@@ -391,84 +435,196 @@ def _cruise_tables(
             experiment.robot.fins[t.id].height_m,
             experiment.robot.fins[t.id].length_m,
             experiment.robot.fins[t.id].area_m2,
-            None if t.settings.get("inertia_kg_m2") is None else numbers.number(1e7 * t.settings["inertia_kg_m2"], 5),
+            None
+            if t.settings.get("inertia_kg_m2") is None
+            else numbers.number(1e7 * t.settings["inertia_kg_m2"], 5),
         ]
         for t in experiment.trials
     ]
     tables = [
         ev.Table(
-            id="fins", title="Fins", columns=["fin", "height (m)", "length (m)", "area (m²)", "hydrodynamic inertia (g cm²)"],
-            rows=fins, caption="A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
+            id="fins",
+            title="Fins",
+            columns=["fin", "height (m)", "length (m)", "area (m²)", "hydrodynamic inertia (g cm²)"],
+            rows=fins,
+            caption="A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
         ),
         ev.Table(
-            id="points", title="Runs", columns=["fin", "f (Hz)", "amplitude (deg)", "average speed (cm/s)", "terminal speed (cm/s)", "force (mN)", "Strouhal, fin", "Strouhal, axle", "efficiency (%)"],
+            id="points",
+            title="Runs",
+            columns=[
+                "fin",
+                "f (Hz)",
+                "amplitude (deg)",
+                "average speed (cm/s)",
+                "terminal speed (cm/s)",
+                "force (mN)",
+                "Strouhal, fin",
+                "Strouhal, axle",
+                "efficiency (%)",
+            ],
             rows=[
                 [
-                    p["fin"], p["frequency_hz"], round(p["amplitude_deg"], 3), numbers.number(100 * p["mean_speed_m_s"], 4),
-                    numbers.number(100 * p["terminal_speed_m_s"], 4), numbers.number(1e3 * p["propulsive_force_N"], 4),
-                    numbers.number(p["strouhal_fin"], 3), numbers.number(p["strouhal_axle"], 3),
+                    p["fin"],
+                    p["frequency_hz"],
+                    round(p["amplitude_deg"], 3),
+                    numbers.number(100 * p["mean_speed_m_s"], 4),
+                    numbers.number(100 * p["terminal_speed_m_s"], 4),
+                    numbers.number(1e3 * p["propulsive_force_N"], 4),
+                    numbers.number(p["strouhal_fin"], 3),
+                    numbers.number(p["strouhal_axle"], 3),
                     numbers.number(100 * p["efficiency"], 3) if p["efficiency"] is not None else None,
                 ]
                 for p in points
             ],
-            caption="Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake "
+            caption="Force is drag at terminal speed. Strouhal number with the fin's length as lever "
+            "of the wake "
             "width (the source's Eq 28) and with the distance from the axle to the trailing edge.",
         ),
-    ]  # fmt: skip
+    ]
     if offsets:
-        tables.append(ev.Table(id="offsets", title="Amplitude offsets by fin and frequency", columns=["fin", "f (Hz)", "offset"], rows=offsets))
+        tables.append(
+            ev.Table(
+                id="offsets",
+                title="Amplitude offsets by fin and frequency",
+                columns=["fin", "f (Hz)", "offset"],
+                rows=offsets,
+            )
+        )
     if departures:
         names = [n for n in result.labels if "[" not in n]
         tables.append(
             ev.Table(
-                id="departures", title="With and without the frequencies that depart from the law", columns=["parameter", "without", "with"],
-                rows=[[n, numbers.measured(result.value(n), result.stderr(n)), numbers.measured(everything.value(n), everything.stderr(n))] for n in names],
+                id="departures",
+                title="With and without the frequencies that depart from the law",
+                columns=["parameter", "without", "with"],
+                rows=[
+                    [
+                        n,
+                        numbers.measured(result.value(n), result.stderr(n)),
+                        numbers.measured(everything.value(n), everything.stderr(n)),
+                    ]
+                    for n in names
+                ],
             )
-        )  # fmt: skip
+        )
     return tables
 
 
-def _cruise_figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
+def _cruise_figures(
+    experiment: Experiment, result: FitResult, points: list[dict[str, Any]]
+) -> list[ev.Figure]:
     amplitude = _most_common([p["amplitude_deg"] for p in points])
-    frequencies = [f for f in sorted({p["frequency_hz"] for p in points}) if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2]
+    frequencies = [
+        f
+        for f in sorted({p["frequency_hz"] for p in points})
+        if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2
+    ]
     by_frequency, by_amplitude, force, wake = [], [], [], []
     for group, trial in enumerate(experiment.trials):
-        at = sorted((p for p in points if p["fin"] == trial.id and abs(p["amplitude_deg"] - amplitude) < 1e-6), key=lambda p: p["frequency_hz"])
+        at = sorted(
+            (p for p in points if p["fin"] == trial.id and abs(p["amplitude_deg"] - amplitude) < 1e-6),
+            key=lambda p: p["frequency_hz"],
+        )
         if at:
             f = np.linspace(0.0, max(p["frequency_hz"] for p in at), 60)[1:]
             by_frequency += [
-                ev.Trace(x=[p["frequency_hz"] for p in at], y=[100 * p["mean_speed_m_s"] for p in at], style="points", label=trial.id, group=group),
+                ev.Trace(
+                    x=[p["frequency_hz"] for p in at],
+                    y=[100 * p["mean_speed_m_s"] for p in at],
+                    style="points",
+                    label=trial.id,
+                    group=group,
+                ),
                 ev.Trace(x=f, y=100 * _law(result, trial, f, np.full(len(f), amplitude)), group=group),
             ]
-            force.append(ev.Trace(x=[p["frequency_hz"] for p in at], y=[1e3 * p["propulsive_force_N"] for p in at], style="points", label=trial.id, group=group))
-            wake.append(ev.Trace(x=[p["frequency_hz"] for p in at], y=[p["strouhal"] for p in at], style="points", label=trial.id, group=group))
+            force.append(
+                ev.Trace(
+                    x=[p["frequency_hz"] for p in at],
+                    y=[1e3 * p["propulsive_force_N"] for p in at],
+                    style="points",
+                    label=trial.id,
+                    group=group,
+                )
+            )
+            wake.append(
+                ev.Trace(
+                    x=[p["frequency_hz"] for p in at],
+                    y=[p["strouhal"] for p in at],
+                    style="points",
+                    label=trial.id,
+                    group=group,
+                )
+            )
         for f0 in frequencies[:1]:
-            swept = sorted((p for p in points if p["fin"] == trial.id and p["frequency_hz"] == f0), key=lambda p: p["amplitude_deg"])
+            swept = sorted(
+                (p for p in points if p["fin"] == trial.id and p["frequency_hz"] == f0),
+                key=lambda p: p["amplitude_deg"],
+            )
             if swept:
                 a = np.linspace(0.0, max(p["amplitude_deg"] for p in swept), 80)[1:]
                 by_amplitude += [
-                    ev.Trace(x=[p["amplitude_deg"] for p in swept], y=[(100 * p["mean_speed_m_s"]) ** 1.5 for p in swept], style="points", label=trial.id, group=group),
+                    ev.Trace(
+                        x=[p["amplitude_deg"] for p in swept],
+                        y=[(100 * p["mean_speed_m_s"]) ** 1.5 for p in swept],
+                        style="points",
+                        label=trial.id,
+                        group=group,
+                    ),
                     ev.Trace(x=a, y=(100 * _law(result, trial, np.full(len(a), f0), a)) ** 1.5, group=group),
                 ]
-    panels = [ev.Panel(x_label="frequency (Hz)", y_label="average speed (cm/s)", traces=by_frequency, title=f"at {amplitude:g}°")]
+    panels = [
+        ev.Panel(
+            x_label="frequency (Hz)",
+            y_label="average speed (cm/s)",
+            traces=by_frequency,
+            title=f"at {amplitude:g}°",
+        )
+    ]
     if by_amplitude:
-        panels.append(ev.Panel(x_label="amplitude (deg)", y_label="average speed^1.5 (cm/s)^1.5", traces=by_amplitude, title=f"at {frequencies[0]:g} Hz"))
+        panels.append(
+            ev.Panel(
+                x_label="amplitude (deg)",
+                y_label="average speed^1.5 (cm/s)^1.5",
+                traces=by_amplitude,
+                title=f"at {frequencies[0]:g} Hz",
+            )
+        )
     return [
         ev.Figure(
-            id="speeds", title="Average speed against frequency and amplitude", columns=2, panels=panels,
-            caption="Points are runs, lines the fitted law: straight through the origin against frequency, straight "
-            "with the offset as intercept against amplitude. Runs below their line at high frequency point to a flexing fin.",
+            id="speeds",
+            title="Average speed against frequency and amplitude",
+            columns=2,
+            panels=panels,
+            caption="Points are runs, lines the fitted law: straight through the origin against "
+            "frequency, straight "
+            "with the offset as intercept against amplitude. Runs below their line at high frequency "
+            "point to a flexing fin.",
         ),
         ev.Figure(
-            id="force", title="Propulsive force and Strouhal number", columns=2,
+            id="force",
+            title="Propulsive force and Strouhal number",
+            columns=2,
             panels=[
-                ev.Panel(x_label="frequency (Hz)", y_label="propulsive force (mN)", traces=force, title=f"at {amplitude:g}°"),
-                ev.Panel(x_label="frequency (Hz)", y_label="Strouhal number", traces=wake, title=f"at {amplitude:g}°", marks=[ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]),
+                ev.Panel(
+                    x_label="frequency (Hz)",
+                    y_label="propulsive force (mN)",
+                    traces=force,
+                    title=f"at {amplitude:g}°",
+                ),
+                ev.Panel(
+                    x_label="frequency (Hz)",
+                    y_label="Strouhal number",
+                    traces=wake,
+                    title=f"at {amplitude:g}°",
+                    marks=[ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")],
+                ),
             ],
-            caption="Force grows with the square of frequency under the law; the Strouhal number then stays constant.",
+            caption="Force grows with the square of frequency under the law; the Strouhal number "
+            "then stays constant.",
         ),
         *fit_common.figures(result)[1:],
-    ]  # fmt: skip
+    ]
 
 
 def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
@@ -509,28 +665,40 @@ def _surge(
     relative = (stderr or 0.0) / result.value("thrust_acceleration")
     spread = math.hypot(relative, (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)))
     derived["thrust_coefficient"] = Estimate(
-        value=at_one, stderr=at_one * spread, unit="m/s^2", status="estimated" if spread < 0.5 else "unidentifiable"
+        value=at_one,
+        stderr=at_one * spread,
+        unit="m/s^2",
+        status="estimated" if spread < 0.5 else "unidentifiable",
     )
     found = [b for b in experiment.facts["beats"].values() if b["found_hz"] is not None]
     if found:
         values = [float(b["found_hz"]) for b in found]
         derived["beat_frequency"] = Estimate(
             value=float(np.median(values)),
-            stderr=max(float(np.std(values) / math.sqrt(len(values))), min(float(b["stderr_hz"]) for b in found)),
+            stderr=max(
+                float(np.std(values) / math.sqrt(len(values))), min(float(b["stderr_hz"]) for b in found)
+            ),
             unit="Hz",
             status="estimated",
         )
     file = fit_common.parameter_file(
-        result, robot=experiment.robot.name, provenance=origin, derived=derived,
+        result,
+        robot=experiment.robot.name,
+        provenance=origin,
+        derived=derived,
         settings={
             "reference_amplitude_rad": reference,
             "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
             "beats": experiment.facts["beats"],
         },
-    )  # fmt: skip
-    checks = fit_common.checks(result, file) + [_beat_check(experiment)]
+    )
+    checks = [*fit_common.checks(result, file), _beat_check(experiment)]
     rows = [
-        [name, b["stated_hz"], "none found" if b["found_hz"] is None else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz")]
+        [
+            name,
+            b["stated_hz"],
+            "none found" if b["found_hz"] is None else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
+        ]
         for name, b in experiment.facts["beats"].items()
     ]
     evidence = ev.Evidence(
@@ -538,11 +706,19 @@ def _surge(
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=fit_common.verdict(checks, _answer(file)),
         checks=checks,
-        tables=[ev.Table(id="beats", title="Beat frequency", columns=["trial", "stated (Hz)", "found in yaw"], rows=rows)],
+        tables=[
+            ev.Table(
+                id="beats",
+                title="Beat frequency",
+                columns=["trial", "stated (Hz)", "found in yaw"],
+                rows=rows,
+            )
+        ],
         figures=fit_common.figures(result),
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and "
-            f"du/dt = a (A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
+            f"du/dt = a (A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by "
+            "output-error maximum "
             "likelihood with each trial's initial speed estimated.",
         ],
         references=list(experiment.robot.sources),
@@ -561,9 +737,14 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
     result = output_error.fit(experiment.model, experiment.trials, parameters=free)
     value, stderr = result.value(name), result.stderr(name)
     if stderr and abs(value - 2.0) > 3 * stderr:
-        warn("SWM031", f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2")
+        warn(
+            "SWM031",
+            f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2",
+        )
     return {
-        f"free_{name}": Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name])  # type: ignore[arg-type]
+        f"free_{name}": Estimate(
+            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name]
+        )  # type: ignore[arg-type]
     }
 
 
@@ -573,7 +754,8 @@ def _beat_check(experiment: Experiment) -> ev.Check:
         name
         for name, b in beats.items()
         if b["found_hz"] is not None
-        and abs(b["found_hz"] - b["stated_hz"]) > max(experiment_module.BEAT_TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
+        and abs(b["found_hz"] - b["stated_hz"])
+        > max(experiment_module.BEAT_TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
     ]
     return ev.Check(
         name="beat frequency as stated",

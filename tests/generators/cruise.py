@@ -27,7 +27,14 @@ def fin_inertia(height: float, length: float) -> float:
     return 9.0 * np.pi * 0.997 * height * (whole**2 - gap**2) * (whole**2 + gap**2) / 128.0
 
 
-def swim_time(inertia: float, frequency: float, amplitude_deg: float, *, efficiency: float = EFFICIENCY, offset_deg: float = OFFSET_DEG) -> float:
+def swim_time(
+    inertia: float,
+    frequency: float,
+    amplitude_deg: float,
+    *,
+    efficiency: float = EFFICIENCY,
+    offset_deg: float = OFFSET_DEG,
+) -> float:
     """Seconds from rest over the distance, with the force that balances drag at terminal speed."""
     theta = np.deg2rad(amplitude_deg - offset_deg)
     drag = 0.5 * 0.997 * 0.705 * 69.8
@@ -40,9 +47,14 @@ def swim_time(inertia: float, frequency: float, amplitude_deg: float, *, efficie
 
     arrived.terminal = True
     run = solve_ivp(
-        lambda _, s: [s[1], (force - drag * s[1] ** 2) / mass], (0.0, 1000.0), [0.0, 0.0],
-        method="Radau", rtol=1e-8, atol=1e-9, events=arrived,
-    )  # fmt: skip
+        lambda _, s: [s[1], (force - drag * s[1] ** 2) / mass],
+        (0.0, 1000.0),
+        [0.0, 0.0],
+        method="Radau",
+        rtol=1e-8,
+        atol=1e-9,
+        events=arrived,
+    )
     return float(run.t_events[0][0])
 
 
@@ -53,7 +65,9 @@ def settings() -> list[tuple[str, float, float]]:
     return runs
 
 
-def table(rng: np.random.Generator, *, time_sd_s: float = 0.05, flex_loss: float = FLEX_LOSS, **law: float) -> list[tuple[str, float, float, float, float]]:
+def table(
+    rng: np.random.Generator, *, time_sd_s: float = 0.05, flex_loss: float = FLEX_LOSS, **law: float
+) -> list[tuple[str, float, float, float, float]]:
     """Rows of fin, frequency, amplitude, distance (m) and time (s)."""
     rows = []
     for fin, f, a in settings():

@@ -27,7 +27,12 @@ BOXFISH = {
 
 
 def click_times(
-    weight_g: float, *, length_cm: float = 115.0, drag_exponent: float = 2.0, robot: dict | None = None, **changes: float
+    weight_g: float,
+    *,
+    length_cm: float = 115.0,
+    drag_exponent: float = 2.0,
+    robot: dict | None = None,
+    **changes: float,
 ) -> np.ndarray:
     """Instants at which a falling weight has pulled the robot over 0, 1, 2, ... clicks, s."""
     p = {**(robot or BOXFISH), **changes}
@@ -46,7 +51,16 @@ def click_times(
         return state[0] - length_cm
 
     arrived.terminal = True
-    run = solve_ivp(rate, (0.0, end), [0.0, 0.0], method="DOP853", rtol=1e-10, atol=1e-10, events=arrived, dense_output=True)
+    run = solve_ivp(
+        rate,
+        (0.0, end),
+        [0.0, 0.0],
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-10,
+        events=arrived,
+        dense_output=True,
+    )
     clicks = np.arange(0.0, min(run.y[0, -1], length_cm), p["click_cm"])
     times = np.zeros(len(clicks))
     for k, click in enumerate(clicks[1:], start=1):
@@ -61,12 +75,21 @@ def click_times(
     return times
 
 
-def click_log(weight_g: float, rng: np.random.Generator, *, jitter_s: float = 0.004, pitch_sd_cm: float = 0.02, **changes: float) -> tuple[np.ndarray, np.ndarray]:
+def click_log(
+    weight_g: float,
+    rng: np.random.Generator,
+    *,
+    jitter_s: float = 0.004,
+    pitch_sd_cm: float = 0.02,
+    **changes: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and displacements (m) as the encoder logs them: late or early stamps, uneven clicks."""
     times = click_times(weight_g, **changes)
     step = changes.get("click_cm", BOXFISH["click_cm"])
     speeds = np.gradient(np.arange(len(times)) * step, times)
-    late = rng.normal(0.0, jitter_s, len(times)) + rng.normal(0.0, pitch_sd_cm, len(times)) / np.maximum(speeds, 1e-3)
+    late = rng.normal(0.0, jitter_s, len(times)) + rng.normal(0.0, pitch_sd_cm, len(times)) / np.maximum(
+        speeds, 1e-3
+    )
     late[0] = 0.0
     stamped = np.round(np.sort(times + late), 6)
     return stamped, np.arange(len(times)) * step / 100.0
@@ -86,7 +109,10 @@ def write_sample(folder: Path, *, seed: int = 20) -> None:
     for weight in range(10, 41, 5):
         times, displacement = click_log(float(weight), rng)
         rows = "\n".join(f"{t:.6f},{x:.5f}" for t, x in zip(times, displacement, strict=True))
-        header = f"# experiment: falling-weight\n# pulling_mass_kg: {weight / 1000:.3f}\n# encoder_resolution_m: 0.00785\n"
+        header = (
+            f"# experiment: falling-weight\n# pulling_mass_kg: {weight / 1000:.3f}\n"
+            "# encoder_resolution_m: 0.00785\n"
+        )
         (folder / f"w{weight}.csv").write_text(f"{header}t_s,x_m\n{rows}\n")
         lines.append(f"  - {{log: w{weight}.csv, id: w{weight}, pulling_mass_kg: {weight / 1000:.3f}}}")
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
