@@ -30,9 +30,9 @@ from tests.generators.pool_video import Scene
 
 #: Constant rate factors chosen for about 12 and 45 Mbit/s; the third film is easy to decode.
 FILMS = {
-    "1080p": (Scene(width=1920, height=1080, noise=4.0, crf=24, dropout_s=None, duration_s=8.0), 240),
+    "1080p": (Scene(width=1920, height=1080, noise=4.0, crf=21, dropout_s=None, duration_s=8.0), 240),
     "1080p easy": (Scene(width=1920, height=1080, noise=1.0, crf=22, dropout_s=None, duration_s=8.0), 240),
-    "4K": (Scene(width=3840, height=2160, noise=4.0, crf=24, dropout_s=None, duration_s=3.0), 90),
+    "4K": (Scene(width=3840, height=2160, noise=4.0, crf=21, dropout_s=None, duration_s=3.0), 90),
 }
 
 

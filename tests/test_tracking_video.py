@@ -112,7 +112,7 @@ def test_log_columns_and_evidence(pool):
 
 def test_overlay_is_a_video_of_the_same_length(pool):
     """One frame of the overlay for each of the film, with something drawn in it."""
-    scene, folder, log, _, _ = pool
+    _, folder, log, _, _ = pool
     capture = cv2.VideoCapture(str(folder / "overlay.mp4"))
     count = 0
     while capture.read()[0]:

@@ -217,9 +217,9 @@ class Setup(Document):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"two markers are named '{name}'")
-        for role, name in (("head", self.head), ("tail", self.tail)):
-            if name is not None and name not in names:
-                raise ValueError(f"{role} '{name}' is no marker; there are: {', '.join(names)}")
+        for role, chosen in (("head", self.head), ("tail", self.tail)):
+            if chosen is not None and chosen not in names:
+                raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
         if self.head is None and self.tail is not None:
             raise ValueError("tail is given without head")
         if self.head is not None and self.head == self.tail:

@@ -142,8 +142,8 @@ def _separation(pose: Pose) -> list[Check]:
             value=f"{middle:.4g} {unit}, spread {100 * spread:.2f} %",
             limit="spread <= 2 %",
             verdict=_grade(spread, 0.02, 0.06),
-            text=f"Two markers on one rigid part keep their distance. Frame to frame it scatters by {noise:.2g} "
-            f"{unit}, so one centroid by about {noise / math.sqrt(2):.2g} {unit}.",
+            text="Two markers on one rigid part keep their distance. Frame to frame it scatters by "
+            f"{noise:.2g} {unit}, so one centroid by about {noise / math.sqrt(2):.2g} {unit}.",
         ),
         Check(
             name="Separation across the picture",
@@ -160,8 +160,8 @@ def _timing(pose: Pose) -> Check:
     if share > 0.01:
         warn(
             "SWM043",
-            f"{100 * share:.1f} % of the frames come at uneven steps (the longest is {largest:.1f} times the usual "
-            "one): variable frame rate or dropped frames. The frames' own time stamps are used",
+            f"{100 * share:.1f} % of the frames come at uneven steps (the longest is {largest:.1f} times the "
+            "usual one): variable frame rate or dropped frames. The frames' own time stamps are used",
         )
     return Check(
         name="Frame timing",
@@ -202,8 +202,8 @@ def _jumps(pose: Pose) -> Check:
         value=f"{count} frames{first}",
         limit=f"0 beyond {JUMP_SIGMA:g} sigma",
         verdict="pass" if not count else _grade(share, -1.0, 0.02),
-        text="Measurements far from what the path before them predicts: a collision, or another thing taken for "
-        "the marker.",
+        text="Measurements far from what the path before them predicts: a collision, or another thing taken "
+        "for the marker.",
     )
 
 
@@ -243,6 +243,6 @@ def _noise(pose: Pose) -> Check:
         value=text,
         verdict="info",
         text=f"Estimated with the process noise (white {kind[pose.path.order]}, "
-        f"{pose.path.process_noise:.3g} {unit}²/s{ {2: '³', 3: '⁵'}[pose.path.order] }) from the likelihood of the "
-        f"innovations, whose normalised size is {rms:.2f} (1 is consistent).",
+        f"{pose.path.process_noise:.3g} {unit}²/s{ {2: '³', 3: '⁵'}[pose.path.order] }) from the likelihood "
+        f"of the innovations, whose normalised size is {rms:.2f} (1 is consistent).",
     )

@@ -171,6 +171,7 @@ def patches(
     Parameters
     ----------
     mask : ndarray of uint8, shape (rows, columns)
+        Marker pixels are not 0.
     area_px : (float, float)
         Smallest and largest area, picture pixels.
     step : int
@@ -219,6 +220,8 @@ def measure(
     ----------
     window : ndarray of uint8, shape (rows, columns, 3)
         At full resolution.
+    patch : Patch
+        One of its patches.
     step : int
         Picture pixels to a mask pixel.
     origin : (int, int)

@@ -36,9 +36,9 @@ MASK_STEP = 4
 #: Frames between steps of the colour model.
 ADAPT_EVERY = 5
 #: Frames between looks for other things of the marker's colour.
-LOOK_AROUND_FRAMES = 90
-#: Earlier frames kept, to see whether a thing was there before the marker was lost.
-MEMORIES = 3
+LOOK_AROUND_FRAMES = 180
+#: Earlier frames kept, and how often, to see whether a thing was there before the marker was lost.
+MEMORIES, MEMORY_FRAMES = 2, 120
 #: Two markers whose distance spreads by less than this share over so many frames are rigid.
 RIGID_FRAMES, RIGID_SPREAD = 20, 0.06
 #: Of equal markers, one this far (as a share) from its partner's distance is another's.
@@ -125,7 +125,7 @@ class _Group:
     scenery: list[Blob] = field(default_factory=list)
     most_rivals: int = 0
     next_look: int = 0
-    pause: int = 8
+    pause: int = 12
 
 
 @dataclass
@@ -212,7 +212,7 @@ class Follower:
             a, b = self._target(one), self._target(other)
             if a.time == time == b.time:
                 bond.add(math.hypot(a.x - b.x, a.y - b.y))
-        if self._frame % LOOK_AROUND_FRAMES == LOOK_AROUND_FRAMES // 6:
+        if self._frame % MEMORY_FRAMES == MEMORY_FRAMES // 6:
             places = {t.name: (t.x, t.y) for t in self._targets if t.sights and not t.missed}
             if places:
                 # The oldest frame's memory is used again: fresh pages cost more than the copy.

@@ -238,8 +238,8 @@ def figures(track: RawTrack, pose: Pose, setup: Setup) -> list[Figure]:
         Figure(
             id="quality",
             title="Quality",
-            caption="Confidence of each marker (0 where lost), and the distance of head and tail marker, which "
-            "should be constant.",
+            caption="Confidence of each marker (0 where lost), and the distance of head and tail marker, "
+            "which should be constant.",
             panels=quality,
         )
     )

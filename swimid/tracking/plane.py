@@ -60,10 +60,12 @@ class Plane:
         image = np.full((2, len(x)), np.nan)
         if known.any():
             world = np.stack([x[known], y[known]], axis=1)
-            points = _mapped(self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix))
+            points = _mapped(
+                self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix).astype(float)
+            )
             if self.lens is not None:
                 matrix, distortion = self.lens
-                rays = _mapped(points, np.linalg.inv(matrix))
+                rays = _mapped(points, np.linalg.inv(matrix).astype(float))
                 rays = np.column_stack([rays, np.ones(len(rays))])
                 points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)[0].reshape(
                     -1, 2
@@ -115,7 +117,8 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         if scale.metres_per_pixel is not None:
             factor = scale.metres_per_pixel
         else:
-            assert scale.points_px is not None and scale.distance_m is not None
+            assert scale.points_px is not None
+            assert scale.distance_m is not None
             ends = _undistorted(np.array(scale.points_px), lens)
             factor = scale.distance_m / float(np.hypot(*(ends[1] - ends[0])))
     # Images are left-handed (y down): flipped, so that yaw is counter-clockwise.
@@ -164,7 +167,7 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, fl
             "counter-clockwise from x to y there, clockwise in the picture",
         )
     error = _mapped(image, matrix) - world
-    back = _mapped(world, np.linalg.inv(matrix)) - image
+    back = _mapped(world, np.linalg.inv(matrix).astype(float)) - image
     return matrix, float(np.sqrt(np.mean(np.sum(back**2, 1)))), float(np.sqrt(np.mean(np.sum(error**2, 1))))
 
 

@@ -89,8 +89,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     segment, segments = _segments(times, measured, setup.max_gap_s)
     if not segments:
         raise NoTrustworthyResult(
-            f"the markers are seen together in {int(measured.sum())} frames, never in {SHORTEST_SEGMENT} close "
-            "enough to each other to give a speed"
+            f"the markers are seen together in {int(measured.sum())} frames, never in {SHORTEST_SEGMENT} "
+            "close enough to each other to give a speed"
         )
     measured &= segment > 0
     seen = track.found[head]

@@ -132,21 +132,21 @@ def candidates(samples: Samples) -> list[Candidate]:
     pixels = [
         _moving_colours(frame, mask) for frame, mask in zip(samples.frames, samples.moving, strict=True)
     ]
-    hsv = np.concatenate(pixels) if pixels else np.zeros((0, 3))
+    hsv = np.concatenate(pixels)
     if len(hsv) < 4 * len(samples.frames):
         seen = census.describe_colours(samples.frames[::6])
         raise NoTrustworthyResult(
             f"no coloured marker moves in {samples.info.path.name}. {seen}",
-            hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a marker "
-            "that hardly moves is picked by hand: --marker name@x,y",
+            hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
+            "marker that hardly moves is picked by hand: --marker name@x,y",
         )
     found = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     good = sorted((c for c in found if c is not None and c.score >= LEAST_SCORE), key=lambda c: -c.score)
     if not good:
         seen = census.describe_colours(samples.frames[::6])
         raise NoTrustworthyResult(
-            f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that moves. "
-            f"{seen}",
+            f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that "
+            f"moves. {seen}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
     return good
@@ -329,8 +329,12 @@ def picked(frame: Frame, name: str, x: float, y: float, *, path: Path, index: in
     ----------
     frame : frame
         The full picture.
+    name : str
+        Name to give it.
     x, y : float
         A pixel of the marker in it.
+    path, index
+        Video and frame number, for messages.
 
     Raises
     ------

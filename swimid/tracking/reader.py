@@ -153,8 +153,8 @@ class Video:
         if claimed and count < claimed - max(2, 0.01 * claimed):
             warn(
                 "SWM044",
-                f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or cut "
-                f"after frame {count - 1}",
+                f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "
+                f"cut after frame {count - 1}",
             )
 
 

@@ -87,7 +87,7 @@ def _static_names(run: Run) -> list[str]:
 
 
 def _motionless(run: Run) -> list[tuple[float, float, float, float]]:
-    boxes = []
+    boxes: list[tuple[float, float, float, float]] = []
     for name in _static_names(run):
         i = run.track.names.index(name)
         seen = run.track.found[i]

@@ -299,12 +299,12 @@ def smooth(
             out["innovation"][i, a:b] = normalised
     for a, b in segments:
         for i in range(d):
-            for start, end in _gaps(values[i], a, b):
+            for first, last in _gaps(values[i], a, b):
                 factor = _gap_factor(
-                    times, values[i], weights, out["position"][i], end - start, (variance, power, fit.order)
+                    times, values[i], weights, out["position"][i], last - first, (variance, power, fit.order)
                 )
-                out["p_sd"][i, start:end] *= factor
-                out["v_sd"][i, start:end] *= factor
+                out["p_sd"][i, first:last] *= factor
+                out["v_sd"][i, first:last] *= factor
     return Smoothed(
         position=out["position"],
         velocity=out["velocity"],

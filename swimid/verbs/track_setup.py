@@ -53,17 +53,24 @@ def track_setup(
     Parameters
     ----------
     video : path
+        The film to draft from.
     output : path
         The setup file; a PNG with the markers drawn in goes beside it.
     picks : tuple of Pick
         Markers shown by hand in ``frame``; head first, then tail. Without any they are
         proposed from what moves.
+    frame : int
+        The frame the picks are in.
     metres_per_pixel, scale_points, scale_distance_m
         The scale: a factor, or x1, y1, x2, y2 in pixels and their distance.
+    plane : {"horizontal", "vertical"}
+        Camera above, or at the side.
     fps : float, optional
         True frame rate, Hz, to be written into the setup.
     force : bool
         Replace an existing setup.
+    progress : Progress
+        Shows the passes over the video.
 
     Raises
     ------
@@ -262,7 +269,8 @@ def _text(setup: Setup, shares: dict[str, float], remarks: list[str], video: str
             f"  - name: {marker.name}",
             f"    # Found in {100 * shares[marker.names[0]]:.1f} % of the frames; {remark}.",
             "    # Hue runs from the first to the second angle, through 0 for red.",
-            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, value: {_list(hsv.value)}}}",
+            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
+            f"value: {_list(hsv.value)}}}",
             f"    area_px: [{low:g}, {high:g}]",
         ]
     lines += ["# The head marker gives the position, head and tail together the heading."]
@@ -306,7 +314,7 @@ def _list(values: Any) -> str:
 def _draw(path: Path, run: Run, setup: Setup) -> None:
     """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
     tiles = []
-    everywhere = run.track.found.all(axis=0)
+    everywhere = np.atleast_1d(run.track.found.all(axis=0))
     ranked = sorted(run.kept, key=lambda k: (not (k < len(everywhere) and everywhere[k]), k))
     for index in sorted(ranked[:_SHEET]):
         frame = run.kept[index].copy()

@@ -40,6 +40,7 @@ def track_video(
     Parameters
     ----------
     video : path
+        The film.
     setup : path
         ``swimid-setup/1`` file.
     output : path
@@ -53,6 +54,8 @@ def track_video(
         Over the setup's.
     metadata : dict, optional
         Further ``# key: value`` lines of the log.
+    progress : Progress
+        Shows the passes over the video.
 
     Raises
     ------
@@ -178,8 +181,8 @@ def _demand_markers(track: RawTrack, rules: Setup, kept: dict[int, Any]) -> None
         )
         raise NoTrustworthyResult(
             f"marker '{name}' {what}; that is no track. {seen}",
-            hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws them; "
-            "or correct hsv and area_px in the setup",
+            hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
+            "them; or correct hsv and area_px in the setup",
         )
 
 
@@ -217,19 +220,18 @@ def _segment_table(result: pose.Pose) -> evidence.Table:
 def _methods(rules: Setup, result: pose.Pose) -> list[str]:
     kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
     markers = "a marker" if rules.tail is None else "two markers"
-    sentences = [
+    return [
         f"The robot's path was taken from video by tracking {markers} by colour; centroids were found with "
         "sub-pixel resolution by soft membership, and frames were timed by their own stamps."
         if rules.frame_rate_hz is None
-        else f"The robot's path was taken from video at {rules.frame_rate_hz:g} Hz by tracking {markers} by colour; "
-        "centroids were found with sub-pixel resolution by soft membership.",
-        f"Positions were smoothed with a Kalman filter ({kinds[result.path.order]}) and a Rauch-Tung-Striebel "
-        "smoother whose noise powers maximise the likelihood of the innovations "
+        else f"The robot's path was taken from video at {rules.frame_rate_hz:g} Hz by tracking {markers} by "
+        "colour; centroids were found with sub-pixel resolution by soft membership.",
+        f"Positions were smoothed with a Kalman filter ({kinds[result.path.order]}) and a Rauch-Tung-"
+        "Striebel smoother whose noise powers maximise the likelihood of the innovations "
         f"(measurement noise {result.path.measurement_sd:.2g} {result.plane.unit}).",
-        f"Dropouts up to {rules.max_gap_s:g} s were bridged by the smoother and are flagged; longer ones were left "
-        "empty.",
+        f"Dropouts up to {rules.max_gap_s:g} s were bridged by the smoother and are flagged; longer ones "
+        "were left empty.",
     ]
-    return sentences
 
 
 def _rounded(value: float) -> float:
