@@ -137,7 +137,7 @@ def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> N
     assert "linear_drag 0 – N·s/m ≥ 0 ! at its bound" in words
     assert "187654" not in words
     assert "Strong pairs, marked !: pulley_friction and added_mass (−0.95)" in words
-    assert "x_m 0.00213 m 0.00185 0.00291 m 0.0026" in words
+    assert "x_m fit 0.00213 m 0.00185 x_m validation 0.00291 m 0.0026" in words
 
 
 def test_figures_follow_the_page(mixture: Path) -> None:

@@ -116,6 +116,8 @@ class Model(ABC):
     name: str
     parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
+    #: What a trial's ``time_s`` counts, for axes.
+    abscissa: str = "time (s)"
 
     @abstractmethod
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:

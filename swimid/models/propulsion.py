@@ -65,6 +65,7 @@ class RecoilModel(Model):
 
     name = "propulsion"
     channels = (Channel(SPEED, "m/s", "average speed"),)
+    abscissa = "run of the fin"
 
     def __init__(
         self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]

@@ -29,6 +29,8 @@ from swimid.formats.evidence import MAX_POINTS, Figure, Panel, Trace, thinned
 from swimid.reporting import looks, numbers, svg
 from swimid.reporting.looks import GRID, INK, PAPER, SHADE, Entry, Look
 
+#: So few points are drawn fully opaque.
+_FEW = 60
 #: From this many points on a trace is drawn as a cloud of dots.
 _CLOUD = 150
 
@@ -159,9 +161,11 @@ def _axes(panel: Panel, styles: list[Look], size: Size) -> tuple[Canvas, Axes]:
     axes = canvas.add_axes((0.1, 0.2, 0.88, 0.7), facecolor="none")
     _frame(axes, size)
     bars = [i for i, trace in enumerate(panel.traces) if trace.style == "bars"]
+    # a model's line among the points of its group carries no markers: they would pass for data
+    measured = {t.group for t in panel.traces if t.style == "points" and t.group is not None}
     for index, (trace, look) in enumerate(zip(panel.traces, styles, strict=True)):
         place = (bars.index(index), len(bars)) if index in bars else (0, 1)
-        _trace(axes, trace, look, size, place)
+        _trace(axes, trace, look, size, place, marked=trace.group not in measured)
     _scales(axes, panel, size)
     _marks(axes, panel, size)
     if panel.equal_aspect:
@@ -183,7 +187,9 @@ def _frame(axes: Axes, size: Size) -> None:
     axes.margins(x=0.015, y=0.06)
 
 
-def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, int]) -> None:
+def _trace(
+    axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, int], *, marked: bool
+) -> None:
     x, y = _array(trace.x), _array(trace.y)
     error = None if trace.y_error is None else _array(trace.y_error)
     if trace.lower is not None and trace.upper is not None:
@@ -204,10 +210,10 @@ def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, i
             across,
             up,
             color=look.colour,
-            linewidth=1.5 if shown < 600 else 1.2,
+            linewidth=1.1 if not marked else 1.5 if shown < 600 else 1.2,
             dashes=look.dash or (None, None),
             drawstyle=style,
-            marker=look.marker,
+            marker=look.marker if marked else "",
             markersize=4.5,
             markevery=(0.05, 0.16) if shown > 12 else None,
             zorder=2.5 if look.dash else 2.0,
@@ -225,7 +231,7 @@ def _increasing(x: NDArray[np.float64]) -> bool:
 
 
 def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Look) -> None:
-    diameter = float(np.interp(len(x), [30, 150, 600, 2000], [5.2, 3.8, 2.6, 2.0]))
+    diameter = float(np.interp(len(x), [30, 150, 600, 2000], [6.5, 3.8, 2.6, 2.0]))
     if len(x) < _CLOUD:
         axes.plot(
             x,
@@ -234,7 +240,7 @@ def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Lo
             marker=look.marker,
             ms=diameter,
             color=look.colour,
-            alpha=look.opacity,
+            alpha=1.0 if len(x) <= _FEW else look.opacity,
             mew=0,
             zorder=2.2,
         )

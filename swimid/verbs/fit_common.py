@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from swimid.estimators import metrics
-from swimid.estimators.output_error import HETEROGENEITY, STEP_ERROR, FitResult
+from swimid.estimators.output_error import STEP_ERROR, FitResult
 from swimid.estimators.residual_tests import autocorrelation, joined, ljung_box
+from swimid.estimators.sandwich import HETEROGENEITY
 from swimid.formats import evidence as ev
 from swimid.formats import parameters as parameters_format
 from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
@@ -214,7 +215,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         found.append(
             ev.Check(
                 name="trials agree",
-                value=f"p = {result.scatter_p:.2g}",
+                value=_p_text(result.scatter_p),
                 limit=f"p ≥ {HETEROGENEITY:g}",
                 verdict="pass" if agree else "warn",
                 text="" if agree else f"standard errors are enlarged by {result.scatter:.2f}",
@@ -246,6 +247,10 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + _validation(file)
 
 
+def _p_text(p: float) -> str:
+    return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
+
+
 def _whiteness(result: FitResult) -> list[ev.Check]:
     found = []
     for channel in result.noise:
@@ -253,7 +258,7 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
         found.append(
             ev.Check(
                 name=f"white residuals, {channel}",
-                value=f"p = {test.p_value:.2g}",
+                value=_p_text(test.p_value),
                 limit="p ≥ 0.01",
                 verdict="pass" if test.passed else "warn",
                 text=""
@@ -265,7 +270,7 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
         if not test.passed:
             warn(
                 "SWM013",
-                f"the residuals of {channel} are coloured (Ljung-Box p = {test.p_value:.1g}): the "
+                f"the residuals of {channel} are coloured (Ljung-Box {_p_text(test.p_value)}): the "
                 "model may miss an "
                 "effect; the standard errors account for the colour",
             )
@@ -336,7 +341,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 caption="Points are measured, lines simulated with the estimated parameters; in a "
                 "good fit the "
                 f"lines run through the points of every trial.{count}",
-                panels=[ev.Panel(x_label="time (s)", y_label=label, traces=traces)],
+                panels=[ev.Panel(x_label=result.model.abscissa, y_label=label, traces=traces)],
             )
         )
         residuals = [
@@ -356,7 +361,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 columns=2,
                 panels=[
                     ev.Panel(
-                        x_label="time (s)",
+                        x_label=result.model.abscissa,
                         y_label="residual / sd",
                         traces=residuals,
                         marks=[ev.Mark(at=-2.0), ev.Mark(at=0.0), ev.Mark(at=2.0)],
@@ -401,6 +406,25 @@ def summary_rows(file: ParameterFile, parameters: tuple[Parameter, ...] = ()) ->
         rows.append((name, text))
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
+
+
+def answer(file: ParameterFile) -> str:
+    """The shared parameters that were estimated, as one sentence."""
+    parts = [
+        f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
+        for name, e in file.parameters.items()
+        if e.status == "estimated" and "[" not in name
+    ]
+    return "; ".join(parts) + "." if parts else "Nothing was estimated."
+
+
+def brief(file: ParameterFile) -> ParameterFile:
+    """The file without what belongs to single trials, for the terminal."""
+
+    def shared(block: dict[str, Estimate]) -> dict[str, Estimate]:
+        return {k: v for k, v in block.items() if "[" not in k}
+
+    return file.model_copy(update={"parameters": shared(file.parameters), "derived": shared(file.derived)})
 
 
 def save(output: Path | None, file: ParameterFile, evidence: ev.Evidence) -> list[Path]:

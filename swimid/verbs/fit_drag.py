@@ -13,6 +13,7 @@ from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import output_error, two_point
+from swimid.estimators.profile import profile_interval
 from swimid.estimators.residual_tests import fit_autoregression
 from swimid.experiments import rig as rig_experiment
 from swimid.experiments.base import Experiment
@@ -115,7 +116,7 @@ def fit_drag(
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
-        verdict=fit_common.verdict(checks, _answer(file)),
+        verdict=fit_common.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=_tables(experiment, file, pair, result),
         figures=fit_common.figures(result) + _speed_figure(pair),
@@ -222,7 +223,7 @@ def _profiles(
     found = {}
     with progress("profiling", total=len(names)) as step:
         for name in names:
-            found[name] = output_error.profile_interval(result, name)
+            found[name] = profile_interval(result, name)
             step()
     return found
 
@@ -365,15 +366,6 @@ def _propagated(
 # ------------------------------------------------------------ words and pictures
 
 
-def _answer(file: ParameterFile) -> str:
-    parts = [
-        f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
-        for name, e in file.parameters.items()
-        if e.status == "estimated" and "[" not in name
-    ]
-    return "; ".join(parts) + "." if parts else "Nothing was estimated."
-
-
 def _tables(
     experiment: Experiment,
     file: ParameterFile,
@@ -420,15 +412,6 @@ def _tables(
                 "weights; its bias is "
                 "what it gives on perfect data computed at its own answer, and is part of its stated error.",
             )
-        )
-    speeds = [
-        [n[len("terminal_speed[") : -1], numbers.measured(e.value, e.stderr, e.unit)]
-        for n, e in file.derived.items()
-        if n.startswith("terminal_speed")
-    ]
-    if speeds:
-        tables.append(
-            ev.Table(id="terminal", title="Terminal speeds", columns=["trial", "speed"], rows=speeds)
         )
     return tables
 

@@ -72,8 +72,15 @@ def _blocks(file: ParameterFile) -> list[Block]:
     blocks: list[Block] = [_estimates("Parameters", file.parameters)]
     if file.derived:
         grid = _estimates("Derived quantities", file.derived)
+        # what is computed is not bounded
+        bounds = _COLUMNS.index("Allowed")
         blocks.append(
-            replace(grid, caption="Computed from the parameters; their uncertainty is carried over.")
+            replace(
+                grid,
+                columns=[c for i, c in enumerate(grid.columns) if i != bounds],
+                rows=[[c for i, c in enumerate(row) if i != bounds] for row in grid.rows],
+                caption="Computed from the parameters; their uncertainty is carried over.",
+            )
         )
     if file.identifiability:
         blocks.append(Note(file.identifiability, title="Identifiability"))
@@ -174,16 +181,16 @@ def _fit(fit: Fit) -> list[Block]:
 def _channels(fit: dict[str, dict[str, Any]], validation: dict[str, dict[str, Any]]) -> Grid:
     measures = list(dict.fromkeys(k for entry in [*fit.values(), *validation.values()] for k in entry))
     measures = [k for k in measures if k != "unit" and not _nested(k, fit, validation)]
-    columns = ["Channel", *(f"{words(k)}, fit" for k in measures)]
-    columns += [f"{words(k)}, validation" for k in measures] if validation else []
+    columns = ["Channel", "Data", *(words(k) for k in measures)]
     rows = []
     for name in dict.fromkeys([*fit, *validation]):
-        row = [Cell(name, "code")]
-        for table in (fit, validation) if validation else (fit,):
-            entry = table.get(name, {})
+        for label, table in (("fit", fit), ("validation", validation)):
+            if name not in table:
+                continue
+            entry = table[name]
             unit = str(entry.get("unit", ""))
-            row += [_measure(entry.get(key), unit if key in _IN_UNIT else "") for key in measures]
-        rows.append(row)
+            measured = [_measure(entry.get(key), unit if key in _IN_UNIT else "") for key in measures]
+            rows.append([Cell(name, "code"), Cell(label), *measured])
     caption = (
         "RMSE in the channel's unit, NRMSE as a share of its range or spread. Good: validation close to fit."
         if validation
