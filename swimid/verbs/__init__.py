@@ -1,1 +1,1 @@
-"""Verbs: what each command does, callable from Python; one function per module of its name."""
+"""Verbs: what each command does, callable from Python; the rest are their parts."""

@@ -23,6 +23,7 @@ from swimid.progress import Progress, silent
 from swimid.reporting import numbers
 from swimid.verbs import fit_common, rwls_data, rwls_evidence, rwls_scores
 from swimid.verbs.outcome import Outcome
+from swimid.verbs.rwls_material import Material
 from swimid.verbs.rwls_scores import Scores, Tests
 
 #: Rows of the trajectory kept when no stride is given.
@@ -159,7 +160,7 @@ def rwls(
     outputs: list[Path] = []
     if output is not None:
         shown = rwls_evidence.build(
-            rwls_evidence.Material(
+            Material(
                 columns=(data.columns.source, data.columns.output),
                 units=data.columns.units,
                 sample_time_s=data.sample_time_s,
