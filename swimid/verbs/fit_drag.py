@@ -171,7 +171,7 @@ def _with_start(
     """Let the trials start moving, or late, where the data clearly say so."""
     if any(p.free for p in choices if p.name in ("initial_speed", "clock_offset")):
         return result, {}
-    rivals = {"initial_speed": "moving", "clock_offset": "later than their first sample"}
+    rivals = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
     best, reason = result, ""
     for name in rivals:
         try:
