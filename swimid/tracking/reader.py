@@ -70,7 +70,9 @@ class Video:
             raise InputError("is empty", file=self.path)
         # On few cores decoding uses them all; threads for small images only cost.
         cv2.setNumThreads(1)
-        self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        # One thread more than cores: the decoder goes on while a frame is looked at.
+        threads = min(os.cpu_count() or 1, 16) + 1
+        self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
         if not self._capture.isOpened():
             raise InputError(
                 "is not a video that can be decoded, or its index is missing (a recording cut short)",

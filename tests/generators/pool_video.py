@@ -65,7 +65,7 @@ class Scene:
     #: Times between which foam hides the markers of every body.
     dropout_s: tuple[float, float] | None = (7.0, 7.5)
     variable_rate: bool = False
-    crf: int = 14
+    crf: float = 14
     corners_m: tuple[tuple[float, float], ...] = field(
         default=((-0.9, 0.65), (0.9, 0.65), (0.9, -0.65), (-0.9, -0.65))
     )
