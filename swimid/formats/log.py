@@ -325,14 +325,18 @@ def _check(log: Log, required: Sequence[str], min_rows: int) -> None:
 
 
 def _warn_missing(log: Log) -> None:
+    """One warning per log; columns with the same gaps are named together."""
+    found: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
         missing = np.isnan(values)
         if missing.any() and not missing.all():
-            warn(
-                "SWM001",
-                f"{log.path.name}, '{name}': {int(missing.sum())} of {len(values)} samples are missing "
-                f"(longest run {longest_run(missing)}); they are masked, not filled",
-            )
+            found.setdefault((int(missing.sum()), longest_run(missing)), []).append(name)
+    if found:
+        parts = [
+            f"{count} of {len(log)} (longest run {run}) in {', '.join(names)}"
+            for (count, run), names in sorted(found.items())
+        ]
+        warn("SWM001", f"{log.path.name}: samples are missing, {'; '.join(parts)}; they are masked, not filled")
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
