@@ -76,8 +76,12 @@ def warn(code: str, text: str) -> None:
 
 
 @contextmanager
-def recorded() -> Iterator[list[Notice]]:
-    """Collect every :class:`SwimidWarning` raised inside, each distinct one once."""
+def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
+    """Collect every :class:`SwimidWarning` raised inside, each distinct one once.
+
+    With ``repeat`` they are raised again when the block ends, by an error too, so that
+    whoever listens outside hears them as well.
+    """
     notices: list[Notice] = []
     show_others = warnings.showwarning
 
@@ -89,7 +93,11 @@ def recorded() -> Iterator[list[Notice]]:
         else:
             show_others(message, *rest, **more)
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", SwimidWarning)
-        warnings.showwarning = keep
-        yield notices
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", SwimidWarning)
+            warnings.showwarning = keep
+            yield notices
+    finally:
+        for notice in notices if repeat else []:
+            warn(notice.code, notice.text)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.models.base import Array
 
@@ -118,7 +119,9 @@ def minimise(
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
 
 
-def _step(normal: Array, gradient: Array, damping: Array, low: Array, high: Array, blocked: Array) -> Array:
+def _step(
+    normal: Array, gradient: Array, damping: Array, low: Array, high: Array, blocked: NDArray[np.bool_]
+) -> Array:
     """Damped Gauss-Newton step within ``low .. high``, by fixing what would cross."""
     step = np.zeros(len(gradient))
     fixed = blocked.copy()

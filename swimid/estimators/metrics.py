@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -66,7 +67,7 @@ def score(measured: Array, simulated: Array) -> Score:
         rmse=rmse,
         nrmse=rmse / span if span > 0 else np.nan,
         vaf=1.0 - float(np.var(e)) / variance if variance > 0 else np.nan,
-        fit_percent=100.0 * (1.0 - rmse / np.sqrt(variance)) if variance > 0 else np.nan,
+        fit_percent=100.0 * (1.0 - rmse / math.sqrt(variance)) if variance > 0 else np.nan,
         bias=float(np.mean(e)),
         samples=len(y),
     )

@@ -171,7 +171,9 @@ def two_point(
     names = ("drag_coefficient", "added_mass", "pulley_friction")
     total = np.sqrt(statistical**2 + bias**2)
     return TwoPointResult(
-        *(float(v) for v in answer),
+        drag_coefficient=float(answer[0]),
+        added_mass=float(answer[1]),
+        pulley_friction=float(answer[2]),
         stderr=dict(zip(names, map(float, total), strict=True)),
         bias=dict(zip(names, map(float, bias), strict=True)),
         points_m=(float(points[0]), float(points[1])),

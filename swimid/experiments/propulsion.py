@@ -47,6 +47,7 @@ def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
     robot = trials_format.robot_of(entries, path)
     if isinstance(entries, FreeSwim):
         return _free_swim(path, entries, robot)
+    assert isinstance(entries, Cruise)
     drag_path = Path(drag) if drag is not None else path.parent / entries.drag if entries.drag else None
     if drag_path is None:
         raise InputError(

@@ -37,10 +37,13 @@ def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
     path = Path(path)
     entries = trials_format.read(path, FallingWeight, Towed, FreeDecay)
     robot = trials_format.robot_of(entries, path)
+    if coordinate is not None and not isinstance(entries, FreeDecay):
+        warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
     if isinstance(entries, FallingWeight):
         return _falling_weight(path, entries, robot)
     if isinstance(entries, Towed):
         return _towed(path, entries, robot)
+    assert isinstance(entries, FreeDecay)
     return _free_decay(path, entries, robot, coordinate)
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from swimid.errors import InputError
 from swimid.formats import atomic
 
-FORMAT = "swimid-evidence/1"
+FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 #: A trace longer than this is reduced to its envelope before it is stored.
 MAX_POINTS = 2000
 

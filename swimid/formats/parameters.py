@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from swimid.errors import InputError
 from swimid.formats import yamlio
 
-FORMAT = "swimid-parameters/1"
+FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 
 

@@ -94,14 +94,14 @@ def load(path: str | Path) -> CommentedMap:
             )
         data = _yaml().load(io.StringIO(text))
     except DuplicateKeyError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else None
+        twice = error.problem_mark.line + 1 if error.problem_mark else None
         problem = str(error.problem or "a key stands twice").split("with value")[0].strip()
-        raise InputError(problem, file=path, line=line, hint="keep one of them") from error
+        raise InputError(problem, file=path, line=twice, hint="keep one of them") from error
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark else None
+        place = mark.line + 1 if mark else None
         raise InputError(
-            f"is not valid YAML: {error.problem or error.context}", file=path, line=line
+            f"is not valid YAML: {error.problem or error.context}", file=path, line=place
         ) from error
     except (YAMLError, ValueError, RecursionError, AttributeError, TypeError) as error:
         if isinstance(error, InputError):

@@ -82,11 +82,9 @@ def load(path: str | Path) -> Section:
     function = _reader_of(path)
     sidecar = evidence_format.sidecar(path)
     evidence = evidence_format.read(sidecar) if sidecar.exists() else None
-    with recorded() as raised:
+    with recorded(repeat=True) as raised:
         section = function(path, evidence)
     notices = [NoticeRecord(code=notice.code, text=notice.text) for notice in raised]
-    for notice in raised:
-        warn(notice.code, notice.text)
     if evidence is None:
         text = f"{path.name} has no evidence beside it ({sidecar.name}): its figures and checks are not shown"
         warn("SWM050", text)

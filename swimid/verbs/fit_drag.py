@@ -76,7 +76,7 @@ def fit_drag(
     NoTrustworthyResult
         When nothing can be identified.
     """
-    with recorded() as notices:
+    with recorded(repeat=True) as notices:
         experiment = rig_experiment.load(trials_file, coordinate=coordinate)
         choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed), bounds=bounds)
         result, facts = _best_fit(experiment, choices, start_state, progress)
@@ -111,8 +111,6 @@ def fit_drag(
     if method == "two-point":
         assert pair is not None
         file = _two_point_file(file, pair)
-    for notice in notices:  # the command shows them too
-        warn(notice.code, notice.text)
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",

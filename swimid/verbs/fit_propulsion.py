@@ -52,7 +52,7 @@ def fit_propulsion(
     NoTrustworthyResult
         When nothing can be identified.
     """
-    with recorded() as notices:
+    with recorded(repeat=True) as notices:
         experiment = experiment_module.load(trials_file, drag=drag)
         choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed))
         settings = {
@@ -67,10 +67,13 @@ def fit_propulsion(
         else:
             if drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
+            if wake != "fin" or keep_departures:
+                warn(
+                    "SWM004",
+                    "--wake and --keep-departures belong to a cruise experiment and have no effect here",
+                )
             page = propulsion_surge.fit(experiment, choices, origin, progress)
     file, evidence = page
-    for notice in notices:
-        warn(notice.code, notice.text)
     evidence.notices = fit_common.notices(notices)
     outputs = fit_common.save(output, file, evidence)
     summary = "\n".join(

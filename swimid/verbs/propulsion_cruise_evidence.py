@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -163,33 +164,11 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
         if at:
             f = np.linspace(0.0, max(p["frequency_hz"] for p in at), 60)[1:]
             by_frequency += [
-                ev.Trace(
-                    x=[p["frequency_hz"] for p in at],
-                    y=[100 * p["mean_speed_m_s"] for p in at],
-                    style="points",
-                    label=trial.id,
-                    group=group,
-                ),
+                _runs(at, "frequency_hz", lambda p: 100 * p["mean_speed_m_s"], group),
                 ev.Trace(x=f, y=100 * _law(result, trial, f, np.full(len(f), amplitude)), group=group),
             ]
-            force.append(
-                ev.Trace(
-                    x=[p["frequency_hz"] for p in at],
-                    y=[1e3 * p["propulsive_force_N"] for p in at],
-                    style="points",
-                    label=trial.id,
-                    group=group,
-                )
-            )
-            wake.append(
-                ev.Trace(
-                    x=[p["frequency_hz"] for p in at],
-                    y=[p["strouhal"] for p in at],
-                    style="points",
-                    label=trial.id,
-                    group=group,
-                )
-            )
+            force.append(_runs(at, "frequency_hz", lambda p: 1e3 * p["propulsive_force_N"], group))
+            wake.append(_runs(at, "frequency_hz", lambda p: p["strouhal"], group))
         for f0 in frequencies[:1]:
             swept = sorted(
                 (p for p in points if p["fin"] == trial.id and p["frequency_hz"] == f0),
@@ -198,13 +177,7 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
             if swept:
                 a = np.linspace(0.0, max(p["amplitude_deg"] for p in swept), 80)[1:]
                 by_amplitude += [
-                    ev.Trace(
-                        x=[p["amplitude_deg"] for p in swept],
-                        y=[(100 * p["mean_speed_m_s"]) ** 1.5 for p in swept],
-                        style="points",
-                        label=trial.id,
-                        group=group,
-                    ),
+                    _runs(swept, "amplitude_deg", lambda p: (100 * p["mean_speed_m_s"]) ** 1.5, group),
                     ev.Trace(x=a, y=(100 * _law(result, trial, np.full(len(a), f0), a)) ** 1.5, group=group),
                 ]
     panels = [
@@ -259,6 +232,16 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
         ),
         *fit_common.figures(result)[1:],
     ]
+
+
+def _runs(points: list[dict[str, Any]], x: str, y: Callable[[dict[str, Any]], float], group: int) -> ev.Trace:
+    return ev.Trace(
+        x=[p[x] for p in points],
+        y=[y(p) for p in points],
+        style="points",
+        label=points[0]["fin"],
+        group=group,
+    )
 
 
 def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

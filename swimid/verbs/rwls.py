@@ -18,7 +18,7 @@ from swimid.formats import parameters, provenance
 from swimid.models import difference
 from swimid.models.arx import NAME
 from swimid.models.difference import Orders, Record
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.reporting import numbers
 from swimid.verbs import fit_common, rwls_data, rwls_evidence, rwls_scores
@@ -104,56 +104,51 @@ def rwls(
         raise UsageError(f"order '{order}' is not known; use 'given' or 'auto'")
     if order == "given" and (na is None or nb is None):
         raise UsageError("give --na and --nb, or --order auto")
-    notices: list[Notice] = []
-    try:
-        with recorded() as notices:
-            data = rwls_data.read(logs, validate, input_column, output_column, input_model)
-            orders = Orders(na or 0, nb or 1, nk, nc)
-            table: list[order_search.Candidate] = []
-            if order == "auto":
-                orders, table = _choose(data, orders, (max_na, max_nb, max_nk), criterion, centre, progress)
-            point = working_point.centre(data.fit, orders, centre)
-            fit = working_point.shifted(data.fit, point)
-            held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
-            rows = len(regression(fit, orders))
-            found = estimate(
-                fit,
-                orders,
-                weight=weight,
-                forgetting=forgetting,
-                prior_scale=prior_scale,
-                stride=stride or max(1, -(-rows // KEPT)),
-            )
-            a, _, _ = orders.split(found.theta)
-            poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-            fit_scores = rwls_scores.scores(fit, found, poles, horizon)
-            scores: dict[str, Scores] = {}
-            for name, part in held.items():
-                if point.removed:
-                    held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, horizon)
-                else:
-                    scores[name] = rwls_scores.scores(part, found, poles, horizon)
-            settings = {
-                "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
-                "order": order if order == "given" else f"auto, {criterion}",
-                "input": data.columns.source,
-                "output": data.columns.output,
-                "output_unit": data.columns.units[1],
-                "weight": weight,
-                "forgetting": forgetting,
-                "prior_scale": prior_scale,
-                "centre": centre,
-                "input_level": point.source,
-                "output_level": point.output,
-                "horizon": horizon,
-            }
-            if data.columns.sine:
-                names = ("amplitude", "frequency_hz", "phase_rad")
-                settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
-            _warn(data, found, point, poles, fit_scores, scores)
-    finally:
-        for notice in notices:
-            warn(notice.code, notice.text)
+    with recorded(repeat=True) as notices:
+        data = rwls_data.read(logs, validate, input_column, output_column, input_model)
+        orders = Orders(na or 0, nb or 1, nk, nc)
+        table: list[order_search.Candidate] = []
+        if order == "auto":
+            orders, table = _choose(data, orders, (max_na, max_nb, max_nk), criterion, centre, progress)
+        point = working_point.centre(data.fit, orders, centre)
+        fit = working_point.shifted(data.fit, point)
+        held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
+        rows = len(regression(fit, orders))
+        found = estimate(
+            fit,
+            orders,
+            weight=weight,
+            forgetting=forgetting,
+            prior_scale=prior_scale,
+            stride=stride or max(1, -(-rows // KEPT)),
+        )
+        a, _, _ = orders.split(found.theta)
+        poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
+        fit_scores = rwls_scores.scores(fit, found, poles, horizon)
+        scores: dict[str, Scores] = {}
+        for name, part in held.items():
+            if point.removed:
+                held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, horizon)
+            else:
+                scores[name] = rwls_scores.scores(part, found, poles, horizon)
+        settings = {
+            "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
+            "order": order if order == "given" else f"auto, {criterion}",
+            "input": data.columns.source,
+            "output": data.columns.output,
+            "output_unit": data.columns.units[1],
+            "weight": weight,
+            "forgetting": forgetting,
+            "prior_scale": prior_scale,
+            "centre": centre,
+            "input_level": point.source,
+            "output_level": point.output,
+            "horizon": horizon,
+        }
+        if data.columns.sine:
+            names = ("amplitude", "frequency_hz", "phase_rad")
+            settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
+        _warn(data, found, point, poles, fit_scores, scores)
     block = provenance.collect(data.files, settings={**settings, "validate": [str(v) for v in validate]})
     tests = rwls_scores.tests(fit, found)
     file = _parameter_file(data, found, poles, fit_scores, scores, held, tests, settings, horizon, block)
