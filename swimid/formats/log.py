@@ -336,7 +336,9 @@ def _warn_missing(log: Log) -> None:
             f"{count} of {len(log)} (longest run {run}) in {', '.join(names)}"
             for (count, run), names in sorted(found.items())
         ]
-        warn("SWM001", f"{log.path.name}: samples are missing, {'; '.join(parts)}; they are masked, not filled")
+        warn(
+            "SWM001", f"{log.path.name}: samples are missing, {'; '.join(parts)}; they are masked, not filled"
+        )
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:

@@ -187,9 +187,7 @@ def _frame(axes: Axes, size: Size) -> None:
     axes.margins(x=0.015, y=0.06)
 
 
-def _trace(
-    axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, int], *, marked: bool
-) -> None:
+def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, int], *, marked: bool) -> None:
     x, y = _array(trace.x), _array(trace.y)
     error = None if trace.y_error is None else _array(trace.y_error)
     if trace.lower is not None and trace.upper is not None:

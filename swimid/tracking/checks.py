@@ -57,7 +57,7 @@ def run(track: RawTrack, pose: Pose, setup: Setup) -> list[Check]:
             Check(
                 name=f"Colour of {name}",
                 value=text,
-                verdict="warn",
+                verdict="info",
                 text="Exposure or white balance drifted; the colour model followed it.",
             )
         )

@@ -13,7 +13,7 @@ from swimid.formats.log import Log
 from swimid.notices import warn
 from swimid.reporting import numbers
 from swimid.reporting.results import reader
-from swimid.reporting.sections import Block, Cell, Grid, Section, mapping_grid
+from swimid.reporting.sections import LONG_TABLE, Block, Cell, Grid, Section, mapping_grid
 
 #: More channels than this are listed in the table and not drawn.
 MAX_PANELS = 12
@@ -69,7 +69,8 @@ def _summary(record: Log, channels: dict[str, NDArray[np.float64]]) -> Grid:
             ]
         )
     columns = ["Channel", "Unit", "Smallest", "Largest", "Missing", "Longest gap"]
-    return Grid("Channels", columns, rows, "Good: few samples missing, in gaps short against one stroke.")
+    caption = "Good: few samples missing, in gaps short against one stroke."
+    return Grid("Channels", columns, rows, caption, folded=len(rows) > LONG_TABLE)
 
 
 def _gaps(time: NDArray[np.float64], values: NDArray[np.float64]) -> list[tuple[float, float]]:
