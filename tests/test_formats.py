@@ -234,6 +234,13 @@ class TestCruiseTable:
             (HEADER + "A,2,16,1.15,x\n", ["line 2", "time_s", "'x' is not a number"]),
             (HEADER + "A,2,16,1.15,10\nA,0,16,1.15,10\n", ["line 3", "frequency_hz", "not positive"]),
             (HEADER + "A,,16,1.15,10\n", ["line 2", "frequency_hz", "no value"]),
+            # a cell too many in every row shifts nothing silently
+            (HEADER + "A,2,16,1.15,10,\n", ["line 2", "6 cells", "5 columns"]),
+            (HEADER + "# remark\n\nA,2,16,1.15\n", ["line 4", "4 cells"]),
+            (HEADER + "A,2,16,1.15,\n", ["time_s", "every run's value is missing"]),
+            (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "a speed of inf"]),
+            (HEADER.replace("time_s", "time"), ["line 1", "neither time_s nor", "did you mean 'time'"]),
+            (HEADER.replace(",", ";"), ["line 1", "semicolons"]),
         ],
     )
     def test_each_fault_names_its_place(self, tmp_path: Path, text: str, words: list[str]) -> None:

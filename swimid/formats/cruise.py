@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError
+from swimid.formats import delimited
 from swimid.notices import warn
 
 Array = NDArray[np.float64]
 REQUIRED = ("fin", "frequency_hz", "amplitude_deg", "distance_m")
-NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m", "time_s", "mean_speed_m_s")
+NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
 
 
 @dataclass(frozen=True)
@@ -47,43 +49,32 @@ def read(path: str | Path) -> CruiseTable:
     """
     path = Path(path)
     try:
-        frame = pd.read_csv(
-            path, comment="#", dtype=str, keep_default_na=False, skipinitialspace=True, skip_blank_lines=False
-        )
-        with path.open(encoding="utf-8") as stream:
-            header = next((i for i, text in enumerate(stream, 1) if text.strip() and text[0] != "#"), 1)
+        _, header, header_line = delimited.head(path)
+        names = delimited.column_names(header, path, header_line)
+        speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
+        for column in (*REQUIRED, speed):
+            if column not in names:
+                what = "neither time_s nor mean_speed_m_s is there" if column == "time_s" else None
+                raise delimited.missing_column(
+                    column, names, path, header_line, what or "this column is missing"
+                )
+        rows = _rows(path, header_line, names)
     except OSError as error:
         hint = "check the path" if isinstance(error, FileNotFoundError) else None
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
-    except pd.errors.EmptyDataError as error:
-        raise InputError("is empty", file=path) from error
-    except (pd.errors.ParserError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"is no table: {str(error).splitlines()[0]}", file=path) from error
-    names = [str(c).strip() for c in frame.columns]
-    frame.columns = pd.Index(names)
-    speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
-    for column in (*REQUIRED, speed):
-        if column not in names:
-            close = nearest(column, names)
-            hint = f"did you mean '{close}'? " if close else ""
-            what = (
-                "this column is missing"
-                if column != "time_s"
-                else "neither time_s nor mean_speed_m_s is there"
-            )
-            raise InputError(
-                what, file=path, line=header, column=column, hint=f"{hint}the file has: {', '.join(names)}"
-            )
-    frame = frame[(frame != "").any(axis=1)]
-    if frame.empty:
-        raise InputError("has a header and no runs", file=path, line=header)
-    columns = {
-        name: _numbers(frame, name, path, header, required=name in REQUIRED)
-        for name in NUMBERS
-        if name in names
-    }
-    with np.errstate(divide="ignore"):
-        speeds = columns["distance_m"] / columns["time_s"] if speed == "time_s" else columns[speed]
+    if not rows:
+        raise InputError("has a header and no runs", file=path, line=header_line)
+    columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
+    distance, given = columns["distance_m"], columns[speed]
+    if np.isnan(given).all():
+        raise InputError("every run's value is missing", file=path, column=speed)
+    with np.errstate(over="ignore", under="ignore"):
+        speeds = distance / given if speed == "time_s" else given
+    if np.isinf(speeds).any() or np.any(speeds == 0):
+        row = int(np.argmax(np.isinf(speeds) | (speeds == 0)))
+        raise InputError(
+            f"a speed of {speeds[row]:g} m/s is none", file=path, line=rows[row][0], column=speed
+        )
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
@@ -93,30 +84,60 @@ def read(path: str | Path) -> CruiseTable:
             f"{path.name}, '{speed}': speeds of {np.nanmedian(speeds):.3g} m/s; is it mm/s (a factor "
             "of 1000)?",
         )
-    if np.nanmax(columns["amplitude_deg"]) < 1.6:
+    if np.max(columns["amplitude_deg"]) < 1.6:
         warn("SWM002", f"{path.name}, 'amplitude_deg': looks like radians (a factor of 57.3)")
     return CruiseTable(
         path,
-        [str(f).strip() for f in frame["fin"]],
+        [cells["fin"] for _, cells in rows],
         columns["frequency_hz"],
         columns["amplitude_deg"],
-        columns["distance_m"],
+        distance,
         speeds,
     )
 
 
-def _numbers(frame: pd.DataFrame, name: str, path: Path, header: int, *, required: bool) -> Array:
-    texts = frame[name].str.strip()
-    values = pd.to_numeric(texts.replace("", np.nan), errors="coerce").to_numpy(dtype=float)
-    empty = (texts == "").to_numpy()
-    for row, (value, blank) in enumerate(zip(values, empty, strict=True)):
-        if blank and not required:
+def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int, dict[str, str]]]:
+    """Line and cells by column name of every row that is not blank or a comment."""
+    rows = []
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        try:
+            for _ in range(header_line):
+                next(stream)
+            reader = csv.reader(stream, skipinitialspace=True, strict=True)
+            for cells in reader:
+                line = header_line + reader.line_num
+                if not any(cell.strip() for cell in cells) or cells[0].startswith("#"):
+                    continue
+                if len(cells) != len(names):
+                    raise InputError(
+                        f"has {len(cells)} cells where the header names {len(names)} columns",
+                        file=path,
+                        line=line,
+                    )
+                rows.append((line, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
+        except UnicodeDecodeError as error:
+            raise InputError("is not UTF-8 text", file=path) from error
+        except csv.Error as error:
+            raise InputError(
+                f"is no table: {error}", file=path, line=header_line + reader.line_num
+            ) from error
+    return rows
+
+
+def _numbers(rows: list[tuple[int, dict[str, str]]], name: str, path: Path) -> Array:
+    """A column of positive numbers; only a measurement may be missing, then it is NaN."""
+    values = np.full(len(rows), np.nan)
+    for row, (line, cells) in enumerate(rows):
+        text = cells[name]
+        if text in delimited.MISSING:
+            if name in REQUIRED:
+                raise InputError("has no value", file=path, line=line, column=name)
             continue
-        line = header + 1 + int(frame.index[row])
-        if blank:
-            raise InputError("has no value", file=path, line=line, column=name)
-        if not np.isfinite(value):
-            raise InputError(f"'{texts.iloc[row]}' is not a number", file=path, line=line, column=name)
+        value = delimited.number(text)
+        if value is None or not math.isfinite(value):
+            hint = delimited.number_hint(text)
+            raise InputError(f"'{text}' is not a number", file=path, line=line, column=name, hint=hint)
         if value <= 0:
             raise InputError(f"{value:g} is not positive", file=path, line=line, column=name)
+        values[row] = value
     return values

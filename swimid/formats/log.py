@@ -15,13 +15,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError
 from swimid.formats import atomic, yamlio
+from swimid.formats.delimited import MISSING, column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
 TIME = "t_s"
-#: Words that mean "missing" in a cell, beside the empty cell the format asks for.
-MISSING = ["", "nan", "NaN", "NAN", "NA", "null"]
 PARQUET_ENDINGS = (".parquet", ".pq")
 
 
@@ -113,20 +112,11 @@ def read(
 def _read_csv(
     path: Path, required: list[str], optional: list[str] | None
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
-    comments, header, header_line = _head(path)
+    comments, header, header_line = head(path)
     metadata = _metadata(comments, path)
-    names = [name.strip().strip('"') for name in header.split(",")]
-    if len(names) == 1:
-        for other, word in ((";", "semicolons"), ("\t", "tabs")):
-            if other in header:
-                raise InputError(
-                    f"its columns are separated by {word}; a log has commas", file=path, line=header_line
-                )
-    if all(_is_number(name) for name in names):
+    names = column_names(header, path, header_line)
+    if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("two columns have this name", file=path, line=header_line, column=name)
     _check_columns(names, required, path, header_line)
     wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
     try:
@@ -177,30 +167,10 @@ def _parse_with_care(
                 file=path,
                 line=_line_of(path, header_line, row),
                 column=name,
-                hint=_number_hint(str(texts.iloc[row])),
+                hint=number_hint(str(texts.iloc[row])),
             )
         columns[name] = numbers.to_numpy(dtype=float, na_value=np.nan)
     return columns
-
-
-def _head(path: Path) -> tuple[list[str], str, int]:
-    """Comment lines, the header line and its number (from 1)."""
-    comments: list[str] = []
-    with path.open("rb") as stream:
-        for number, raw in enumerate(stream, start=1):
-            if len(raw) > 1_000_000 or b"\x00" in raw:
-                raise InputError("is not a text file", file=path, line=number)
-            try:
-                line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
-            except UnicodeDecodeError as error:
-                raise InputError("is not UTF-8 text", file=path, line=number) from error
-            if line.startswith("#"):
-                comments.append(line[1:])
-            elif line:
-                return comments, line, number
-    raise InputError(
-        "is empty" if not comments else "holds comments only, no header and no samples", file=path
-    )
 
 
 def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
@@ -283,15 +253,7 @@ def _check_columns(names: list[str], required: Sequence[str], path: Path, line: 
     for column in (TIME, *required):
         if column in names:
             continue
-        close = nearest(column, names)
-        hint = f"did you mean '{close}'? " if close else ""
-        raise InputError(
-            "this column is missing",
-            file=path,
-            line=line,
-            column=column,
-            hint=f"{hint}the file has: {', '.join(names)}",
-        )
+        raise missing_column(column, names, path, line)
     if names[0] != TIME:
         raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
 
@@ -369,20 +331,6 @@ def _warn_units(log: Log) -> None:
             warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres (a factor of 1000)")
         elif name.endswith("_m_s") and largest > 20:
             warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres per second (a factor of 1000)")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _number_hint(text: str) -> str:
-    if _is_number(text.replace(",", ".")):
-        return "write the decimal point as a dot"
-    return "leave the cell empty where the sample is missing"
 
 
 # ---------------------------------------------------------------- writing

@@ -1,0 +1,97 @@
+"""What the CSV formats share: comment lines, the header, and words for what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from swimid.errors import InputError, nearest
+
+#: Words that mean "missing" in a cell, beside the empty cell the formats ask for.
+MISSING = ["", "nan", "NaN", "NAN", "NA", "null"]
+
+
+def head(path: Path) -> tuple[list[str], str, int]:
+    """Comment lines without their ``#``, the header line, and its number (from 1).
+
+    Raises
+    ------
+    InputError
+        When the file is no UTF-8 text, or ends before a header.
+    """
+    comments: list[str] = []
+    with path.open("rb") as stream:
+        for number, raw in enumerate(stream, start=1):
+            if len(raw) > 1_000_000 or b"\x00" in raw:
+                raise InputError("is not a text file", file=path, line=number)
+            try:
+                line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
+            except UnicodeDecodeError as error:
+                raise InputError("is not UTF-8 text", file=path, line=number) from error
+            if "\r" in line:
+                raise InputError(
+                    "its lines end with a carriage return alone",
+                    file=path,
+                    line=number,
+                    hint="save it with line feeds at the ends of lines",
+                )
+            if line.startswith("#"):
+                comments.append(line[1:])
+            elif line:
+                return comments, line, number
+    raise InputError(
+        "is empty" if not comments else "holds comments only, no header and no samples", file=path
+    )
+
+
+def column_names(header: str, path: Path, line: int) -> list[str]:
+    """The names of a header line.
+
+    Raises
+    ------
+    InputError
+        When they are separated by something else than commas, or two are the same.
+    """
+    names = [name.strip().strip('"') for name in header.split(",")]
+    if len(names) == 1:
+        for other, word in ((";", "semicolons"), ("\t", "tabs")):
+            if other in header:
+                raise InputError(
+                    f"its columns are separated by {word}; they must be by commas", file=path, line=line
+                )
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("two columns have this name", file=path, line=line, column=name)
+    return names
+
+
+def missing_column(
+    column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
+) -> InputError:
+    """The error for a column that is not there; suggests the nearest that is."""
+    close = nearest(column, list(names))
+    hint = f"did you mean '{close}'? " if close else ""
+    return InputError(
+        what, file=path, line=line, column=column, hint=f"{hint}the file has: {', '.join(names)}"
+    )
+
+
+def number(text: str) -> float | None:
+    """The number a cell holds, or None where it is none.
+
+    >>> number(" 1e-3 "), number("1,5"), number("1_0")
+    (0.001, None, None)
+    """
+    if "_" in text or not text.isascii():
+        return None  # Python reads these as numbers, no other program does
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def number_hint(text: str) -> str:
+    """What to write in place of a cell that is no number."""
+    if number(text.replace(",", ".")) is not None:
+        return "write the decimal point as a dot"
+    return "leave the cell empty where the sample is missing"
