@@ -142,3 +142,8 @@ def refine(
     raise NoTrustworthyResult(
         f"the noise polynomial C did not converge in {steps} steps", hint="lower --nc, or give longer logs"
     )
+
+
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    errors_and_gradient(np.zeros(2), np.ones((3, 1)), np.ones(3), np.array([True, False, False]), 1)

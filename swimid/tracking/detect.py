@@ -264,3 +264,9 @@ def measure(
         hsv=mean_hsv(colour),
         at_edge=at_edge,
     )
+
+
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    mask = np.full((4, 4), 255, np.uint8)
+    _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)

@@ -52,10 +52,15 @@ class Smoothed:
     innovation: Array
 
 
+# Plain loops over matrices of two or three rows: array expressions and linear algebra routines
+# take ten times as long to compile and run no faster at this size.
+
+
 @njit(cache=True)
-def _matrices(dt, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    transition = np.eye(order)
-    noise = np.zeros((order, order))
+def _step(dt, q, order, transition, noise):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Fill the transition matrix and the noise of a step of ``dt`` seconds."""
+    for i in range(order):
+        transition[i, i] = 1.0
     transition[0, 1] = dt
     if order == 2:
         noise[0, 0] = q * dt**3 / 3
@@ -70,11 +75,98 @@ def _matrices(dt, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover
         noise[1, 1] = q * dt**3 / 3
         noise[1, 2] = noise[2, 1] = q * dt**2 / 2
         noise[2, 2] = q * dt
-    return transition, noise
 
 
 @njit(cache=True)
-def kalman(times, values, variances, q, order, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _product(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """result = a b."""
+    n = len(a)
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += a[i, k] * b[k, j]
+            result[i, j] = total
+
+
+@njit(cache=True)
+def _sandwich(a, b, work, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """result += a b a'."""
+    n = len(a)
+    _product(a, b, work)
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                result[i, j] += work[i, k] * a[j, k]
+
+
+@njit(cache=True)
+def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """b becomes a^-1 b for a positive definite a, which is used up."""
+    n = len(a)
+    for i in range(n):
+        for j in range(i + 1, n):
+            factor = a[j, i] / a[i, i]
+            for k in range(n):
+                a[j, k] -= factor * a[i, k]
+                b[j, k] -= factor * b[i, k]
+    for i in range(n - 1, -1, -1):
+        for k in range(n):
+            for j in range(i + 1, n):
+                b[i, k] -= a[i, j] * b[j, k]
+            b[i, k] /= a[i, i]
+
+
+@njit(cache=True)
+def _filter(  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    times, values, variances, q, order, start, means, covariances, innovations, innovation_variances
+):
+    transition, noise = np.zeros((order, order)), np.zeros((order, order))
+    work, keep = np.zeros((order, order)), np.zeros((order, order))
+    gain, moved = np.zeros(order), np.zeros(order)
+    n = len(times)
+    mean, covariance = means[0], covariances[0]
+    for k in range(n):
+        if values[k] == values[k]:
+            mean[0] = values[k]
+            break
+    for i in range(order):
+        for j in range(order):
+            covariance[i, j] = start[i, j]
+    for k in range(n):
+        if k > 0:
+            _step(times[k] - times[k - 1], q, order, transition, noise)
+            mean, covariance = means[k], covariances[k]
+            for i in range(order):
+                for j in range(order):
+                    mean[i] += transition[i, j] * means[k - 1, j]
+                    covariance[i, j] = noise[i, j]
+            _sandwich(transition, covariances[k - 1], work, covariance)
+        if values[k] != values[k]:
+            continue
+        expected = covariance[0, 0] + variances[k]
+        innovations[k] = values[k] - mean[0]
+        innovation_variances[k] = expected
+        for i in range(order):
+            gain[i] = covariance[i, 0] / expected
+        # Joseph form: stays positive where the start is diffuse.
+        for i in range(order):
+            mean[i] += gain[i] * innovations[k]
+            for j in range(order):
+                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
+        _product(keep, covariance, work)
+        for i in range(order):
+            for j in range(order):
+                moved[j] = variances[k] * gain[i] * gain[j]
+                for m in range(order):
+                    moved[j] += work[i, m] * keep[j, m]
+            for j in range(order):
+                covariance[i, j] = moved[j]
+
+
+def kalman(
+    times: Array, values: Array, variances: Array, q: float, order: int, start: Array
+) -> tuple[Array, Array, Array, Array]:
     """Kalman filter of one coordinate.
 
     Parameters
@@ -96,48 +188,46 @@ def kalman(times, values, variances, q, order, start):  # type: ignore[no-untype
         NaN where there is no measurement.
     """
     n = len(times)
-    means = np.zeros((n, order))
-    covariances = np.zeros((n, order, order))
-    innovations = np.full(n, np.nan)
-    innovation_variances = np.full(n, np.nan)
-    mean = np.zeros(order)
-    for k in range(n):
-        if not np.isnan(values[k]):
-            mean[0] = values[k]
-            break
-    covariance = start.copy()
-    for k in range(n):
-        if k > 0:
-            transition, noise = _matrices(times[k] - times[k - 1], q, order)
-            mean = transition @ mean
-            covariance = transition @ covariance @ transition.T + noise
-        if not np.isnan(values[k]):
-            expected = covariance[0, 0] + variances[k]
-            innovations[k] = values[k] - mean[0]
-            innovation_variances[k] = expected
-            gain = covariance[:, 0] / expected
-            mean = mean + gain * innovations[k]
-            # Joseph form: stays positive where the start is diffuse.
-            keep = np.eye(order)
-            keep[:, 0] -= gain
-            covariance = keep @ covariance @ keep.T + variances[k] * np.outer(gain, gain)
-        means[k] = mean
-        covariances[k] = covariance
-    return means, covariances, innovations, innovation_variances
+    means, covariances = np.zeros((n, order)), np.zeros((n, order, order))
+    innovations, spreads = np.full(n, np.nan), np.full(n, np.nan)
+    _filter(times, values, variances, q, order, start, means, covariances, innovations, spreads)
+    return means, covariances, innovations, spreads
 
 
 @njit(cache=True)
-def rts(times, means, covariances, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _smooth(times, q, order, smooth, spread):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    transition, noise = np.zeros((order, order)), np.zeros((order, order))
+    work, change = np.zeros((order, order)), np.zeros((order, order))
+    predicted, gain, turned = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
+    for k in range(len(times) - 2, -1, -1):
+        _step(times[k + 1] - times[k], q, order, transition, noise)
+        for i in range(order):
+            for j in range(order):
+                predicted[i, j] = noise[i, j]
+        _sandwich(transition, spread[k], work, predicted)
+        _product(transition, spread[k], gain)
+        for i in range(order):
+            for j in range(order):
+                change[i, j] = spread[k + 1, i, j] - predicted[i, j]
+        _solve(predicted, gain)
+        for i in range(order):
+            for j in range(order):
+                turned[i, j] = gain[j, i]
+        _sandwich(turned, change, work, spread[k])
+        for j in range(order):
+            error = smooth[k + 1, j]
+            for m in range(order):
+                error -= transition[j, m] * smooth[k, m]
+            work[0, j] = error
+        for i in range(order):
+            for j in range(order):
+                smooth[k, i] += turned[i, j] * work[0, j]
+
+
+def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
     """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
-    n = len(times)
-    smooth = means.copy()
-    spread = covariances.copy()
-    for k in range(n - 2, -1, -1):
-        transition, noise = _matrices(times[k + 1] - times[k], q, order)
-        predicted = transition @ covariances[k] @ transition.T + noise
-        gain = np.linalg.solve(predicted, transition @ covariances[k]).T
-        smooth[k] = means[k] + gain @ (smooth[k + 1] - transition @ means[k])
-        spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted) @ gain.T
+    smooth, spread = means.copy(), covariances.copy()
+    _smooth(times, q, order, smooth, spread)
     return smooth, spread
 
 
@@ -315,3 +405,11 @@ def smooth(
         order=fit.order,
         innovation=out["innovation"],
     )
+
+
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    times, ones = np.arange(3.0), np.ones(3)
+    for order in (2, 3):
+        means, covariances = kalman(times, ones, ones, 1.0, order, np.eye(order))[:2]
+        rts(times, means, covariances, 1.0, order)

@@ -24,7 +24,6 @@ REQUIRED = (
     "numba",
     "opencv-python-headless",
     "control",
-    "filterpy",
     "matplotlib",
     "pydantic",
     "ruamel.yaml",
@@ -35,7 +34,14 @@ REQUIRED = (
 )
 OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
-KERNELS = ("swimid.models.rig", "swimid.estimators.recursive")
+KERNELS = (
+    "swimid.models.rig",
+    "swimid.models.difference",
+    "swimid.estimators.recursive",
+    "swimid.estimators.armax",
+    "swimid.tracking.detect",
+    "swimid.tracking.smooth",
+)
 
 
 def doctor(*, warm_up: bool = False, output: Path | None = None, progress: Progress = silent) -> Outcome:
