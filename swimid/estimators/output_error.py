@@ -88,7 +88,8 @@ def _step_error(result: FitResult, finer: Model) -> float:
         fine = finer.simulate(result.values(name), trial)
         for s in result.series:
             if s.trial == name:
-                worst = max(worst, float(np.nanmax(np.abs(fine[s.channel] - s.simulated) / s.sd)))
+                change = np.abs(fine[s.channel] - s.simulated) / s.sd
+                worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
     return worst
 
 

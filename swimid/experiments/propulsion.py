@@ -160,15 +160,17 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
         logs.append(log.path)
-        beat = find_beat(log.time_s, log["yaw_rad"])
+        seen = np.isfinite(log["yaw_rad"])
+        beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
         beats[entry.id] = _beat_facts(entry, beat)
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
         frequency = beat.frequency_hz if beat is not None else drive.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
-        if len(time) < 4:
-            raise InputError(f"holds {len(time)} whole beats; at least 4 are needed", file=log.path)
+        whole = int(np.isfinite(speed).sum())
+        if whole < 4:
+            raise InputError(f"holds {whole} whole beats; at least 4 are needed", file=log.path)
         trials.append(
             Trial(
                 id=entry.id,
@@ -247,11 +249,24 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     -------
     time_s, u_m_s : ndarray, shape (beats,)
         Middle of each beat and its average; NaN for a beat with missing samples.
+
+    Raises
+    ------
+    InputError
+        When the log does not resolve the beat, or holds no complete samples.
     """
     columns = ["u_m_s"] if "u_m_s" in log else ["x_m", "y_m", "yaw_rad"]
     there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
     time = log.time_s[there]
+    if len(time) < 2:
+        raise InputError(f"no two samples have all of {', '.join(columns)}", file=log.path)
     count = int((time[-1] - time[0]) / period_s)
+    if 2 * count > len(time):
+        raise InputError(
+            f"has {len(time)} samples in {count} beats; a beat needs at least 2",
+            file=log.path,
+            hint="check the unit of t_s and the beat frequency",
+        )
     edges = time[0] + period_s * np.arange(count + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
     if "u_m_s" in log:
@@ -259,7 +274,9 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
         speeds = np.diff(np.interp(edges, time, _integral(time, log["u_m_s"][there]))) / period_s
     else:
         x, y = (np.diff(np.interp(edges, time, log[c][there])) for c in ("x_m", "y_m"))
-        heading = np.diff(np.interp(edges, time, _integral(time, log["yaw_rad"][there]))) / period_s
+        heading = (
+            np.diff(np.interp(edges, time, _integral(time, np.unwrap(log["yaw_rad"][there])))) / period_s
+        )
         speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
     gaps = np.diff(time)
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.constructor import DuplicateKeyError
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from swimid.errors import InputError, nearest
@@ -103,9 +103,9 @@ def load(path: str | Path) -> CommentedMap:
         raise InputError(
             f"is not valid YAML: {error.problem or error.context}", file=path, line=place
         ) from error
-    except (YAMLError, ValueError, RecursionError, AttributeError, TypeError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except Exception as error:
         first = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"is not valid YAML: {first}", file=path) from error
     if not isinstance(data, CommentedMap):
@@ -349,5 +349,5 @@ def parse_scalar(text: str) -> Any:
     """
     try:
         return plain(YAML(typ="safe", pure=True).load(text.strip()))
-    except (YAMLError, RecursionError) as error:
+    except Exception as error:
         raise ValueError((str(error) or "unreadable").splitlines()[0]) from error

@@ -30,6 +30,8 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
 }
 #: Largest integration step, s, before the accuracy check refines it.
 DEFAULT_STEP = 0.01
+#: A trial so long that it would take more such steps starts with longer ones.
+MOST_STEPS = 5_000
 
 
 @numba.njit(cache=True, nogil=True)
@@ -245,10 +247,12 @@ class RigModel(Model):
                 trial.time_s, release, c["inertia"], c["quadratic"], offset - c["dry"]
             )
             return {self.coordinate: x + x0, self.speed: v}
+        # from the log's times alone: a step that moved with the parameters would roughen derivatives
+        longest = float(trial.time_s[-1] - trial.time_s[0]) / MOST_STEPS
         x, v = integrate(
             trial.time_s,
             release,
-            self.max_step,
+            self.max_step * max(1.0, longest / DEFAULT_STEP),
             np.array([offset]) if force is None else force + offset,
             c["inertia"],
             c["quadratic"],

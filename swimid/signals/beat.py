@@ -59,7 +59,8 @@ def find_beat(
         return None
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = lowest_hz or 2.0 / duration
-    high = highest_hz or 0.45 / step
+    # no more frequencies than an even record of as many samples has, however uneven this one is
+    high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low:
         return None
     centred = t - t.mean()

@@ -17,8 +17,8 @@ from swimid.estimators.profile import profile_interval
 from swimid.estimators.residual_tests import fit_autoregression
 from swimid.experiments import rig as rig_experiment
 from swimid.experiments.base import Experiment
+from swimid.formats import atomic, provenance
 from swimid.formats import evidence as ev
-from swimid.formats import provenance
 from swimid.formats.parameters import Estimate, Fit, ParameterFile
 from swimid.models import theory
 from swimid.models.base import Parameter, Trial, chosen
@@ -78,6 +78,8 @@ def fit_drag(
     """
     with recorded(repeat=True) as notices:
         experiment = rig_experiment.load(trials_file, coordinate=coordinate)
+        if output is not None:
+            atomic.check_writable(output, inputs=tuple(experiment.inputs))
         choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed), bounds=bounds)
         result, facts = _best_fit(experiment, choices, start_state, progress)
         profiles = _profiles(result, progress) if profile else {}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from swimid.errors import UsageError
 from swimid.experiments import propulsion as experiment_module
-from swimid.formats import provenance
+from swimid.formats import atomic, provenance
 from swimid.models.base import chosen
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
@@ -54,6 +54,8 @@ def fit_propulsion(
     """
     with recorded(repeat=True) as notices:
         experiment = experiment_module.load(trials_file, drag=drag)
+        if output is not None:
+            atomic.check_writable(output, inputs=tuple(experiment.inputs))
         choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed))
         settings = {
             "wake": wake,

@@ -122,7 +122,9 @@ def _departures(
                 fitted = output_error.fit(model, rest, parameters=choices)
             except NoTrustworthyResult:
                 continue
-            tests.append(_departure(fitted, trials, float(level)))
+            test = _departure(fitted, trials, float(level))
+            if test is not None:
+                tests.append(test)
         tests = [t for t in tests if abs(t["z"]) > DEPARTURE_Z and abs(t["share"]) > DEPARTURE_SHARE]
         if not tests:
             break
@@ -138,17 +140,21 @@ def _departures(
     return found
 
 
-def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any]:
+def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
+    """How far the runs at a frequency lie off the law; None where the law gives them no speed."""
     shares, spread = [], []
     for trial in trials:
         predicted = fitted.model.simulate(fitted.values(trial.id), trial)[SPEED]
         at = np.isclose(trial.inputs["frequency_hz"], level) & np.isfinite(trial.measured[SPEED])
+        at &= predicted > 0
         shares += list(trial.measured[SPEED][at] / predicted[at] - 1)
         size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
         reference = fitted.noise[SPEED].value_sd
         shape = np.asarray(trial.value_sd[SPEED])[at]
         known = np.asarray(trial.value_sd[SPEED])
         spread += list(size * shape * reference / float(np.sqrt(np.mean(known**2))) / predicted[at])
+    if not shares:
+        return None
     share = float(np.mean(shares))
     error = float(np.sqrt(np.mean(np.square(spread)) / len(shares)))
     # the law's own uncertainty at a level is of the order of one run's among all others

@@ -269,7 +269,10 @@ def _warn(
             f"the data do not determine {', '.join(undetermined)}; their values are arbitrary in part",
         )
     rank = found.determined.input_rank
-    if rank < orders.nb:
+    source = np.concatenate([record.source for record in data.fit])
+    if np.ptp(source[np.isfinite(source)]) == 0:
+        warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
+    elif rank < orders.nb:
         why = "; a single sine excites two" if rank == 2 else ""
         warn("SWM022", f"the input excites {rank} of the {orders.nb} coefficients of B{why}")
     elif found.determined.condition > ILL_CONDITIONED:
