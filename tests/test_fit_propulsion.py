@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.formats import evidence, parameters
+from swimid.errors import InputError
+from swimid.experiments.propulsion import beat_averages
+from swimid.formats import evidence, log, parameters
 from swimid.formats import robot as robot_format
 from swimid.models import propulsion
 from swimid.signals.beat import find_beat
@@ -231,6 +233,31 @@ class TestBeat:
         assert find_beat(np.arange(0, 10, 0.03), rng.normal(size=334)) is None
         assert find_beat(np.arange(0, 10, 0.03), np.zeros(334)) is None
         assert find_beat(np.arange(5.0), np.ones(5)) is None
+
+
+class TestBeatAverages:
+    @staticmethod
+    def _log(heading: float) -> log.Log:
+        """Six seconds at 0.2 m/s along a heading, yaw beating at 2 Hz and wrapped into -pi .. pi."""
+        t = np.arange(0, 6, 0.02)
+        yaw = heading + 0.3 * np.sin(4 * np.pi * t)
+        yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
+        columns = {
+            "t_s": t,
+            "x_m": 0.2 * np.cos(heading) * t,
+            "y_m": 0.2 * np.sin(heading) * t,
+            "yaw_rad": yaw,
+        }
+        return log.Log(Path("swim.csv"), {}, columns)
+
+    @pytest.mark.parametrize("heading", [0.0, np.pi, -3.0])
+    def test_heading_across_the_wrap(self, heading: float) -> None:
+        _, speed = beat_averages(self._log(heading), 0.5)
+        assert speed == pytest.approx(0.2, rel=1e-3)
+
+    def test_beats_the_log_does_not_resolve(self) -> None:
+        with pytest.raises(InputError, match="a beat needs at least 2"):
+            beat_averages(self._log(0.0), 0.01)
 
 
 def write_real_fish(folder: Path, data: Path, *, frequency_hz: float, own_speed: bool = True) -> Path:

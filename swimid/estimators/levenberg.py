@@ -37,6 +37,8 @@ class Solution:
     iterations: int
 
 
+# A step so bad that its cost overflows costs infinity, and is not taken.
+@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
     jacobian: Callable[[Array], Array],
@@ -75,6 +77,8 @@ def minimise(
         return Solution(x, float(r @ r), True, "nothing to estimate", 0)
     r = residuals(x)
     cost = float(r @ r)
+    if not np.isfinite(cost):
+        return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
     damping, growth = -1.0, 2.0
     for iteration in range(1, max_iterations + 1):
         rows = jacobian(x) * scale
@@ -129,8 +133,8 @@ def _step(
         free = ~fixed
         matrix = normal[np.ix_(free, free)] + np.diag(damping[free])
         right = -(gradient[free] + normal[np.ix_(free, fixed)] @ step[fixed])
-        scale = 1.0 / np.sqrt(np.diag(matrix))
-        step[free] = scale * np.linalg.solve(matrix * np.outer(scale, scale), right * scale)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        step[free] = scale * np.linalg.solve(scale[:, None] * matrix * scale, right * scale)
         below, above = free & (step < low), free & (step > high)
         if not (below | above).any():
             break

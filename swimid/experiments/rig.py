@@ -109,6 +109,11 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         area_known=factors[0] is not None,
         pulley=any(s["pulley"] for s in settings),
     )
+    # No trial was released a whole trial's length away from its log.
+    span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
+    model.parameters = tuple(
+        replace(p, lower=-span, upper=span) if p.name == "clock_offset" else p for p in model.parameters
+    )
     # A start that is not the origin carries the noise of the sample it is taken from.
     if any(s["x0"] != 0 for s in settings):
         model.parameters = tuple(

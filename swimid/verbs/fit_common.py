@@ -60,10 +60,8 @@ def estimates(
 
 
 def correlation_of(result: FitResult) -> Correlation | None:
-    """Correlation matrix of the shared parameters that were estimated."""
-    keep = [
-        i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label) is not None
-    ]
+    """Correlation matrix of the shared parameters that were estimated, with some error each."""
+    keep = [i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label)]
     if len(keep) < 2:
         return None
     part = result.covariance[np.ix_(keep, keep)]

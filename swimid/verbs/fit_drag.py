@@ -105,7 +105,7 @@ def fit_drag(
         )
         checks = fit_common.checks(result, file)
     estimated = [label for label in result.labels if "[" not in label]
-    if estimated and all(result.status[label] == "unidentifiable" for label in estimated):
+    if estimated and all(result.status[label] != "estimated" for label in estimated):
         raise NoTrustworthyResult(
             f"none of {', '.join(estimated)} can be identified from these trials",
             hint="use longer runs, more different forces, or fix what is known with --fix",

@@ -56,7 +56,7 @@ def fit(
     result = (
         output_error.fit(model, kept, parameters=choices, progress=progress) if departures else everything
     )
-    if all(result.status[label] == "unidentifiable" for label in result.labels):
+    if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents = _exponents(model, kept, choices)
     result = _with_drag_error(result, model, kept, choices, experiment)

@@ -41,7 +41,7 @@ def fit(
     model = experiment.model
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     shared = [label for label in result.labels if "[" not in label]
-    if all(result.status[label] == "unidentifiable" for label in shared):
+    if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     derived = _free_amplitude(experiment, choices)
     n = result.value("amplitude_exponent")
