@@ -73,6 +73,27 @@ def test_a_simulated_arx_comes_back(tmp_path):
     assert shown.verdict.level == "good"
 
 
+def test_commands_of_few_levels_are_exact(tmp_path):
+    """Binary, stepped and square commands have no decimals, and no rounding either."""
+    rng = np.random.default_rng(41)
+    n = 1000
+    inputs = {
+        "binary": np.repeat(rng.integers(0, 2, n // 5), 5),
+        "three": np.repeat(rng.integers(-1, 2, n // 4), 4),
+        "square": (np.arange(n) // 40) % 2,
+        "stairs": np.arange(n) // 100,
+        "step": (np.arange(n) >= 100) * 1,
+    }
+    for name, source in inputs.items():
+        log = write_log(tmp_path / f"{name}.csv", arx_columns(42, n=n, noise=0.01, source=source * 1.0))
+        status, document, _ = run(log, *COLUMNS, "--na", 2, "--nb", 2)
+        assert status == 0, name
+        for key, truth in zip(("a1", "a2", "b1", "b2"), A + B, strict=True):
+            e = document["result"]["parameters"][key]
+            assert e["status"] == "estimated", (name, key)
+            assert abs(e["value"] - truth) < 4 * e["stderr"], (name, key)
+
+
 def test_the_result_equals_batch_least_squares_on_raw_data(tmp_path):
     columns = arx_columns(2)
     log = write_log(tmp_path / "run.csv", columns)

@@ -28,12 +28,14 @@ from swimid.errors import NoTrustworthyResult
 from swimid.estimators import armax, recursive
 from swimid.estimators import residual_tests as rt
 from swimid.models.difference import Orders, Record
-from swimid.signals.sampling import quantum
+from swimid.signals.sampling import rounding
 
 #: Residuals below this share of the output's deviation are rounding, not noise.
 EXACT = 1e-9
 #: A singular value of the scaled regression below this share of the largest is zero.
 RANK_TOLERANCE = 1e-10
+#: Rounding never empties a direction whose singular value is above this share of the largest.
+ROUNDING_LIMIT = 0.01
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,8 @@ def identifiability(
     -----
     Singular values of the regression with columns scaled to length one. The rounding of n
     samples with step q adds a column of length ``q sqrt(n / 12)`` to each; a direction v is
-    empty when its singular value is below three times the length of that in its direction.
+    empty when its singular value is below three times the length of that in its direction,
+    and below :data:`ROUNDING_LIMIT` of the largest: a well-conditioned regression is never empty.
     """
     steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
     determined, rank, condition = directions(data.rows, steps)
@@ -199,8 +202,9 @@ def directions(rows: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int, fl
     scale = np.where(length > 0, length, 1.0)
     _, singular, vectors = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"), full_matrices=True)
     singular = np.append(singular, np.zeros(p - len(singular)))
-    rounding = np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2))
-    empty = singular <= np.maximum(RANK_TOLERANCE * max(singular[0], 1e-300), 3.0 * rounding)
+    largest = max(singular[0], 1e-300)
+    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
+    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
     # A parameter is undetermined when an empty direction has a real part of it.
     share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
     smallest = singular[~empty][-1] if np.any(~empty) else 0.0
@@ -365,7 +369,7 @@ def estimate(
 
 
 def _quantum(records: Sequence[Record], field: str) -> float:
-    return max((quantum(getattr(record, field)) for record in records), default=0.0)
+    return max((rounding(getattr(record, field)) for record in records), default=0.0)
 
 
 def _check_determined(known: Identifiability, orders: Orders) -> None:

@@ -15,6 +15,9 @@ ENOUGH = 0.8
 NOTABLE_JITTER = 0.05
 #: A jump over more samples than this starts a new piece instead of being filled with NaN.
 LONGEST_FILL = 1000
+#: A column with fewer distinct values than this, or than this share of its samples, holds
+#: levels that were set, not a rounded continuous signal.
+LEVELS, LEVEL_SHARE = 100, 0.05
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,28 @@ def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
     return np.append(whole, False) | np.append(False, whole)
+
+
+def rounding(values: Sequence[float] | np.ndarray) -> float:
+    """Step to which a continuous signal was rounded, 0 for a signal that is exact.
+
+    A commanded input of a few levels (binary, steps, stairs) means exactly what is written,
+    however few decimals it has; only a column of many distinct values is taken as rounded.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        NaN where missing.
+
+    >>> rounding(np.tile([0.0, 1.0], 500))
+    0.0
+    >>> rounding(np.round(np.sin(np.arange(500.0)), 3))
+    0.001
+    """
+    x = np.asarray(values, dtype=float)
+    x = x[np.isfinite(x)]
+    distinct = len(np.unique(x))
+    return quantum(x) if distinct >= max(LEVELS, LEVEL_SHARE * len(x)) else 0.0
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
