@@ -150,6 +150,27 @@ def test_centring_takes_away_a_pole_at_one_that_the_level_put_there():
     assert working_point.centre([far], Orders(3, 2)).removed
 
 
+def test_a_working_point_near_zero_is_removed_when_the_free_run_gains():
+    """Two deviations from zero: the constant term alone is not clear, the free run is."""
+    centred = 0
+    for seed in range(20):
+        record = simulated(60 + seed, n=600, a=np.array([-0.95]), b=np.array([0.05]), noise=0.05)
+        level = 2.5 * np.std(record.output)
+        moved = Record("moved", record.time_s, record.source + 3.0, record.output + level)
+        centred += working_point.centre([moved], Orders(1, 1)).removed
+    assert centred >= 18
+
+
+def test_slow_systems_without_offset_are_seldom_centred():
+    """16 of these 60 gain 10 % of free run by chance; the constant term must agree."""
+    slow = {"a": np.array([-0.95]), "b": np.array([0.5])}
+    centred = [
+        working_point.centre([simulated(s, n=200, noise=0.5, **slow)], Orders(1, 1)).removed
+        for s in range(60)
+    ]
+    assert sum(centred) <= 3
+
+
 def test_coefficients_within_three_standard_errors():
     found = estimate([simulated(11, n=3000)], Orders(2, 2))
     assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr)

@@ -18,11 +18,14 @@ from swimid.models.difference import INTEGRATING, Orders, Record, poles, simulat
 
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0
-#: |t| that is enough where the data sit far from zero and the free run gains by it. There a
+#: |t| that is enough when the free run gains clearly. By chance alone, data that need no constant
+#: reach both once in a hundred records, those of slow systems included.
+LIKELY_T = 3.0
+#: |t| that is enough where the data sit far from zero and the free run gains at all. There a
 #: missing constant hides in the other coefficients (A(1) goes to zero: a pole at 1 that is not
 #: in the robot), and shows weakly or not at all in t.
 WEAK_T = 2.0
-#: Gain of the free run, as a share of its error, that is enough far from zero without any t.
+#: Gain of the free run, as a share of its error, that is clear.
 CLEAR_GAIN = 0.1
 #: Mean of the output over its standard deviation from which on that counts as far.
 FAR = 3.0
@@ -66,10 +69,11 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         C plays no part.
     mode : {"auto", "none", "mean"}
         auto removes the means when a constant term beside A and B has a t value above
-        :data:`CLEAR_T` in size. Where the output's mean is more than :data:`FAR` deviations
-        from zero, it also does when the free run over the fit part gets better, by
-        :data:`CLEAR_GAIN` or with t above :data:`WEAK_T`, and when a pole at 1 of the raw model
-        goes away by it. Data without an offset stay as they are.
+        :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
+        better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
+        from zero, it also does when the free run gets better by that much whatever t is, at all
+        with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
+        without an offset stay as they are.
 
     Returns
     -------
@@ -87,13 +91,19 @@ def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> Wor
         size = abs(point.t) if abs(constant) > EXACT * level else 0.0
         if size <= CLEAR_T:
             far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
-            if not (far and len(data) > orders.count and _helps(records, orders, point, size > WEAK_T)):
+            worth_trying = len(data) > orders.count and (far or size > LIKELY_T)
+            if not (worth_trying and _helps(records, orders, point, far=far, likely=size > WEAK_T)):
                 return replace(point, source=0.0, output=0.0, removed=False)
     return point
 
 
-def _helps(records: Sequence[Record], orders: Orders, point: WorkingPoint, likely: bool) -> bool:
-    """Whether removing the working point betters the free run, or takes away a spurious integrator."""
+def _helps(
+    records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
+) -> bool:
+    """Whether removing the working point betters the free run, or takes away a spurious integrator.
+
+    ``far`` and ``likely``: the output sits far from zero; a constant term is likely.
+    """
     plain = replace(orders, nc=0)
     rms, largest = [], []
     for part in (list(records), shifted(records, point)):
@@ -103,9 +113,9 @@ def _helps(records: Sequence[Record], orders: Orders, point: WorkingPoint, likel
         rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
         found = poles(theta[: orders.na], None, 1.0)
         largest.append(found[0].magnitude if found else 0.0)
-    if largest[0] > INTEGRATING >= largest[1]:
+    if far and largest[0] > INTEGRATING >= largest[1]:
         return True
-    return rms[1] < rms[0] * (1.0 if likely else 1.0 - CLEAR_GAIN)
+    return rms[1] < rms[0] * (1.0 if far and likely else 1.0 - CLEAR_GAIN)
 
 
 def _mean(parts: list[np.ndarray]) -> float:
