@@ -18,6 +18,9 @@ LONGEST_FILL = 1000
 #: A column with fewer distinct values than this, or than this share of its samples, holds
 #: levels that were set, not a rounded continuous signal.
 LEVELS, LEVEL_SHARE = 100, 0.05
+#: Unless their last decimal is finer than this share of their range: nobody sets such levels, but
+#: a computed signal that repeats itself (a sine of 20 samples a period) has them.
+FINE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,8 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
     """Step to which a continuous signal was rounded, 0 for a signal that is exact.
 
     A commanded input of a few levels (binary, steps, stairs) means exactly what is written,
-    however few decimals it has; only a column of many distinct values is taken as rounded.
+    however few decimals it has; only a column of many distinct values, or of many decimals, is
+    taken as rounded.
 
     Parameters
     ----------
@@ -144,8 +148,11 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
     """
     x = np.asarray(values, dtype=float)
     x = x[np.isfinite(x)]
-    distinct = len(np.unique(x))
-    return quantum(x) if distinct >= max(LEVELS, LEVEL_SHARE * len(x)) else 0.0
+    if len(x) == 0:
+        return 0.0
+    step = quantum(x)
+    many = len(np.unique(x)) >= max(LEVELS, LEVEL_SHARE * len(x))
+    return step if many or step <= FINE * np.ptp(x) else 0.0
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
