@@ -254,6 +254,27 @@ def test_a_single_sine_leaves_b_undetermined():
     assert rounded.determined.input_rank == 2
 
 
+def test_a_measured_sine_leaves_b_undetermined():
+    """Sensor noise on the input makes the regression regular and B no better known."""
+    rng = np.random.default_rng(43)
+    t = np.arange(1500) * 0.02
+    u = np.sin(2 * np.pi * 0.3 * t)
+    y = lfilter([0, 0.05], [1, -0.95], u) + 0.002 * rng.normal(size=len(t))
+    for sd in (1e-6, 1e-4):
+        record = Record("sine", t, u + sd * rng.normal(size=len(t)), y)
+        found = estimate([record], Orders(2, 3))
+        assert found.determined.determined.tolist() == [True, True, False, False, False]
+        assert found.determined.input_rank == 2
+        assert estimate([record], Orders(2, 2)).determined.determined.all()
+
+
+def test_a_small_coefficient_known_to_be_small_is_estimated():
+    """Order one too many: a3 and b3 are zero within their errors, and determined."""
+    found = estimate([simulated(44, n=800, a=np.array([-1.9, 0.9025]))], Orders(3, 3))
+    assert found.determined.determined.all()
+    assert found.stderr[2] > 0.5 * abs(found.theta[2])
+
+
 @pytest.mark.parametrize(
     "record,orders,match",
     [

@@ -20,7 +20,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,9 @@ EXACT = 1e-9
 RANK_TOLERANCE = 1e-10
 #: Rounding never empties a direction whose singular value is above this share of the largest.
 ROUNDING_LIMIT = 0.01
+#: Variance inflation (scaled columns) from which on columns count as nearly dependent: standard
+#: errors a hundred times those of independent columns.
+NEARLY_DEPENDENT = 1e4
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,54 @@ def identifiability(
     determined, rank, condition = directions(data.rows, steps)
     _, input_rank, _ = directions(data.rows[:, orders.na :], steps[orders.na :])
     return Identifiability(np.append(determined, np.ones(orders.nc, dtype=bool)), rank, input_rank, condition)
+
+
+def without_indistinct(
+    known: Identifiability,
+    data: Regression,
+    orders: Orders,
+    theta: np.ndarray,
+    stderr: np.ndarray,
+    noise_sd: float,
+) -> Identifiability:
+    """Leave out coefficients the noise does not let tell apart, though the regression has full rank.
+
+    Sensor noise on a single sine excites every coefficient of B a little, and their estimates
+    become huge numbers that cancel. A coefficient of A or B is one of those when its column
+    is nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error alone moves
+    the prediction by more than the whole polynomial does; they are left out together when
+    the standard error of any is above half its size. A coefficient that is known to be small stays.
+
+    Parameters
+    ----------
+    known : Identifiability
+        Of the regression.
+    data, orders
+        See :func:`identifiability`.
+    theta, stderr : ndarray, shape (p,)
+        The estimate.
+    noise_sd : float
+        Standard deviation of the one-step errors.
+    """
+    count = orders.na + orders.nb
+    length = np.linalg.norm(data.rows, axis=0)
+    scaled = data.rows / np.where(length > 0, length, 1.0)
+    inflation = np.sum(np.linalg.pinv(np.linalg.qr(scaled, mode="r")) ** 2, axis=1)
+    determined = known.determined.copy()
+    rank, input_rank = known.rank, known.input_rank
+    for block in (slice(0, orders.na), slice(orders.na, count)):
+        effect = float(np.linalg.norm(data.rows[:, block] @ theta[block]))
+        lost = determined[block] & (inflation[block] > NEARLY_DEPENDENT)
+        lost &= stderr[block] * length[block] > effect
+        if not np.any(stderr[block][lost] > 0.5 * np.abs(theta[block][lost])):
+            continue
+        determined[block] &= ~lost
+        singular = np.linalg.svd(np.linalg.qr(scaled[:, block], mode="r"), compute_uv=False)
+        empty = int(np.clip(np.count_nonzero(noise_sd > effect * singular), 1, len(singular) - 1))
+        rank = min(rank, count - max(empty, 1))
+        if block.stop == count:
+            input_rank = min(input_rank, orders.nb - empty)
+    return replace(known, determined=determined, rank=rank, input_rank=input_rank)
 
 
 def directions(rows: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int, float]:
@@ -362,7 +413,10 @@ def estimate(
     white = rt.ljung_box(data.spread(tested, gap=gap), fitted=orders.na + orders.nc)
     robust = not (white.passed or exact)
     matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data if robust else None)
-    stderr = np.where(known.determined, np.sqrt(np.maximum(np.diag(matrix), 0.0)), np.nan)
+    stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    known = without_indistinct(known, data, orders, theta, stderr, noise_sd)
+    _check_determined(known, orders)
+    stderr = np.where(known.determined, stderr, np.nan)
     return Estimate(
         orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
     )
