@@ -343,6 +343,21 @@ def test_runaway_free_run_never_overflows():
     assert np.nanmax(np.abs(run)) < 1e5
 
 
+@pytest.mark.parametrize("hertz,decimals", [(30, 2), (40, 2), (60, 2), (75, 2), (7, 1), (1000, 3)])
+def test_stamps_rounded_to_few_decimals_are_a_constant_rate(hertz, decimals):
+    number = np.delete(np.arange(900), [100, 101, 500])
+    time = np.round(7.0 + number / hertz, decimals)
+    rate = sampling.rate(time)
+    assert rate.uniform
+    assert rate.jitter == 0
+    # The error of a line through 900 stamps rounded by up to half a unit.
+    assert rate.step_s == pytest.approx(1 / hertz, abs=10.0**-decimals / 900)
+    (piece,) = sampling.pieces(time, rate.step_s)
+    assert np.flatnonzero(piece.rows < 0).tolist() == [100, 101, 500]
+    (tail,) = sampling.pieces(time[600:], rate.step_s)
+    assert (tail.rows >= 0).all()
+
+
 def test_own_level_is_found():
     record = simulated(24, n=400, noise=0.0)
     moved = Record("m", record.time_s, record.source, record.output + 3.0)

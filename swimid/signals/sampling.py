@@ -15,6 +15,8 @@ ENOUGH = 0.8
 NOTABLE_JITTER = 0.05
 #: A jump over more samples than this starts a new piece instead of being filled with NaN.
 LONGEST_FILL = 1000
+#: Steps that differ by less than this share are the same rate.
+SAME_RATE = 0.01
 #: A column with fewer distinct values than this, or than this share of its samples, holds
 #: levels that were set, not a rounded continuous signal.
 LEVELS, LEVEL_SHARE = 100, 0.05
@@ -32,7 +34,8 @@ class Rate:
     step_s : float
         Sample time, s.
     jitter : float
-        Root-mean-square deviation of single steps from it, in sample times.
+        Root-mean-square deviation of single steps from it, in sample times; 0 where every stamp
+        is that of a uniform grid, rounded.
     on_grid : float
         Share of the steps that are a whole number of sample times within :data:`ON_GRID`.
     """
@@ -80,6 +83,9 @@ def rate(time_s: np.ndarray) -> Rate:
     """
     steps = np.diff(np.asarray(time_s, dtype=float))
     typical = float(np.median(steps))
+    line = _rounded_grid(time_s, (float(np.mean(steps)), typical))
+    if line is not None:
+        return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
     # The mean of the ordinary steps: stamps rounded to milliseconds have a biased median.
     typical = float(np.mean(steps[np.abs(steps - typical) <= 0.5 * typical]))
     typical = float(f"{typical:.10g}")
@@ -89,6 +95,41 @@ def rate(time_s: np.ndarray) -> Rate:
     single = off[(whole == 1) & (off < 0.5)]
     jitter = float(np.sqrt(np.mean(single**2))) if len(single) else 0.0
     return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
+
+
+def _rounded_grid(time_s: np.ndarray, starts: Sequence[float]) -> tuple[float, np.ndarray] | None:
+    """Step and sample numbers of a uniform grid whose rounded times are these stamps.
+
+    ``starts`` are guesses of the step. The line through stamps and numbers is fitted on a growing
+    part of the record, so that the guess need be good for a few samples only. None where some
+    stamp lies farther from the grid than its rounding.
+    """
+    time_s = np.asarray(time_s, dtype=float)
+    n, unit = len(time_s), quantum(time_s)
+    for start in starts if n >= 3 and unit > 0 else ():
+        step, origin = float(start), float(time_s[0])
+        size = min(n, 8)
+        while True:
+            part = time_s[:size]
+            for _ in range(3):
+                number = np.round((part - origin) / step)
+                if np.any(np.diff(number) < 1):
+                    break
+                centre = number.mean()
+                step = float((number - centre) @ part / np.sum((number - centre) ** 2))
+                origin = float(part.mean() - step * centre)
+            if size == n or np.any(np.diff(number) < 1):
+                break
+            size = min(n, size + size // 2)
+        if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
+            continue
+        if np.mean(np.diff(number) == 1) < ENOUGH:
+            continue  # any rounded stamps lie on the grid of their unit, with many samples missing
+        off = time_s - origin - step * number
+        # The line is fitted: its own error comes on top of half a unit.
+        if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
+            return step, number.astype(int)
+    return None
 
 
 def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
@@ -108,9 +149,15 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
         :data:`LONGEST_FILL`. Shorter jumps become missing samples within a piece.
     """
     time_s = np.asarray(time_s, dtype=float)
-    relative = np.diff(time_s) / step_s
-    whole = np.maximum(np.round(relative), 1)
-    cut = (np.abs(relative - whole) > 2 * ON_GRID) & ~_one_late_stamp(relative)
+    line = _rounded_grid(time_s, (step_s,))
+    if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
+        # Single steps may be far off a whole number of samples; the stamps are not.
+        whole = np.diff(line[1]).astype(float)
+        cut = np.zeros(len(whole), dtype=bool)
+    else:
+        relative = np.diff(time_s) / step_s
+        whole = np.maximum(np.round(relative), 1)
+        cut = (np.abs(relative - whole) > 2 * ON_GRID) & ~_one_late_stamp(relative)
     cut |= whole > LONGEST_FILL
     result = []
     for rows in np.split(np.arange(len(time_s)), np.flatnonzero(cut) + 1):
