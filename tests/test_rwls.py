@@ -111,10 +111,34 @@ def test_order_auto_finds_orders_and_delay(tmp_path):
     status, document, _ = run(log, *COLUMNS, "--order", "auto", "--validate", 0.25, "-o", target)
     assert status == 0
     assert document["result"]["settings"]["orders"] == {"na": 2, "nb": 2, "nk": 2, "nc": 0}
-    assert len(document["result"]["orders_tried"]) == 7 * 6 * 4
+    assert len(document["result"]["orders_tried"]) == 7 * 6 * 5
     shown = evidence.read(evidence.sidecar(target))
     assert "order-choice" in {f.id for f in shown.figures}
     assert "orders" in {t.id for t in shown.tables}
+
+
+def test_order_auto_finds_an_input_that_acts_at_once(tmp_path):
+    rng = np.random.default_rng(45)
+    u = rng.normal(size=1000)
+    y = lfilter([0.5, 0.3], [1.0, *A], u) + lfilter([1.0], [1.0, *A], 0.05 * rng.normal(size=1000))
+    log = write_log(tmp_path / "run.csv", {"t_s": np.arange(1000) * 0.05, "cmd1_rad": u, "u_m_s": y})
+    document = run(log, *COLUMNS, "--order", "auto")[1]
+    assert document["result"]["settings"]["orders"] == {"na": 2, "nb": 2, "nk": 0, "nc": 0}
+    assert "SWM023" not in codes(document)
+    late = dict(arx_columns(46, b=[0.0, 0.0, 0.5, 0.25]))
+    log = write_log(tmp_path / "late.csv", late)
+    document = run(log, *COLUMNS, "--order", "auto", "--max-nk", 3, "--max-nb", 3)[1]
+    assert document["result"]["settings"]["orders"]["nk"] == 3
+    assert any("nk 0 to 3" in w["text"] and "--max-nk" in w["text"] for w in document["warnings"])
+
+
+def test_a_copy_of_the_input_is_named_as_such(tmp_path):
+    columns = arx_columns(47, n=300)
+    log = write_log(tmp_path / "run.csv", dict(columns, u_m_s=columns["cmd1_rad"]))
+    status, document, _ = run(log, *COLUMNS, "--na", 2, "--nb", 2)
+    assert status == 3
+    assert "same values" in document["error"]["message"]
+    assert "--output" in document["error"]["hint"]
 
 
 def test_other_logs_hold_out_and_trials_files_name_everything(tmp_path):

@@ -402,7 +402,7 @@ def test_order_search_finds_the_truth():
     held = [simulated(26, n=500, b=np.array([0.0, 0.5, 0.25]))]
     found = order.search([record], [held], max_na=4, max_nb=4, max_nk=3)
     assert order.best(found, "bic").orders == Orders(2, 2, 2)
-    assert len(found) == 5 * 4 * 3
+    assert len(found) == 5 * 4 * 4
     direct = estimate([record], Orders(2, 2, 2))
     chosen = order.best(found, "bic")
     assert chosen.one_step_rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)

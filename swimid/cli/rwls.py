@@ -40,7 +40,11 @@ from swimid.cli.common import Shared, protect, running, shared_options
     "--max-nb", type=click.IntRange(1, 20), default=6, show_default=True, help="Grid of --order auto."
 )
 @click.option(
-    "--max-nk", type=click.IntRange(1, 100), default=4, show_default=True, help="Grid of --order auto."
+    "--max-nk",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    help="Grid of --order auto, from 0.",
 )
 @click.option(
     "--criterion",

@@ -53,7 +53,7 @@ def search(
     level_removed: bool = False,
     progress: Progress = silent,
 ) -> list[Candidate]:
-    """Every ARX model with na <= max_na, 1 <= nb <= max_nb, 1 <= nk <= max_nk.
+    """Every ARX model with na <= max_na, 1 <= nb <= max_nb, 0 <= nk <= max_nk.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def search(
     that their criteria can be compared. One QR factor of the widest regression serves them all.
     ``aic = n ln(RSS / n) + 2 p``, ``bic = n ln(RSS / n) + p ln n``.
     """
-    widest = Orders(max_na, max_nk + max_nb - 1, 1)
+    widest = Orders(max_na, max_nk + max_nb, 0)
     data = regression(records, widest)
     check_enough(data, widest)
     n = len(data)
@@ -89,12 +89,12 @@ def search(
         Orders(na, nb, nk)
         for na in range(max_na + 1)
         for nb in range(1, max_nb + 1)
-        for nk in range(1, max_nk + 1)
+        for nk in range(max_nk + 1)
     ]
     found = []
     with progress("trying orders", total=len(grid)) as step:
         for orders in grid:
-            chosen = [*range(orders.na), *range(max_na + orders.nk - 1, max_na + orders.nk - 1 + orders.nb)]
+            chosen = [*range(orders.na), *range(max_na + orders.nk, max_na + orders.nk + orders.nb)]
             theta = np.linalg.lstsq(factor[:, chosen], factor[:, -1], rcond=None)[0]
             rss = float(np.sum((factor[:, -1] - factor[:, chosen] @ theta) ** 2))
             # Below rounding all fits are equal; without a floor noise-free data would
@@ -145,6 +145,6 @@ def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:
 
 
 def on_edge(chosen: Orders, *, max_na: int, max_nb: int, max_nk: int) -> list[str]:
-    """Names of the orders that sit at the largest value of the grid."""
+    """Names of the orders that sit at the largest value of the grid (nk = 0 is no edge: none is less)."""
     limits = {"na": max_na, "nb": max_nb, "nk": max_nk}
     return [name for name, limit in limits.items() if getattr(chosen, name) == limit]

@@ -19,8 +19,8 @@ from swimid.models.difference import INTEGRATING, Orders, Record, poles, simulat
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0
 #: |t| that is enough when the free run gains clearly. By chance alone, data that need no constant
-#: reach both once in a hundred records, those of slow systems included.
-LIKELY_T = 3.0
+#: reach both less than once in a hundred records, those of slow systems included.
+LIKELY_T = 3.5
 #: |t| that is enough where the data sit far from zero and the free run gains at all. There a
 #: missing constant hides in the other coefficients (A(1) goes to zero: a pole at 1 that is not
 #: in the robot), and shows weakly or not at all in t.

@@ -74,7 +74,7 @@ def rwls(
     order : {"given", "auto"}
         auto chooses na, nb, nk.
     max_na, max_nb, max_nk : int
-        Grid of that choice.
+        Grid of that choice, na and nk from 0, nb from 1.
     criterion : {"bic", "aic", "free-run"}
         What that choice minimises.
     weight, forgetting, prior_scale : float
@@ -219,7 +219,12 @@ def _choose(
     best = order_search.best(candidates, criterion).orders
     edge = order_search.on_edge(best, max_na=max_na, max_nb=max_nb, max_nk=max_nk)
     if edge:
-        warn("SWM023", f"the order chosen ({best}) is the largest tried in {', '.join(edge)}: widen the grid")
+        options = ", ".join(f"--max-{name}" for name in edge)
+        warn(
+            "SWM023",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {max_na}, "
+            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {options}",
+        )
     if criterion == "free-run" and held:
         warn(
             "SWM023",

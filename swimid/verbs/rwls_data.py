@@ -102,6 +102,8 @@ def read(
     columns = _columns(input_column, output_column, input_model)
     read = {path: _log(path, columns) for path in dict.fromkeys([*fit_paths, *check_paths])}
     step = _sample_time({path: log.time_s for path, log in read.items()})
+    for path, log in read.items():
+        _check_distinct(path, log, columns)
     names = _short_names(list(read))
     fit: list[Record] = []
     held: dict[str, list[Record]] = {}
@@ -169,6 +171,21 @@ def _sine(text: str) -> tuple[float, float, float]:
 def _log(path: Path, columns: Columns) -> log_format.Log:
     required = (columns.output,) if columns.sine else (columns.source, columns.output)
     return log_format.read(path, required=required, optional=())
+
+
+def _check_distinct(path: Path, log: log_format.Log, columns: Columns) -> None:
+    """Refuse an output that is the input under another name (an output that moves, that is)."""
+    if columns.sine:
+        return
+    u, y = log[columns.source], log[columns.output]
+    both = np.isfinite(u) & np.isfinite(y)
+    if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
+        raise InputError(
+            f"holds the same values as the input column '{columns.source}' in every row",
+            file=path,
+            column=columns.output,
+            hint="one of the two is a copy: name the measured output with --output",
+        )
 
 
 def _sample_time(times: dict[Path, np.ndarray]) -> float:
