@@ -32,6 +32,8 @@ CODES: dict[str, str] = {
     "SWM021": "working point removed from the data",
     "SWM022": "input does not excite the model order",
     "SWM023": "model order chosen with a reservation",
+    "SWM024": "an effect that is not fitted would explain the residuals",
+    "SWM025": "outliers",
     "SWM030": "measurement departs from the propulsion law",
     "SWM031": "free exponent disagrees with the law",
     "SWM032": "beat frequency contradicts the metadata",

@@ -80,7 +80,7 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
     time_s, position : ndarray, shape (n,)
         Without missing samples.
     resolution : float, optional
-        The encoder's step where it is known; only records on its grid are taken for counts.
+        The encoder's step where it is known: decides for records that move several steps a sample.
 
     Returns
     -------
@@ -89,8 +89,6 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)
     if step is None:
-        return plain
-    if resolution is not None and abs(step / resolution - round(step / resolution)) > 0.02:
         return plain
     counts = np.round((position - position[0]) / step).astype(int)
     moves = np.diff(counts)

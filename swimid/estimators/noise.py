@@ -126,7 +126,10 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
     owners = [k for k, names in enumerate(problem.channels) if channel in names]
     if any(problem.trials[k].stamps_uncertain for k in owners):
         return constant
-    squares = [np.mean(problem.sd[k][problem.channels[k].index(channel)] ** 2) for k in owners]
+    squares = []
+    for k in owners:
+        i = problem.channels[k].index(channel)
+        squares.append(np.mean(problem.sd[k][i][problem.masks[k][i]] ** 2))
     return float(np.sqrt(np.mean(squares)))
 
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import noise as noise_model
@@ -163,7 +164,9 @@ def _result(
             residuals,
             sum(1 for _, owner in problem.slots if owner is None),
         )
-        covariance[np.ix_(free, free)] = part * np.outer(problem.scale[free], problem.scale[free])
+        # Student's t for few samples: the standard error is that whose 1.96-fold covers 95 %
+        few = float(stats.t.ppf(0.975, max(samples - int(free.sum()), 1)) / stats.norm.ppf(0.975))
+        covariance[np.ix_(free, free)] = few**2 * part * np.outer(problem.scale[free], problem.scale[free])
         null[np.flatnonzero(free)[null_part]] = True
     status = {}
     for j, label in enumerate(problem.labels):

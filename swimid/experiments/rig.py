@@ -97,12 +97,13 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
             raise InputError(
                 f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m"
             )
+        time, position = _without_standstill(log, time, position)
         if position[-1] <= position[0]:
             raise InputError(
                 "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
             )
         records.append(encoder.understand(time, position, robot.rig.encoder_resolution_m))
-        settings.append(_falling_settings(path, entry, robot, factor, time, position))
+        settings.append(_falling_settings(path, entry, robot, factor, time, position, records[-1]))
     model = rig.falling_weight(
         mass_kg=float(np.median([s["inertia"] for s in settings])) or 1.0,
         force_N=float(np.median([s["force"] for s in settings])),
@@ -158,8 +159,42 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     )
 
 
+def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
+    """The drop without a stretch at its end in which the body no longer moves.
+
+    A body that still falls does not stop: it has reached the wall, or the weight the floor.
+    """
+    span = float(position.max() - position.min())
+    noise = float(np.median(np.abs(np.diff(position, 2)))) if len(position) > 4 else 0.0
+    arrived = position.max() - max(0.01 * span, 6.0 * noise)
+    before = np.flatnonzero(position < arrived)
+    if not len(before) or len(position) - before[-1] < 6:
+        return time, position
+    last = int(before[-1]) + 1
+    reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
+    if not len(reference) or time[last] <= time[reference[-1]]:
+        return time, position
+    speed = (position[last] - position[reference[-1]]) / (time[last] - time[reference[-1]])
+    needed = (position.max() - arrived) / speed if speed > 0 else 0.0
+    if time[-1] - time[last] < max(5.0 * needed, 0.05 * (time[last] - time[0])):
+        return time, position
+    warn(
+        "SWM018",
+        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; "
+        f"the {time[-1] - time[last]:.3g} s after that are left out "
+        "(end_s in the trials file sets the end yourself)",
+    )
+    return time[:last], position[:last]
+
+
 def _falling_settings(
-    path: Path, entry: FallingWeightTrial, robot: Robot, factor: float | None, time: Array, position: Array
+    path: Path,
+    entry: FallingWeightTrial,
+    robot: Robot,
+    factor: float | None,
+    time: Array,
+    position: Array,
+    record: encoder.Displacement,
 ) -> dict[str, Any]:
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
@@ -177,14 +212,19 @@ def _falling_settings(
             )
     travelled = position - position[0]
     from_origin = abs(position[0]) <= 0.02 * float(travelled.max())
-    # a record whose first row is already under way was released at time zero
-    starts_later = position[0] > 0 and time[0] > 0 and from_origin
+    # A record whose first row is already under way was released before it: at time zero, where the
+    # body can have come so far since then, else about when the known force takes it there.
+    quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
+    at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
+    # only a count says for certain that the body has moved: a camera's first sample has noise
+    counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
+    release = 0.0 if at_zero else float(time[0]) - (1.4 * float(quickest) if counted else 0.0)
     return {
         "inertia": mass,
         "force": force,
         "pulley": pulley,
         "area_factor": factor if factor is not None else 0.0,
-        "release_s": 0.0 if starts_later else float(time[0]),
+        "release_s": release,
         "x0": 0.0 if from_origin else float(position[0]),
     }
 
@@ -338,8 +378,19 @@ def _from_first_peak(log: Log, name: str) -> tuple[Array, Array]:
             column=name,
             hint="cut the log with start_s and end_s in the trials file",
         )
+    # Held at the excursion, noise may set its maximum long before the release: the decay starts
+    # where the coordinate last stood near that excursion before it first came to rest.
+    side = np.sign(values[peak] - rest)
+    across = np.flatnonzero((np.arange(len(values)) > peak) & ((values - rest) * side < 0))
+    if len(across):
+        near = np.flatnonzero((values[: across[0]] - rest) * side >= 0.95 * (values[peak] - rest) * side)
+        peak = int(near[-1])
     if peak > 3:
-        warn("SWM018", f"{log.path.name}: {time[peak] - time[0]:.3g} s before the largest excursion left out")
+        warn(
+            "SWM018",
+            f"{log.path.name}: {time[peak] - time[0]:.3g} s before the release from the largest excursion "
+            "left out",
+        )
     return time[peak:], values[peak:]
 
 

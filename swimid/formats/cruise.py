@@ -84,6 +84,11 @@ def read(path: str | Path) -> CruiseTable:
             f"{path.name}, '{speed}': speeds of {np.nanmedian(speeds):.3g} m/s; is it mm/s (a factor "
             "of 1000)?",
         )
+    if np.max(columns["distance_m"]) > 50:
+        warn(
+            "SWM002",
+            f"{path.name}, 'distance_m': looks like centimetres or millimetres (a factor of 100 or 1000)",
+        )
     if np.max(columns["amplitude_deg"]) < 1.6:
         warn("SWM002", f"{path.name}, 'amplitude_deg': looks like radians (a factor of 57.3)")
     return CruiseTable(

@@ -321,8 +321,9 @@ def _warn_units(log: Log) -> None:
     for name, values in log.columns.items():
         largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
         jump = float(np.nanmax(np.abs(np.diff(values)))) if np.isfinite(np.diff(values)).any() else 0.0
+        tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
         if name.endswith("_rad") and (
-            jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
+            tilted or jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
         ):
             warn("SWM002", f"{log.path.name}, '{name}': looks like degrees (a factor of 57.3)")
         elif name.endswith("_rad_s") and largest > 60:

@@ -189,6 +189,11 @@ def chosen(
             start = min(max(parameter.start, lower), upper)
             parameter = replace(parameter, lower=lower, upper=upper, start=start)
         if parameter.name in fixed:
+            if not parameter.lower <= fixed[parameter.name] <= parameter.upper:
+                raise UsageError(
+                    f"{parameter.name} cannot be {fixed[parameter.name]:g}: "
+                    f"it lies between {parameter.lower:g} and {parameter.upper:g}"
+                )
             parameter = replace(parameter, start=float(fixed[parameter.name]), free=False)
         elif parameter.name in freed:
             parameter = replace(parameter, free=True)

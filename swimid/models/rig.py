@@ -219,7 +219,9 @@ class RigModel(Model):
     def coefficients(self, values: Array, settings: Mapping[str, Any]) -> dict[str, float]:
         """Coefficients of the equation of motion for one trial's settings."""
         drag = self._value(values, "drag_coefficient")
-        friction = self._value(values, "pulley_friction") if settings.get("pulley", False) else 0.0
+        friction = 0.0
+        if settings.get("pulley", False):
+            friction = self._value(values, "pulley_friction") + self._value(values, "friction_deviation")
         return {
             "inertia": float(settings["inertia"]) + self._value(values, "added_mass", "added_inertia"),
             "quadratic": drag * float(settings.get("area_factor", 0.0))
@@ -330,6 +332,17 @@ def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: 
             source="Eq 7",
         ),
         Parameter("linear_drag", "N s/m", 0.0, inf, 0.0, 0.1, free=False, meaning="linear drag"),
+        Parameter(
+            "friction_deviation",
+            "N",
+            -inf,
+            inf,
+            0.0,
+            0.05 * force_N,
+            free=False,
+            per_trial=True,
+            meaning="pulley friction of a trial against the common one",
+        ),
         *_nuisances("x_m", length=0.01, speed=0.05, free_start=False),
     )
     return RigModel("falling-weight", parameters, "x_m")

@@ -118,7 +118,7 @@ def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def _filter(  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _filter(  # type: ignore[no-untyped-def]  # noqa: C901  # pragma: no cover - compiled loops
     times, values, variances, q, order, start, means, covariances, innovations, innovation_variances
 ):
     transition, noise = np.zeros((order, order)), np.zeros((order, order))

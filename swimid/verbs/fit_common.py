@@ -24,6 +24,8 @@ from swimid.reporting import numbers
 STRONG = 0.95
 #: A validation error above this multiple of the fit error is a warning.
 VALIDATION_RATIO = 2.0
+#: Residuals beyond this many robust standard deviations are outliers.
+OUTLIER = 8.0
 #: Traces of single trials shown in one figure.
 MAX_TRIALS = 10
 
@@ -226,6 +228,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
                 f"{result.scatter_p:.1g}): something differs between them that the model does not know; the "
                 "standard errors are enlarged by that factor",
             )
+    found += _outliers(result)
     if result.step_error:
         coarse = result.step_error > STEP_ERROR
         found.append(
@@ -247,6 +250,40 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
 
 def _p_text(p: float) -> str:
     return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
+
+
+def _outliers(result: FitResult) -> list[ev.Check]:
+    """Samples far outside the bulk of the residuals, by the median absolute deviation."""
+    found = []
+    for channel in result.noise:
+        parts = {s.trial: s.weighted for s in result.series if s.role == "fit" and s.channel == channel}
+        values = np.concatenate(list(parts.values()))
+        values = values[np.isfinite(values)]
+        if len(values) < 20:
+            continue
+        limit = OUTLIER * 1.4826 * float(np.median(np.abs(values - np.median(values))))
+        if limit <= 0:
+            continue
+        owners = {t: int(np.sum(np.abs(v[np.isfinite(v)]) > limit)) for t, v in parts.items()}
+        count = sum(owners.values())
+        if not count:
+            continue
+        named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
+        found.append(
+            ev.Check(
+                name=f"no outliers, {channel}",
+                value=f"{count} of {len(values)} samples",
+                limit=f"within {OUTLIER:g} robust standard deviations",
+                verdict="warn",
+                text=named,
+            )
+        )
+        warn(
+            "SWM025",
+            f"{count} of {len(values)} samples of {channel} lie more than {OUTLIER:g} robust deviations off "
+            f"({named}); they are fitted like all others: blank the cells if the sensor failed there",
+        )
+    return found
 
 
 def _whiteness(result: FitResult) -> list[ev.Check]:

@@ -32,6 +32,12 @@ from swimid.verbs.outcome import Outcome
 START_SIGNIFICANCE = 1e-6
 #: ... and leaves at most this share of the squared error.
 START_GAIN = 0.8
+#: What may differ from trial to trial, besides noise, and how a start that does is described.
+RIVALS = {
+    "initial_speed": "moving",
+    "clock_offset": "at another time than their first sample",
+    "friction_deviation": "",
+}
 
 
 def fit_drag(
@@ -152,7 +158,7 @@ def _best_fit(
     if name:
         facts["encoder_rounding"] = name
     if start_state == "auto" and experiment.name == "falling-weight":
-        result, found = _with_start(result, choices, progress)
+        result, found = _with_rivals(result, choices, progress)
         facts.update(found)
     return result, facts
 
@@ -165,34 +171,107 @@ def _with_free(parameters: tuple[Parameter, ...], names: tuple[str, ...]) -> tup
     return tuple(replace(p, free=True) if p.name in names else p for p in parameters)
 
 
-def _with_start(
+def _with_rivals(
     result: output_error.FitResult, choices: tuple[Parameter, ...], progress: Progress
 ) -> tuple[output_error.FitResult, dict[str, Any]]:
-    """Let the trials start moving, or late, where the data clearly say so."""
-    if any(p.free for p in choices if p.name in ("initial_speed", "clock_offset")):
+    """Let the trials start otherwise, or their pulley friction differ, where the data clearly say so."""
+    if any(p.free for p in choices if p.name in RIVALS):
         return result, {}
-    rivals = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-    best, reason = result, ""
-    for name in rivals:
+    fits: dict[str, output_error.FitResult] = {}
+    for name in (*RIVALS, "linear_drag"):
         try:
             rival = output_error.fit(
-                result.model, result.trials, parameters=_with_free(choices, (name,)), progress=progress
+                result.model,
+                result.trials,
+                parameters=_with_free(_rival_choices(result, choices, name), (name,)),
             )
         except NoTrustworthyResult:
-            continue  # a start that cannot be estimated is no better explanation
-        if _significant(result, rival) and (not reason or _misfit(rival) < _misfit(best)):
-            best, reason = rival, name
-    if not reason:
+            continue  # what cannot be estimated is no better explanation
+        if _significant(result, rival):
+            fits[name] = rival
+    if not fits:
         return result, {"start_state": "rest"}
+    least = min(_misfit(rival) for rival in fits.values())
+    if "linear_drag" in fits and _misfit(fits["linear_drag"]) < 1.1 * least:
+        # one number for all trials explains as much as one for each
+        rival = fits["linear_drag"]
+        size = numbers.measured(rival.value("linear_drag"), rival.stderr("linear_drag"), "N s/m")
+        warn(
+            "SWM024",
+            "a linear drag beside the quadratic one would explain most of what the fit leaves over "
+            f"({size}): "
+            "try --free linear_drag",
+        )
+        return result, {"start_state": "rest"}
+    fits.pop("linear_drag", None)
+    if not fits:
+        return result, {"start_state": "rest"}
+    reason = min(fits, key=lambda name: _misfit(fits[name]))
+    best = fits[reason]
     labels = [label for label in best.labels if label.startswith(f"{reason}[")]
     sizes = ", ".join(f"{label[len(reason) + 1 : -1]} {best.value(*_split(label)):+.3g}" for label in labels)
     unit = next(p.unit for p in choices if p.name == reason)
+    if reason == "friction_deviation":
+        warn(
+            "SWM014",
+            f"the pulley friction differs from trial to trial ({sizes} {unit}); the common one is "
+            "their mean, with the standard error of a mean",
+        )
+        return _mean_friction(best, result.value("pulley_friction")), {
+            "start_state": "rest",
+            "friction": "per trial",
+        }
     warn(
         "SWM017",
-        f"the trials start {rivals[reason]}; {reason} is estimated for each ({sizes} {unit}). "
+        f"the trials start {RIVALS[reason]}; {reason} is estimated for each ({sizes} {unit}). "
         "Use --start-state rest to insist on rest at the first sample",
     )
     return best, {"start_state": reason}
+
+
+def _rival_choices(
+    result: output_error.FitResult, choices: tuple[Parameter, ...], name: str
+) -> tuple[Parameter, ...]:
+    """The choices a rival is fitted with: with a friction of each trial there is no common one."""
+    if name != "friction_deviation":
+        return choices
+    return tuple(
+        replace(p, free=False, start=result.value("pulley_friction")) if p.name == "pulley_friction" else p
+        for p in choices
+    )
+
+
+def _mean_friction(result: output_error.FitResult, base: float) -> output_error.FitResult:
+    """The fit with the mean of the trials' frictions as the common one, and deviations from it.
+
+    The standard error of the mean is the trials' scatter over the root of their number, with
+    Student's t for so few of them, beside what the noise of each contributes.
+    """
+    mine = [i for i, label in enumerate(result.labels) if label.startswith("friction_deviation[")]
+    values = result.estimate[mine]
+    n = len(mine)
+    student = float(stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975))
+    scatter = float(np.var(values, ddof=1)) / n * student**2
+    weights = np.zeros((1, len(result.labels)))
+    weights[0, mine] = 1.0 / n
+    rows = np.vstack([weights, np.eye(len(result.labels))])
+    covariance = rows @ np.nan_to_num(result.covariance) @ rows.T
+    covariance[0, 0] += scatter
+    estimate = np.concatenate(([base + values.mean()], result.estimate))
+    for i in mine:
+        estimate[i + 1] -= values.mean()
+    parameters = tuple(
+        replace(p, start=float(base + values.mean()), free=True) if p.name == "pulley_friction" else p
+        for p in result.parameters
+    )
+    return replace(
+        result,
+        labels=["pulley_friction", *result.labels],
+        estimate=estimate,
+        covariance=covariance,
+        status={"pulley_friction": "estimated", **result.status},
+        parameters=parameters,
+    )
 
 
 def _split(label: str) -> tuple[str, str]:

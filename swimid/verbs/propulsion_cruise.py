@@ -50,6 +50,12 @@ def fit(
     """
     model = experiment.model
     assert isinstance(model, RecoilModel)
+    if all(t.settings.get("inertia_kg_m2") is None for t in experiment.trials):
+        warn(
+            "SWM019",
+            "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
+            "efficiency is held at its starting value",
+        )
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     departures = [] if keep_departures else _departures(model, experiment.trials, choices)
     kept = [_without(t, [d["frequency_hz"] for d in departures]) for t in experiment.trials]
@@ -174,7 +180,9 @@ def _exponents(
         except NoTrustworthyResult:
             continue
         value, stderr = result.value(name), result.stderr(name)
-        status = result.status[name]
+        # with the offset stuck at a bound the exponent answers another question
+        stuck = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
+        status = "unidentifiable" if stuck else result.status[name]
         found[f"free_{name}"] = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status)  # type: ignore[arg-type]
         if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
             warn(
