@@ -13,8 +13,8 @@ ON_GRID = 0.15
 ENOUGH = 0.8
 #: Root-mean-square jitter, in sample times, from which on it is worth a warning.
 NOTABLE_JITTER = 0.05
-#: Jitter below which stamps need no explanation by rounding.
-EVEN = 1e-3
+#: Steps a record needs before its stamps may be explained by rounding.
+LONG_ENOUGH = 20
 #: A jump over more samples than this starts a new piece instead of being filled with NaN.
 LONGEST_FILL = 1000
 #: Steps that differ by less than this share are the same rate.
@@ -86,8 +86,8 @@ def rate(time_s: np.ndarray) -> Rate:
     steps = np.diff(np.asarray(time_s, dtype=float))
     typical = float(np.median(steps))
     plain = _plain_rate(steps, typical)
-    if plain.on_grid == 1.0 and plain.jitter < EVEN:
-        return plain
+    if len(steps) < LONG_ENOUGH:
+        return plain  # a missing sample and a coarse rounding look the same
     line = _rounded_grid(time_s, (float(np.mean(steps)), typical))
     return plain if line is None else Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
 
