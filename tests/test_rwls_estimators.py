@@ -18,6 +18,8 @@ from swimid.models import difference
 from swimid.models.difference import Orders, Record
 from swimid.signals import sampling
 
+pytestmark = pytest.mark.kernels
+
 A, B = np.array([-1.5, 0.7]), np.array([0.5, 0.25])
 TRUTH = np.concatenate((A, B))
 NOISY = np.random.default_rng(0).normal(size=50)

@@ -6,6 +6,8 @@ from filterpy.kalman import KalmanFilter
 
 from swimid.tracking import smooth as module
 
+pytestmark = pytest.mark.kernels
+
 
 def _white_acceleration(rng, times, power):
     """Position and velocity of a body pushed by white acceleration, drawn exactly."""
