@@ -34,7 +34,7 @@ types: $(VENV)/.ready-dev
 	$(BIN)/mypy
 
 bench: $(VENV)/.ready-bench
-	for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(BIN)/python $$script || exit 1; done
 
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev
