@@ -156,14 +156,9 @@ def _result(
     scatter, scatter_p = 1.0, 1.0
     null = np.zeros(len(theta), dtype=bool)
     if free.any():
-        part, null_part, scatter, scatter_p = sandwich.covariance(
-            [j[:, free] * problem.scale[free] for j in jacobians],
-            sandwich.correlated_rows(
-                problem, [j[:, free] * problem.scale[free] for j in jacobians], autoregressions
-            ),
-            residuals,
-            sum(1 for _, owner in problem.slots if owner is None),
-        )
+        rows = [j[:, free] * problem.scale[free] for j in jacobians]
+        correlated = sandwich.correlated_rows(problem, rows, autoregressions)
+        part, null_part, scatter, scatter_p = sandwich.covariance(rows, correlated, residuals)
         # Student's t for few samples: the standard error is that whose 1.96-fold covers 95 %
         few = float(stats.t.ppf(0.975, max(samples - int(free.sum()), 1)) / stats.norm.ppf(0.975))
         covariance[np.ix_(free, free)] = few**2 * part * np.outer(problem.scale[free], problem.scale[free])

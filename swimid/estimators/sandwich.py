@@ -73,7 +73,7 @@ def correlated_rows(
 
 
 def covariance(
-    jacobians: list[Array], correlated: list[Array], residuals: list[Array], shared: int
+    jacobians: list[Array], correlated: list[Array], residuals: list[Array]
 ) -> tuple[Array, Array, float, float]:
     """Covariance, null parameters, scatter factor and its p-value, in scaled parameters.
 
@@ -82,8 +82,6 @@ def covariance(
     jacobians, correlated : list of ndarray, each shape (n_k, p)
         J and R J of each trial (:func:`correlated_rows`).
     residuals : list of ndarray, each shape (n_k,)
-    shared : int
-        Number of parameters all trials share.
 
     Returns
     -------

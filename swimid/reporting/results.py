@@ -49,12 +49,6 @@ def reader(*, format: str | None = None, endings: tuple[str, ...] = ()) -> Calla
     return register
 
 
-def formats() -> list[str]:
-    """What a report can be made of: YAML formats and file endings."""
-    _discover()
-    return [*sorted(_BY_FORMAT), *sorted(_BY_ENDING)]
-
-
 def _discover() -> None:
     from swimid.reporting import kinds
 
