@@ -6,14 +6,16 @@ code.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, UsageError, nearest
 from swimid.formats import yamlio
+from swimid.formats.multilink import Multilink, Reading
 
 FORMAT = "swimid-robot/1"
 NonNegative = Annotated[float, Field(ge=0)]
@@ -83,6 +85,10 @@ class Robot(yamlio.Document):
     rig: Rig = Rig()
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
+    #: Links, joints and elements of a planar multi-link robot.
+    multilink: Multilink | None = None
+    #: Ambiguities of the source and the reading chosen for each.
+    readings: dict[str, Reading] = {}
 
 
 def built_in() -> list[str]:
@@ -113,6 +119,81 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
     )
 
 
-def read(name: str, relative_to: Path | None = None) -> Robot:
-    """Read a robot by built-in name, or by path relative to ``relative_to``."""
-    return yamlio.validated(locate(name, relative_to), Robot)
+def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, str] | None = None) -> Robot:
+    """Read a robot by built-in name, or by path relative to ``relative_to``.
+
+    Parameters
+    ----------
+    readings : mapping of reading to option, optional
+        Other readings of the source's ambiguities than those the file chooses.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in the file.
+    UsageError
+        For a reading or an option that is not there.
+    """
+    path = locate(name, relative_to)
+    data = yamlio.load(path)
+    robot = yamlio.validate(data, Robot, path)
+    chosen = {key: reading.chosen for key, reading in robot.readings.items()}
+    for key, option in (readings or {}).items():
+        if key not in chosen or option not in robot.readings[key].options:
+            known = list(chosen) if key not in chosen else list(robot.readings[key].options)
+            what = f"reading '{key}'" if key not in chosen else f"option '{option}' of the reading '{key}'"
+            raise UsageError(f"the robot '{robot.name}' has no {what}", hint=f"there are: {', '.join(known) or 'none'}")
+        chosen[key] = option
+    changes = {k: v for key, option in chosen.items() for k, v in robot.readings[key].options[option].set.items()}
+    if not changes:
+        return robot
+    patched = yamlio.plain(data)
+    for place, value in changes.items():
+        _put(patched, place, value, path)
+    for key, option in chosen.items():
+        patched["readings"][key]["chosen"] = option
+    return yamlio.validate(patched, Robot, path)
+
+
+def _put(data: Any, place: str, value: Any, path: Path) -> None:
+    """Set a dotted path; members of lists go by their name or their number."""
+    *way, last = place.split(".")
+    for part in way:
+        data = _member(data, part, place, path)
+    if isinstance(data, list):
+        data[data.index(_member(data, last, place, path))] = value
+    elif value is None:
+        data.pop(last, None)
+    else:
+        data[last] = value
+
+
+def _member(data: Any, part: str, place: str, path: Path) -> Any:
+    if isinstance(data, list):
+        named = [m for m in data if isinstance(m, dict) and m.get("name") == part]
+        if named:
+            return named[0]
+        if part.isdigit() and int(part) < len(data):
+            return data[int(part)]
+    elif isinstance(data, dict) and part in data:
+        return data[part]
+    raise InputError(f"a reading changes '{place}', but there is no '{part}'", file=path, column="readings")
+
+
+def located(error: InputError, path: Path) -> InputError:
+    """The same error with its file and line, from the dotted path in its ``column``."""
+    data: Any = yamlio.load(path)
+    line = None
+    for part in (error.column or "").split("."):
+        positions = getattr(data, "lc", None)
+        if isinstance(data, list):
+            index = next((i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part), None)
+            index = int(part) if index is None and part.isdigit() else index
+            if index is None or index >= len(data) or positions is None:
+                break
+            line, data = positions.item(index)[0] + 1, data[index]
+        elif isinstance(data, dict) and part in data and positions is not None:
+            line, data = positions.key(part)[0] + 1, data[part]
+        else:
+            break
+    return InputError(error.reason, file=path, line=line, column=error.column, hint=error.hint)

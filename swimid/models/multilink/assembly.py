@@ -1,0 +1,303 @@
+"""From a robot file's links, joints and elements to the checked tables the engine reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.errors import InputError, nearest
+from swimid.formats.multilink import Joint, Link, Multilink
+from swimid.formats.robot import Fluid
+from swimid.models.base import Array
+from swimid.models.multilink import engine
+from swimid.models.multilink.elements import Row, Tables, adders
+from swimid.models.multilink.polynomial import Polynomial, Table
+
+#: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
+GYRATION = (0.02, 5.0)
+#: So is a robot heavier than this times its length cubed, kg/m3 (solid lead has 11340).
+DENSEST = 5000.0
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A joint that moves: its number among the driven or the passive ones, and its column in a log."""
+
+    joint: Joint
+    column: str
+    link: int
+
+
+class Assembly:
+    """A robot's tree, checked, with its tables as functions of the coefficients.
+
+    Parameters
+    ----------
+    body : Multilink
+    fluid : Fluid
+
+    Attributes
+    ----------
+    names : list of str
+        Coefficients, in the order of the values given to :meth:`tables`.
+    links : list of Link
+        Parents before children; the first is the base.
+    driven, passive : list of Axis
+    topology : ndarray of int, shape (links, 3)
+        Parent, driven joint and passive joint of each link, -1 for none.
+
+    Raises
+    ------
+    InputError
+        With the dotted path of what is wrong: unknown or repeated names, a link without or with
+        two joints, a cycle, an element on a link that is not there, masses and inertias that no
+        body has.
+    """
+
+    def __init__(self, body: Multilink, fluid: Fluid) -> None:
+        self.body = body
+        self.names = list(body.coefficients)
+        _check_names(body)
+        self.links, joints = _ordered(body)
+        index = {link.name: i for i, link in enumerate(self.links)}
+        moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
+        columns = {j.name: f"joint{k + 1}_rad" for k, j in enumerate(moving)}
+        self.driven = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.driven is not None]
+        self.passive = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.passive is not None]
+        self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
+        for i in range(1, len(self.links)):
+            self.topology[i, 0] = index[joints[i].parent]  # type: ignore[union-attr]
+        for k, axis in enumerate(self.driven):
+            self.topology[axis.link, 1] = k
+        for k, axis in enumerate(self.passive):
+            self.topology[axis.link, 2] = k
+        self.free_base = body.base == "free"
+        if not self.free_base and not self.passive:
+            raise InputError("a robot on a fixed base without a passive joint has nothing to simulate", column="multilink.base")
+        tables = Tables(
+            fluid.density_kg_m3, fluid.gravity_m_s2, index, [[0.0] * len(engine.INERTIA) for _ in self.links]
+        )
+        for link in self.links:
+            _add_rigid(link, tables)
+        rigid = [list(row) for row in tables.inertia]
+        kinds = adders()
+        for element in body.elements:
+            kinds[element.kind](element, self.links[index[element.link]], tables)
+        self.world_forces = any(row[4] == 1.0 for _, row in tables.force)
+        self._joint = Table([_place(j, self.links, index) for j in joints], len(engine.JOINT), self.names)
+        self._rigid = Table(rigid, len(engine.INERTIA), self.names)
+        self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
+        self._passive = Table([_law(a.joint) for a in self.passive], len(engine.PASSIVE), self.names)
+        self._elements = [
+            (np.array([i for i, _ in rows], dtype=np.int64), Table([r for _, r in rows], len(columns), self.names))
+            for rows, columns in (
+                (tables.drag, engine.DRAG),
+                (tables.foil, engine.FOIL),
+                (tables.force, engine.FORCE),
+            )
+        ]
+        self.check(np.array([c.value for c in body.coefficients.values()]))
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom n: 3 of the base and one per passive joint."""
+        return 3 + len(self.passive)
+
+    def tables(self, values: Array) -> tuple[np.ndarray | bool, ...]:
+        """The arguments of :func:`engine.integrate` from ``topology`` on.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(names),)
+        """
+        elements = [part for owner, table in self._elements for part in (owner, table(values))]
+        return (
+            self.topology,
+            self._joint(values),
+            self._inertia(values),
+            self._passive(values),
+            *elements,
+            self.free_base,
+        )
+
+    def check(self, values: Array) -> None:
+        """Refuse masses and inertias that no body has, and what looks like a slip of units.
+
+        Raises
+        ------
+        InputError
+        """
+        rigid, apparent = self._rigid(values), self._inertia(values)
+        span = sum(link.length_m for link in self.links)
+        for i, link in enumerate(self.links):
+            where = f"multilink.links.{link.name}"
+            mass = rigid[i, 0]
+            if mass <= 0:
+                raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
+            x, y = rigid[i, 4] / mass, -rigid[i, 2] / mass
+            central = rigid[i, 5] - mass * (x * x + y * y)
+            if central <= 0:
+                about = "the front end" if link.inertia_about == "front" else "the centre of mass"
+                raise InputError(
+                    f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
+                    column=f"{where}.inertia_kg_m2",
+                    hint=f"the file says the inertia is about {about}: "
+                    f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end",
+                )
+            ratio = math.sqrt(central / mass) / link.length_m
+            if not GYRATION[0] <= ratio <= GYRATION[1]:
+                raise InputError(
+                    f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
+                    f"{1e3 * ratio * link.length_m:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
+                    column=f"{where}.inertia_kg_m2",
+                    hint="lengths are in m, masses in kg, inertias in kg m2: is one of them in mm, g or g m2?",
+                )
+            whole = _full(apparent[i])
+            if np.linalg.eigvalsh(whole / np.outer(np.sqrt(np.diag(_full(rigid[i]))), np.sqrt(np.diag(_full(rigid[i]))))).min() <= 0:
+                raise InputError(
+                    "its apparent inertia (with added mass) is not positive definite",
+                    column=where,
+                    hint="an added mass or inertia is negative",
+                )
+        total = float(rigid[:, 0].sum())
+        if total > DENSEST * span**3:
+            raise InputError(
+                f"the robot weighs {total:g} kg at a length of {span:g} m",
+                column="multilink.links",
+                hint="masses are in kg, lengths in m: is one of them in g or mm?",
+            )
+        for axis, law in zip(self.passive, self._passive(values), strict=True):
+            if law[0] < 0 or law[2] < 0:
+                raise InputError(
+                    "stiffness and damping must not be negative", column=f"multilink.joints.{axis.joint.name}"
+                )
+
+
+def _check_names(body: Multilink) -> None:
+    for kind, members in (("links", body.links), ("joints", body.joints)):
+        seen: set[str] = set()
+        for member in members:
+            if member.name in seen:
+                raise InputError(f"the name '{member.name}' stands twice", column=f"multilink.{kind}.{member.name}")
+            seen.add(member.name)
+    links = [link.name for link in body.links]
+    used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
+    used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
+    for where, name in used:
+        if name not in links:
+            close = nearest(name, links)
+            raise InputError(
+                f"there is no link '{name}'",
+                column=f"multilink.{where}",
+                hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(links)}",
+            )
+    known = list(body.coefficients)
+    for path, quantity in _quantities(body.model_dump(), "multilink"):
+        for name in Polynomial.of(quantity).terms:
+            for factor in name:
+                if factor not in known:
+                    close = nearest(factor, known)
+                    raise InputError(
+                        f"there is no coefficient '{factor}'",
+                        column=path,
+                        hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(known) or 'none'}",
+                    )
+
+
+#: Keys that hold words, not quantities.
+WORDS = {"name", "link", "parent", "child", "kind", "inertia_about", "plane", "base", "frame", "added_mass_direction"}
+
+
+def _quantities(value: object, path: str) -> list[tuple[str, str]]:
+    if isinstance(value, dict):
+        return [
+            found
+            for key, member in value.items()
+            if key not in WORDS and key != "coefficients"
+            for found in _quantities(member, f"{path}.{key}")
+        ]
+    if isinstance(value, list):
+        return [
+            found
+            for n, member in enumerate(value)
+            for found in _quantities(member, f"{path}.{member.get('name') or n if isinstance(member, dict) else n}")
+        ]
+    return [(path, value)] if isinstance(value, str) else []
+
+
+def _ordered(body: Multilink) -> tuple[list[Link], list[Joint | None]]:
+    """Links with parents before children, and the joint each hangs on (None for the base)."""
+    joint_of: dict[str, Joint] = {}
+    for joint in body.joints:
+        where = f"multilink.joints.{joint.name}"
+        if joint.child in joint_of:
+            raise InputError(
+                f"the link '{joint.child}' hangs on two joints: '{joint_of[joint.child].name}' and '{joint.name}'",
+                column=where,
+            )
+        joint_of[joint.child] = joint
+    base = body.links[0].name
+    if base in joint_of:
+        raise InputError(
+            f"the first link, '{base}', is the base and cannot be a joint's child",
+            column=f"multilink.joints.{joint_of[base].name}.child",
+            hint="the tree closes on itself, or the base is not listed first",
+        )
+    by_name = {link.name: link for link in body.links}
+    order, joints = [base], [None]
+    for name in order:
+        children = [j for j in body.joints if j.parent == name]
+        order += [j.child for j in children]
+        joints += children  # type: ignore[arg-type]
+    left = [name for name in by_name if name not in order]
+    if left:
+        loose = [name for name in left if name not in joint_of]
+        if loose:
+            raise InputError(f"no joint holds the link '{loose[0]}'", column=f"multilink.links.{loose[0]}")
+        raise InputError(
+            f"the links {', '.join(left)} hang on each other in a circle and not on the base",
+            column=f"multilink.joints.{joint_of[left[0]].name}",
+        )
+    return [by_name[name] for name in order], joints
+
+
+def _add_rigid(link: Link, tables: Tables) -> None:
+    mass = Polynomial.of(link.mass_kg)
+    x, y = -Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m)
+    inertia = Polynomial.of(link.inertia_kg_m2)
+    if link.inertia_about == "front":
+        inertia = inertia - mass * (x * x + y * y)
+    tables.add_inertia(link.name, x, y, mass, mass, inertia)
+
+
+def _place(joint: Joint | None, links: list[Link], index: dict[str, int]) -> Row:
+    if joint is None:
+        return [0.0, 0.0, 1.0, 0.0]
+    station = links[index[joint.parent]].length_m if joint.at_m is None else joint.at_m
+    mount = math.radians(joint.mount_deg)
+    return [-Polynomial.of(station), Polynomial.of(joint.offset_m), math.cos(mount), math.sin(mount)]
+
+
+def _law(joint: Joint) -> Row:
+    law = joint.passive
+    assert law is not None
+    tendon = law.tendon
+    wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
+    return [
+        Polynomial.of(q)
+        for q in (
+            law.stiffness_N_m_rad,
+            law.cubic_N_m_rad3,
+            law.damping_N_m_s_rad,
+            law.quadratic_damping_N_m_s2_rad2,
+            math.radians(law.rest_deg),
+            *wire,
+        )
+    ]
+
+
+def _full(row: Array) -> Array:
+    a, b, c, d, e, f = row
+    return np.array([[a, b, c], [b, d, e], [c, e, f]])

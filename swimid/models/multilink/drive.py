@@ -1,0 +1,226 @@
+"""What moves the driven joints: a commanded waveform or a measured angle, as tables for the engine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from scipy.interpolate import BSpline, make_smoothing_spline
+
+from swimid.models.base import Array
+
+#: Angle, rate and acceleration at given times.
+Motion = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Beat:
+    """A commanded tail beat, in SI.
+
+    Attributes
+    ----------
+    waveform : {"sine", "hopf", "a-cpg"}
+    frequency_hz, amplitude_rad, bias_rad : float
+    asymmetry : float
+        h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
+    ramp_s : float
+        The whole command is eased in by a quintic smoothstep over this time.
+    """
+
+    waveform: str
+    frequency_hz: float
+    amplitude_rad: float
+    bias_rad: float = 0.0
+    asymmetry: float = 0.0
+    ramp_s: float = 1.0
+
+    def motion(
+        self, time_s: Array, *, gain: float = 1.0, bias_gain: float = 1.0, phase_rad: float = 0.0
+    ) -> Motion:
+        """Angle, rate and acceleration of a joint.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (n,)
+            Zero is where the drive starts, with phase zero; the joint is straight before.
+        gain, bias_gain : float
+            The joint's share of amplitude and bias.
+        phase_rad : float
+            Phase ahead of the drive's.
+
+        Returns
+        -------
+        tuple of ndarray, each shape (n,)
+            rad, rad/s, rad/s2.
+        """
+        value, rate, bend = self._wave(time_s, phase_rad)
+        a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
+        value, rate, bend = a * value + b, a * rate, a * bend
+        ease, slope, curve = smoothstep(time_s, self.ramp_s)
+        return value * ease, rate * ease + value * slope, bend * ease + 2 * rate * slope + value * curve
+
+    def _wave(self, time_s: Array, phase_rad: float) -> Motion:
+        omega = 2.0 * math.pi * self.frequency_hz
+        if self.waveform == "a-cpg":
+            return hopf(time_s, self.frequency_hz, self.asymmetry, phase_rad)
+        if self.waveform == "hopf":
+            return hopf(time_s, self.frequency_hz, 0.0, phase_rad)
+        angle = omega * time_s + phase_rad
+        return np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
+
+
+def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float = 0.0) -> Motion:
+    """Output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius one.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    frequency_hz : float
+    asymmetry : float
+        h_a, between -1 and 1.
+    phase_rad : float
+        Phase of the beat at time zero; with asymmetry it stands for the share of the period.
+
+    Returns
+    -------
+    tuple of ndarray
+        alpha and its first two derivatives.
+
+    Notes
+    -----
+    Tendon fish, Eq 10, with two corrections: the bias belongs to the output (as printed it drops
+    out of alpha), and the radius is one with the amplitude as a gain (as printed it would be the
+    square root of A, reached at a rate that depends on the unit of A). On the limit cycle
+    ``alpha = sin(psi)`` and ``psi' = omega / (1 - h sgn(alpha'))``: the period stays, the angle
+    rises in (1 - h) / 2 of it and falls in (1 + h) / 2; the acceleration jumps at the turns.
+
+    >>> value, rate, _ = hopf(np.array([0.0, 0.25]), 1.0, 0.0)
+    >>> [round(float(v), 12) for v in value]
+    [0.0, 1.0]
+    """
+    omega = 2.0 * math.pi * frequency_hz
+    rising = 0.5 * (1.0 - asymmetry)  # share of the period with alpha rising
+    # share of the period since the last lowest point; the drive starts in the middle of the rise
+    share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
+    up = share < rising
+    psi = np.where(up, -0.5 * math.pi + math.pi * share / rising, 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising))
+    speed = np.where(up, omega / (1.0 - asymmetry), omega / (1.0 + asymmetry))
+    return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
+
+
+def smoothstep(time_s: Array, ramp_s: float) -> Motion:
+    """Quintic ease-in from 0 to 1 over ``ramp_s``, with its derivatives; a step where that is zero."""
+    if ramp_s <= 0:
+        on = (time_s >= 0).astype(float)
+        return on, np.zeros_like(on), np.zeros_like(on)
+    s = np.clip(time_s / ramp_s, 0.0, 1.0)
+    return (
+        s**3 * (10.0 + s * (6.0 * s - 15.0)),
+        30.0 * s**2 * (1.0 - s) ** 2 / ramp_s,
+        60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / ramp_s**2,
+    )
+
+
+def measured(time_s: Array, angle_rad: Array) -> BSpline:
+    """One smoothing spline through a measured joint angle, for angle, rate and acceleration alike.
+
+    Parameters
+    ----------
+    time_s, angle_rad : ndarray, shape (n,)
+        NaN where missing.
+
+    Returns
+    -------
+    BSpline
+        Cubic; the smoothing is chosen by generalised cross-validation.
+
+    Raises
+    ------
+    ValueError
+        With fewer than five samples.
+    """
+    there = np.isfinite(angle_rad)
+    if there.sum() < 5:
+        raise ValueError("a measured joint needs at least five samples")
+    return make_smoothing_spline(time_s[there], np.unwrap(angle_rad[there]))
+
+
+def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
+    """The spline as a motion, held at its ends."""
+    rate, bend = spline.derivative(), spline.derivative(2)
+    low, high = float(spline.t[0]), float(spline.t[-1])
+
+    def motion(time_s: Array) -> Motion:
+        inside = (time_s >= low) & (time_s <= high)
+        t = np.clip(time_s, low, high)
+        return spline(t), np.where(inside, rate(t), 0.0), np.where(inside, bend(t), 0.0)
+
+    return motion
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
+    """Angle, rate and acceleration of a second-order servo that starts at its command, at rest.
+
+    Parameters
+    ----------
+    command : ndarray, shape (2 m + 1,)
+        On half the grid of the result.
+    step : float, s
+        Step of the result's grid.
+    omega : float, rad/s
+    damping : float
+
+    Returns
+    -------
+    ndarray, shape (m + 1, 3)
+    """
+    count = (len(command) - 1) // 2
+    result = np.empty((count + 1, 3))
+    a, w = command[0], 0.0
+    square, loss = omega * omega, 2.0 * damping * omega
+    for i in range(count + 1):
+        result[i, 0], result[i, 1] = a, w
+        result[i, 2] = square * (command[2 * i] - a) - loss * w
+        if i == count:
+            break
+        c0, c1, c2 = command[2 * i], command[2 * i + 1], command[2 * i + 2]
+        w1 = w
+        d1 = square * (c0 - a) - loss * w1
+        w2 = w + 0.5 * step * d1
+        d2 = square * (c1 - (a + 0.5 * step * w1)) - loss * w2
+        w3 = w + 0.5 * step * d2
+        d3 = square * (c1 - (a + 0.5 * step * w2)) - loss * w3
+        w4 = w + step * d3
+        d4 = square * (c2 - (a + step * w3)) - loss * w4
+        a += step / 6.0 * (w1 + 2.0 * (w2 + w3) + w4)
+        w += step / 6.0 * (d1 + 2.0 * (d2 + d3) + d4)
+    return result
+
+
+def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
+    """Joint motions as the engine reads them.
+
+    Parameters
+    ----------
+    count : int
+        m, times in the table.
+    motions : sequence of motions, each of shape (m,)
+    mounts_rad : sequence of float
+        Mounting angle of each joint.
+
+    Returns
+    -------
+    ndarray, shape (m, joints, 5)
+        Angle, rate, acceleration, and cosine and sine of the angle with its mounting angle.
+    """
+    found = np.empty((count, len(motions), 5))
+    for k, (motion, mount) in enumerate(zip(motions, mounts_rad, strict=True)):
+        for column, part in enumerate(motion):
+            found[:, k, column] = part
+        found[:, k, 3] = np.cos(motion[0] + mount)
+        found[:, k, 4] = np.sin(motion[0] + mount)
+    return found

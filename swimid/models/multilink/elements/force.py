@@ -1,0 +1,19 @@
+"""A constant force at a point of a link."""
+
+from __future__ import annotations
+
+from swimid.formats.multilink import Force, Link
+from swimid.models.multilink.elements import Tables
+from swimid.models.multilink.polynomial import Polynomial
+
+
+def add(element: Force, link: Link, tables: Tables) -> None:
+    """Add the force, fixed to the link or to the world."""
+    row = [
+        -Polynomial.of(element.at_m),
+        Polynomial.of(element.offset_m),
+        Polynomial.of(element.forward_N),
+        Polynomial.of(element.port_N),
+        1.0 if element.frame == "world" else 0.0,
+    ]
+    tables.force.append((tables.index[link.name], row))

@@ -1,0 +1,379 @@
+"""The multi-link robot as a model: parameters in, channels out."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from swimid.formats.robot import Robot
+from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.models.multilink import drive, engine
+from swimid.models.multilink.assembly import Assembly, Axis
+from swimid.models.multilink.polynomial import Polynomial
+
+#: Largest integration step, s.
+DEFAULT_STEP = 0.005
+#: Trajectories kept per trial: what changes only how they are seen costs no simulation.
+KEPT = 4
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Names of the pose and velocity in a plane of motion."""
+
+    pose: tuple[str, str, str]
+    velocity: tuple[str, str, str]
+    words: tuple[str, str, str, str, str, str]
+
+
+PLANES = {
+    "horizontal": Plane(
+        ("x_m", "y_m", "yaw_rad"),
+        ("u_m_s", "v_m_s", "yaw_rate_rad_s"),
+        ("x", "y", "yaw", "surge", "sway", "yaw rate"),
+    ),
+    "vertical": Plane(
+        ("x_m", "z_m", "pitch_rad"),
+        ("u_m_s", "w_m_s", "pitch_rate_rad_s"),
+        ("x", "z", "pitch", "surge", "heave", "pitch rate"),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A simulated run on its own grid.
+
+    Attributes
+    ----------
+    begin_s, step_s : float
+    states, rates : ndarray, shape (steps + 1, 2 n)
+        As :func:`engine.integrate`.
+    driven : ndarray, shape (steps + 1, driven joints, 3)
+        Angle, rate and acceleration.
+    """
+
+    begin_s: float
+    step_s: float
+    states: Array
+    rates: Array
+    driven: Array
+
+
+class MultilinkModel(Model):
+    """A planar multi-link robot (:mod:`swimid.models.multilink.engine`).
+
+    A trial's settings give ``beat`` (a :class:`drive.Beat`) or ``joints`` (a motion for each
+    driven joint), and ``pose``, the reference point's pose at the first sample, from which the
+    start offsets count.
+
+    Parameters
+    ----------
+    robot : Robot
+        With a ``multilink`` part.
+    max_step : float, s
+        Each sampling interval is cut into equal steps no longer than this.
+    """
+
+    name = "multilink"
+
+    def __init__(self, robot: Robot, *, max_step: float = DEFAULT_STEP) -> None:
+        assert robot.multilink is not None
+        self.robot = robot
+        self.max_step = max_step
+        self.assembly = Assembly(robot.multilink, robot.fluid)
+        self.plane = PLANES[robot.multilink.plane]
+        #: Per-trial offsets of the start pose.
+        self.starts = tuple(f"start_{word}" for word in self.plane.words[:3])
+        self.parameters = (*self._coefficients(), *self._start(), *self._view())
+        self._at = {p.name: i for i, p in enumerate(self.parameters)}
+        self._count = len(self.assembly.names)
+        self._dynamic = [i for i, p in enumerate(self.parameters) if p.name not in (*VIEW, *self.starts)]
+        self._servos = [_servo(axis, self.assembly.names) for axis in self.assembly.driven]
+        self.channels = self._channels()
+        self._kept: dict[str, OrderedDict[bytes, Trajectory]] = {}
+        self._tables: dict[tuple[Any, ...], Array] = {}
+        self._lock = threading.Lock()
+
+    # -------------------------------------------------------- what it offers
+
+    def _coefficients(self) -> list[Parameter]:
+        body = self.robot.multilink
+        assert body is not None
+        found = []
+        for name, c in body.coefficients.items():
+            start = c.value if c.start is None else c.start
+            low, high = (math.inf if b is None else b for b in c.bounds)
+            scale = c.scale or abs(c.value) or abs(start) or 1.0
+            found.append(
+                Parameter(
+                    name, c.unit, -math.inf if c.bounds[0] is None else low, high, start, scale, c.free,
+                    meaning=c.meaning, source=c.source,
+                )  # fmt: skip
+            )
+        return found
+
+    def _start(self) -> list[Parameter]:
+        inf, found = math.inf, []
+        if self.assembly.free_base:
+            for name, unit, scale, words in (
+                ("surge", "m/s", 0.1, "surge at the first sample"),
+                (self.plane.words[4], "m/s", 0.1, f"{self.plane.words[4]} at the first sample"),
+                (f"{self.plane.words[2]}_rate", "rad/s", 0.5, f"{self.plane.words[5]} at the first sample"),
+            ):
+                found.append(Parameter(f"initial_{name}", unit, -inf, inf, 0.0, scale, False, True, words))
+        for axis in self.assembly.passive:
+            name = axis.joint.name
+            found.append(
+                Parameter(f"initial_angle_{name}", "rad", -inf, inf, 0.0, 0.1, False, True, f"angle of {name} at the first sample")
+            )
+            found.append(
+                Parameter(f"initial_rate_{name}", "rad/s", -inf, inf, 0.0, 1.0, False, True, f"rate of {name} at the first sample")
+            )
+        found.append(
+            Parameter("drive_phase", "rad", -inf, inf, 0.0, 0.1, False, True, "phase of the beat at time zero")
+        )
+        return found
+
+    def _view(self) -> list[Parameter]:
+        inf = math.inf
+        words = self.plane.words
+        view = [
+            Parameter(self.starts[0], "m", -inf, inf, 0.0, 0.01, False, True, f"{words[0]} of the start against the first sample"),
+            Parameter(self.starts[1], "m", -inf, inf, 0.0, 0.01, False, True, f"{words[1]} of the start against the first sample"),
+            Parameter(self.starts[2], "rad", -inf, inf, 0.0, 0.05, False, True, f"{words[2]} of the start against the first sample"),
+            Parameter("clock_offset", "s", -inf, inf, 0.0, 0.01, False, True, "the log's clock ahead of the drive's"),
+            Parameter("camera_rotation", "rad", -inf, inf, 0.0, 0.02, False, False, "camera axes against the world's"),
+            Parameter("heading_offset", "rad", -inf, inf, 0.0, 0.02, False, False, "marked heading against the robot's axis"),
+        ]
+        return view if self.assembly.free_base else [view[3]]
+
+    def _channels(self) -> tuple[Channel, ...]:
+        units = ("m", "m", "rad", "m/s", "m/s", "rad/s")
+        found = []
+        if self.assembly.free_base:
+            names = (*self.plane.pose, *self.plane.velocity)
+            found += [Channel(n, u, w) for n, u, w in zip(names, units, self.plane.words, strict=True)]
+        joints = [*self.assembly.passive, *(a for a in self.assembly.driven)]
+        for axis in sorted(joints, key=lambda a: a.column):
+            found.append(Channel(axis.column, "rad", f"angle of {axis.joint.name}"))
+        for axis in self.assembly.passive:
+            column = axis.column.replace("_rad", "_rate_rad_s")
+            found.append(Channel(column, "rad/s", f"rate of {axis.joint.name}"))
+        return tuple(found)
+
+    def refined(self) -> MultilinkModel:
+        """The same model with half the integration step."""
+        return MultilinkModel(self.robot, max_step=0.5 * self.max_step)
+
+    # -------------------------------------------------------- simulation
+
+    def _value(self, values: Array, name: str) -> float:
+        return float(values[self._at[name]]) if name in self._at else 0.0
+
+    def trajectory(self, values: Array, trial: Trial) -> Trajectory:
+        """The run on its own step grid, from the world's origin.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(self.parameters),)
+        trial : Trial
+        """
+        dynamic = self._dynamic if not self._heading_matters() else [*self._dynamic, *self._heading()]
+        key = values[dynamic].tobytes()
+        span = (float(trial.time_s[0]), float(trial.time_s[-1]), len(trial.time_s))
+        key = key + np.array(span).tobytes()
+        with self._lock:
+            kept = self._kept.setdefault(trial.id, OrderedDict())
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key]
+        found = self._run(values, trial)
+        with self._lock:
+            kept[key] = found
+            while len(kept) > KEPT:
+                kept.popitem(last=False)
+        return found
+
+    def _heading_matters(self) -> bool:
+        return self.assembly.world_forces and self.assembly.free_base
+
+    def _heading(self) -> list[int]:
+        return [self._at[n] for n in (self.starts[2], "camera_rotation", "heading_offset") if n in self._at]
+
+    def _run(self, values: Array, trial: Trial) -> Trajectory:
+        begin, step, steps = grid(trial.time_s, self.max_step)
+        table = self._table(values, trial, begin, step, steps)
+        n = self.assembly.unknowns
+        start = np.zeros(2 * n)
+        body = self.robot.multilink
+        assert body is not None
+        if self.assembly.free_base:
+            u, v, r = (values[self._at[p.name]] for p in self._start()[:3])
+            a, b = body.reference.station_m, body.reference.offset_m
+            start[n : n + 3] = u + r * b, v + r * a, r
+            if self._heading_matters():
+                start[2] = self._start_heading(values, trial)
+        else:
+            start[2] = math.radians(body.heading_deg)
+        for k, axis in enumerate(self.assembly.passive):
+            start[3 + k] = self._value(values, f"initial_angle_{axis.joint.name}")
+            start[n + 3 + k] = self._value(values, f"initial_rate_{axis.joint.name}")
+        arguments = self.assembly.tables(values[: self._count])
+        states, rates = engine.integrate(start, step, table, *arguments)
+        return Trajectory(begin, step, states, rates, table[::2, :, :3])
+
+    def _start_heading(self, values: Array, trial: Trial) -> float:
+        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        return float(
+            pose[2]
+            + self._value(values, self.starts[2])
+            - self._value(values, "camera_rotation")
+            - self._value(values, "heading_offset")
+        )
+
+    def _table(self, values: Array, trial: Trial, begin: float, step: float, steps: int) -> Array:
+        phase = self._value(values, "drive_phase")
+        servos = tuple(
+            None if s is None else tuple(q.at(dict(zip(self.assembly.names, values, strict=False))) for q in s)
+            for s in self._servos
+        )
+        key = (trial.id, begin, step, steps, phase, servos)
+        if key in self._tables:
+            return self._tables[key]
+        half = begin + 0.5 * step * np.arange(2 * steps + 1)
+        motions = []
+        for k, (axis, servo) in enumerate(zip(self.assembly.driven, servos, strict=True)):
+            if servo is None:
+                motions.append(joint_motion(axis, k, trial.settings, half, phase))
+                continue
+            fine = begin + 0.25 * step * np.arange(4 * steps + 1)
+            command = joint_motion(axis, k, trial.settings, fine, phase)[0]
+            omega, damping = 2 * math.pi * servo[0], servo[1]
+            answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
+            motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
+        mounts = [math.radians(a.joint.mount_deg) for a in self.assembly.driven]
+        found = drive.table(len(half), motions, mounts)
+        with self._lock:
+            # a table of the trial as recorded is asked for again and again, others hardly ever
+            for old in [k for k in self._tables if k[0] == trial.id][: 1 - KEPT or None]:
+                self._tables.pop(old, None)
+            self._tables[key] = found
+        return found
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Pose, velocity and joint angles at the trial's samples (see :meth:`Model.simulate`)."""
+        run = self.trajectory(values, trial)
+        time = trial.time_s - self._value(values, "clock_offset")
+        states, _ = engine.sampled(time, run.begin_s, run.step_s, run.states, run.rates)
+        n = self.assembly.unknowns
+        found: dict[str, Array] = {}
+        if self.assembly.free_base:
+            found.update(self._seen(values, trial, states))
+        for k, axis in enumerate(self.assembly.passive):
+            found[axis.column] = states[:, 3 + k]
+            found[axis.column.replace("_rad", "_rate_rad_s")] = states[:, n + 3 + k]
+        if self.assembly.driven:
+            driven, _ = engine.sampled(
+                time, run.begin_s, run.step_s,
+                np.ascontiguousarray(run.driven[:, :, 0]), np.ascontiguousarray(run.driven[:, :, 1]),
+            )  # fmt: skip
+            for k, axis in enumerate(self.assembly.driven):
+                found[axis.column] = driven[:, k]
+        return found
+
+    def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+        """Pose and velocity of the reference point, in the camera's axes."""
+        body = self.robot.multilink
+        assert body is not None
+        n = self.assembly.unknowns
+        a, b = -body.reference.station_m, body.reference.offset_m
+        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        offsets = [self._value(values, name) for name in self.starts]
+        turn = self._value(values, "camera_rotation")
+        mark = self._value(values, "heading_offset")
+        theta = states[:, 2]
+        c, s = np.cos(theta), np.sin(theta)
+        x = states[:, 0] + a * c - b * s
+        y = states[:, 1] + a * s + b * c
+        u, v, r = states[:, n], states[:, n + 1], states[:, n + 2]
+        # the run starts at the origin, along x unless the world's axes matter
+        heading = float(pose[2]) + offsets[2] - turn - mark
+        spin = turn + (0.0 if self._heading_matters() else heading)
+        c, s = math.cos(spin), math.sin(spin)
+        dx, dy = x - x[0], y - y[0]
+        names, rates = self.plane.pose, self.plane.velocity
+        return {
+            names[0]: float(pose[0]) + offsets[0] + c * dx - s * dy,
+            names[1]: float(pose[1]) + offsets[1] + s * dx + c * dy,
+            names[2]: theta + spin + mark,
+            rates[0]: u - r * b,
+            rates[1]: v + r * a,
+            rates[2]: r,
+        }
+
+
+#: Parameters that change how a run is seen, not the run itself; so do the offsets of the start pose.
+VIEW = ("clock_offset", "camera_rotation", "heading_offset")
+
+
+def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
+    """Begin, step and number of steps of the integration of a trial.
+
+    The step divides the median sampling interval, so that samples of an even record lie on it.
+
+    >>> grid(np.array([0.0, 0.02, 0.04]), 0.005)
+    (0.0, 0.005, 8)
+    """
+    begin, end = float(time_s[0]), float(time_s[-1])
+    if end <= begin:
+        return begin, max_step, 1
+    typical = float(np.median(np.diff(time_s)))
+    even = (end - begin) / max(round((end - begin) / typical), 1)
+    step = even / max(1, math.ceil(even / max_step - 1e-9))
+    return begin, step, max(1, math.ceil((end - begin) / step - 1e-6))
+
+
+def joint_motion(
+    axis: Axis, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float
+) -> drive.Motion:
+    """What a driven joint is told to do: its share of the beat, or its measured angle."""
+    joints = settings.get("joints")
+    if joints is not None:
+        motion: drive.Motion = joints[number](time_s)
+        return motion
+    law = axis.joint.driven
+    assert law is not None
+    beat = settings.get("beat")
+    if beat is None:
+        zero = np.zeros_like(time_s)
+        return zero, zero, zero
+    bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+    lag = math.radians(law.phase_lag_deg)
+    moved: drive.Motion = beat.motion(time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase_rad - lag)
+    return moved
+
+
+def _servo(axis: Axis, names: list[str]) -> tuple[Polynomial, Polynomial] | None:
+    law = axis.joint.driven
+    if law is None or law.servo is None:
+        return None
+    return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
+
+
+def warm_up() -> None:
+    """Compile the kernels."""
+    from swimid.formats import robot as robot_format
+
+    model = MultilinkModel(robot_format.read("tfish"))
+    time = np.linspace(0.0, 0.1, 6)
+    beat = drive.Beat("a-cpg", 1.0, 0.3)
+    model.simulate(np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, settings={"beat": beat}))
+    drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
+    engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))
