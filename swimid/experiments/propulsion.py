@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError, nearest
+from swimid.experiments import beats
 from swimid.experiments.base import Experiment, input_files, read_log
 from swimid.formats import cruise as cruise_format
 from swimid.formats import parameters as parameters_format
@@ -15,18 +16,16 @@ from swimid.formats import trials as trials_format
 from swimid.formats.log import Log
 from swimid.formats.parameters import ParameterFile
 from swimid.formats.robot import Robot
-from swimid.formats.trials import Cruise, FreeSwim, FreeSwimTrial
+from swimid.formats.trials import Cruise, FreeSwim
 from swimid.models.base import Trial
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.notices import warn
-from swimid.signals.beat import Beat, find_beat
+from swimid.signals.beat import find_beat
 
 #: The paper's stop-watch error (section 3.4), s, and the scatter of speeds between runs taken
 #: beside it: they set how runs weigh against each other, the overall size is estimated.
 STOP_WATCH_SD_S = 0.1
 SPEED_SCATTER = 0.01
-#: A beat frequency this far from the metadata's contradicts it.
-BEAT_TOLERANCE = 0.05
 
 
 def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
@@ -145,7 +144,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, drag_path: Path) -> Exper
 
 def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
     trials, logs = [], []
-    beats: dict[str, dict[str, float | str | None]] = {}
+    found: dict[str, dict[str, float | str | None]] = {}
     turning = []
     for entry in entries.trials:
         drive = entry.drive
@@ -162,7 +161,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         logs.append(log.path)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        beats[entry.id] = _beat_facts(entry, beat)
+        found[entry.id] = beats.facts(entry, beat, used="measured")
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
@@ -202,34 +201,14 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
     )
     return Experiment(
-        "free-swim", robot, model, trials, input_files(path, entries.robot, logs), facts={"beats": beats}
+        "free-swim", robot, model, trials, input_files(path, entries.robot, logs), facts={"beats": found}
     )
-
-
-def _beat_facts(entry: FreeSwimTrial, beat: Beat | None) -> dict[str, float | str | None]:
-    assert entry.drive is not None
-    stated = entry.drive.frequency_hz
-    facts: dict[str, float | str | None] = {"stated_hz": stated, "found_hz": None, "stderr_hz": None}
-    if beat is None:
-        return facts
-    facts.update(found_hz=beat.frequency_hz, stderr_hz=beat.stderr_hz)
-    limit = max(BEAT_TOLERANCE * stated, 3 * beat.stderr_hz)
-    if abs(beat.frequency_hz - stated) > limit:
-        ratio = beat.frequency_hz / stated
-        whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""
-        warn(
-            "SWM032",
-            f"{entry.id}: the yaw beats at {beat.frequency_hz:.3f} ± {beat.stderr_hz:.3f} Hz{whole}, "
-            "the trials file "
-            f"says {stated:g} Hz; the measured frequency is used",
-        )
-    return facts
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
     """Frequencies within the tolerance of each other are one setting: their median."""
     values = np.array([t.settings["frequency_hz"] for t in trials])
-    pooled = [float(np.median(values[np.abs(values / v - 1) < BEAT_TOLERANCE])) for v in values]
+    pooled = [float(np.median(values[np.abs(values / v - 1) < beats.TOLERANCE])) for v in values]
     return [
         replace(t, settings={**t.settings, "frequency_hz": f}) for t, f in zip(trials, pooled, strict=True)
     ]

@@ -8,6 +8,7 @@ those are the parameters a gray-box fit estimates.
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
@@ -115,7 +116,9 @@ class Tendon(yamlio.Document):
     @model_validator(mode="after")
     def _crank_shorter(self) -> Tendon:
         if self.crank_m >= self.arm_m:
-            raise ValueError("crank_m must be shorter than arm_m, else the wire is loose at zero angle (Eq 3)")
+            raise ValueError(
+                "crank_m must be shorter than arm_m, else the wire is loose at zero angle (Eq 3)"
+            )
         return self
 
 
@@ -236,7 +239,7 @@ class SlenderBody(_Element):
     @model_validator(mode="after")
     def _ordered(self) -> SlenderBody:
         stations = [s.station_m for s in self.sections]
-        if any(b <= a for a, b in zip(stations, stations[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(stations)):
             raise ValueError("the stations of the sections must increase")
         return self
 

@@ -142,9 +142,13 @@ def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, s
         if key not in chosen or option not in robot.readings[key].options:
             known = list(chosen) if key not in chosen else list(robot.readings[key].options)
             what = f"reading '{key}'" if key not in chosen else f"option '{option}' of the reading '{key}'"
-            raise UsageError(f"the robot '{robot.name}' has no {what}", hint=f"there are: {', '.join(known) or 'none'}")
+            raise UsageError(
+                f"the robot '{robot.name}' has no {what}", hint=f"there are: {', '.join(known) or 'none'}"
+            )
         chosen[key] = option
-    changes = {k: v for key, option in chosen.items() for k, v in robot.readings[key].options[option].set.items()}
+    changes = {
+        k: v for key, option in chosen.items() for k, v in robot.readings[key].options[option].set.items()
+    }
     if not changes:
         return robot
     patched = yamlio.plain(data)
@@ -187,7 +191,9 @@ def located(error: InputError, path: Path) -> InputError:
     for part in (error.column or "").split("."):
         positions = getattr(data, "lc", None)
         if isinstance(data, list):
-            index = next((i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part), None)
+            index = next(
+                (i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part), None
+            )
             index = int(part) if index is None and part.isdigit() else index
             if index is None or index >= len(data) or positions is None:
                 break

@@ -111,6 +111,13 @@ class FreeSwim(_Trials):
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
+class Multibody(_Trials):
+    """Trials of a robot with links whose logs hold joint angles, pose, or both."""
+
+    experiment: Literal["multibody"]
+    trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
+
+
 class Arma(_Trials):
     """Trials for a black-box model from one input column to one output column."""
 
@@ -126,6 +133,7 @@ EXPERIMENTS: dict[str, type[_Trials]] = {
     "free-decay": FreeDecay,
     "cruise": Cruise,
     "free-swim": FreeSwim,
+    "multibody": Multibody,
     "arma": Arma,
 }
 T = TypeVar("T", bound=_Trials)
@@ -175,5 +183,6 @@ def robot_of(trials: _Trials, path: str | Path) -> robot_format.Robot:
 
 #: Any trials file, for the JSON Schema.
 AnyTrials = Annotated[
-    FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Arma, Field(discriminator="experiment")
+    FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
+    Field(discriminator="experiment"),
 ]

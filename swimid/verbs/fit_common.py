@@ -13,6 +13,7 @@ from swimid.estimators import metrics
 from swimid.estimators.output_error import STEP_ERROR, FitResult
 from swimid.estimators.residual_tests import autocorrelation, joined, ljung_box
 from swimid.estimators.sandwich import HETEROGENEITY
+from swimid.experiments import beats
 from swimid.formats import evidence as ev
 from swimid.formats import parameters as parameters_format
 from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
@@ -334,6 +335,23 @@ def _validation(file: ParameterFile) -> list[ev.Check]:
                 f"the error of {channel} on validation trials is {ratio:.1f} times that on fitted ones",
             )
     return found
+
+
+def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
+    """Whether the beat in each log is the one its metadata state (:func:`beats.facts`)."""
+    known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
+    wrong = [
+        name
+        for name, b in known.items()
+        if abs(b["found_hz"] - b["stated_hz"]) > max(beats.TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
+    ]
+    return ev.Check(
+        name="beat frequency as stated",
+        value="yes" if not wrong else f"not in {len(wrong)} of {len(known)} trials",
+        limit=f"within {100 * beats.TOLERANCE:g} %",
+        verdict="warn" if wrong else "pass",
+        text="found in the heading of each log",
+    )
 
 
 def verdict(found: list[ev.Check], answer: str) -> ev.Verdict:

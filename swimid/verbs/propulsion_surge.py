@@ -10,7 +10,6 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import output_error
-from swimid.experiments import propulsion as experiment_module
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
 from swimid.formats.parameters import Estimate, ParameterFile
@@ -78,7 +77,7 @@ def fit(
             "beats": experiment.facts["beats"],
         },
     )
-    checks = [*fit_common.checks(result, file), _beat_check(experiment)]
+    checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
     rows = [
         [
             name,
@@ -132,21 +131,3 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
             value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name]
         )  # type: ignore[arg-type]
     }
-
-
-def _beat_check(experiment: Experiment) -> ev.Check:
-    beats = experiment.facts["beats"]
-    wrong = [
-        name
-        for name, b in beats.items()
-        if b["found_hz"] is not None
-        and abs(b["found_hz"] - b["stated_hz"])
-        > max(experiment_module.BEAT_TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
-    ]
-    return ev.Check(
-        name="beat frequency as stated",
-        value="yes" if not wrong else f"not in {len(wrong)} of {len(beats)} trials",
-        limit=f"within {100 * experiment_module.BEAT_TOLERANCE:g} %",
-        verdict="warn" if wrong else "pass",
-        text="found in the yaw of each log",
-    )

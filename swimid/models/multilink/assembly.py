@@ -75,7 +75,10 @@ class Assembly:
             self.topology[axis.link, 2] = k
         self.free_base = body.base == "free"
         if not self.free_base and not self.passive:
-            raise InputError("a robot on a fixed base without a passive joint has nothing to simulate", column="multilink.base")
+            raise InputError(
+                "a robot on a fixed base without a passive joint has nothing to simulate",
+                column="multilink.base",
+            )
         tables = Tables(
             fluid.density_kg_m3, fluid.gravity_m_s2, index, [[0.0] * len(engine.INERTIA) for _ in self.links]
         )
@@ -91,7 +94,10 @@ class Assembly:
         self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
         self._passive = Table([_law(a.joint) for a in self.passive], len(engine.PASSIVE), self.names)
         self._elements = [
-            (np.array([i for i, _ in rows], dtype=np.int64), Table([r for _, r in rows], len(columns), self.names))
+            (
+                np.array([i for i, _ in rows], dtype=np.int64),
+                Table([r for _, r in rows], len(columns), self.names),
+            )
             for rows, columns in (
                 (tables.drag, engine.DRAG),
                 (tables.foil, engine.FOIL),
@@ -152,10 +158,15 @@ class Assembly:
                     f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
                     f"{1e3 * ratio * link.length_m:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
                     column=f"{where}.inertia_kg_m2",
-                    hint="lengths are in m, masses in kg, inertias in kg m2: is one of them in mm, g or g m2?",
+                    hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
                 )
             whole = _full(apparent[i])
-            if np.linalg.eigvalsh(whole / np.outer(np.sqrt(np.diag(_full(rigid[i]))), np.sqrt(np.diag(_full(rigid[i]))))).min() <= 0:
+            if (
+                np.linalg.eigvalsh(
+                    whole / np.outer(np.sqrt(np.diag(_full(rigid[i]))), np.sqrt(np.diag(_full(rigid[i]))))
+                ).min()
+                <= 0
+            ):
                 raise InputError(
                     "its apparent inertia (with added mass) is not positive definite",
                     column=where,
@@ -180,7 +191,9 @@ def _check_names(body: Multilink) -> None:
         seen: set[str] = set()
         for member in members:
             if member.name in seen:
-                raise InputError(f"the name '{member.name}' stands twice", column=f"multilink.{kind}.{member.name}")
+                raise InputError(
+                    f"the name '{member.name}' stands twice", column=f"multilink.{kind}.{member.name}"
+                )
             seen.add(member.name)
     links = [link.name for link in body.links]
     used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
@@ -202,12 +215,25 @@ def _check_names(body: Multilink) -> None:
                     raise InputError(
                         f"there is no coefficient '{factor}'",
                         column=path,
-                        hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(known) or 'none'}",
+                        hint=f"did you mean '{close}'?"
+                        if close
+                        else f"there are: {', '.join(known) or 'none'}",
                     )
 
 
 #: Keys that hold words, not quantities.
-WORDS = {"name", "link", "parent", "child", "kind", "inertia_about", "plane", "base", "frame", "added_mass_direction"}
+WORDS = {
+    "name",
+    "link",
+    "parent",
+    "child",
+    "kind",
+    "inertia_about",
+    "plane",
+    "base",
+    "frame",
+    "added_mass_direction",
+}
 
 
 def _quantities(value: object, path: str) -> list[tuple[str, str]]:
@@ -222,7 +248,9 @@ def _quantities(value: object, path: str) -> list[tuple[str, str]]:
         return [
             found
             for n, member in enumerate(value)
-            for found in _quantities(member, f"{path}.{member.get('name') or n if isinstance(member, dict) else n}")
+            for found in _quantities(
+                member, f"{path}.{member.get('name') or n if isinstance(member, dict) else n}"
+            )
         ]
     return [(path, value)] if isinstance(value, str) else []
 
@@ -234,7 +262,8 @@ def _ordered(body: Multilink) -> tuple[list[Link], list[Joint | None]]:
         where = f"multilink.joints.{joint.name}"
         if joint.child in joint_of:
             raise InputError(
-                f"the link '{joint.child}' hangs on two joints: '{joint_of[joint.child].name}' and '{joint.name}'",
+                f"the link '{joint.child}' hangs on two joints: '{joint_of[joint.child].name}' "
+                f"and '{joint.name}'",
                 column=where,
             )
         joint_of[joint.child] = joint
@@ -246,11 +275,12 @@ def _ordered(body: Multilink) -> tuple[list[Link], list[Joint | None]]:
             hint="the tree closes on itself, or the base is not listed first",
         )
     by_name = {link.name: link for link in body.links}
-    order, joints = [base], [None]
+    order: list[str] = [base]
+    joints: list[Joint | None] = [None]
     for name in order:
         children = [j for j in body.joints if j.parent == name]
         order += [j.child for j in children]
-        joints += children  # type: ignore[arg-type]
+        joints += children
     left = [name for name in by_name if name not in order]
     if left:
         loose = [name for name in left if name not in joint_of]

@@ -106,7 +106,11 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     # share of the period since the last lowest point; the drive starts in the middle of the rise
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
-    psi = np.where(up, -0.5 * math.pi + math.pi * share / rising, 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising))
+    psi = np.where(
+        up,
+        -0.5 * math.pi + math.pi * share / rising,
+        0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising),
+    )
     speed = np.where(up, omega / (1.0 - asymmetry), omega / (1.0 + asymmetry))
     return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
 

@@ -29,7 +29,17 @@ import numpy as np
 TOPOLOGY = ("parent", "driven", "passive")
 JOINT = ("x", "y", "cos_mount", "sin_mount")
 INERTIA = ("uu", "uv", "ur", "vv", "vr", "rr")
-PASSIVE = ("stiffness", "cubic", "damping", "quadratic_damping", "rest", "spring", "pretension", "arm", "crank")
+PASSIVE = (
+    "stiffness",
+    "cubic",
+    "damping",
+    "quadratic_damping",
+    "rest",
+    "spring",
+    "pretension",
+    "arm",
+    "crank",
+)
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
@@ -65,6 +75,192 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
     distance = math.sqrt(arm * arm + crank * crank - 2.0 * arm * crank * math.cos(angle))
     stretch = distance - arm + crank
     return -spring * (pretension + stretch) * arm * crank * math.sin(angle) / distance
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
+    """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
+    n = len(state) // 2
+    for i in range(topology.shape[0]):
+        if i == 0:
+            c, s = 1.0, 0.0
+            u, v, r = state[n], state[n + 1], state[n + 2]
+            du, dv, dr = 0.0, 0.0, 0.0
+            work[0, 17], work[0, 18] = math.cos(state[2]), math.sin(state[2])
+        else:
+            p, d, k = topology[i, 0], topology[i, 1], topology[i, 2]
+            if d >= 0:
+                w, dw = row[d, 1], row[d, 2]
+                c, s = row[d, 3], row[d, 4]
+            elif k >= 0:
+                w, dw = state[n + 3 + k], 0.0
+                ca, sa = math.cos(state[3 + k]), math.sin(state[3 + k])
+                c = ca * joint[i, 2] - sa * joint[i, 3]
+                s = sa * joint[i, 2] + ca * joint[i, 3]
+            else:
+                w, dw = 0.0, 0.0
+                c, s = joint[i, 2], joint[i, 3]
+            jx, jy = joint[i, 0], joint[i, 1]
+            pr, pdr = work[p, 4], work[p, 7]
+            a, b = work[p, 2] - pr * jy, work[p, 3] + pr * jx
+            da, db = work[p, 5] - pdr * jy, work[p, 6] + pdr * jx
+            u, v, r = c * a + s * b, c * b - s * a, pr + w
+            du, dv, dr = c * da + s * db + w * v, c * db - s * da - w * u, pdr + dw
+            work[i, 17] = work[p, 17] * c - work[p, 18] * s
+            work[i, 18] = work[p, 18] * c + work[p, 17] * s
+        g0, g1, g2 = inertia[i, 0], inertia[i, 1], inertia[i, 2]
+        g3, g4, g5 = inertia[i, 3], inertia[i, 4], inertia[i, 5]
+        px = g0 * u + g1 * v + g2 * r
+        py = g1 * u + g3 * v + g4 * r
+        work[i, 0], work[i, 1] = c, s
+        work[i, 2], work[i, 3], work[i, 4] = u, v, r
+        work[i, 5], work[i, 6], work[i, 7] = du, dv, dr
+        work[i, 8] = g0 * du + g1 * dv + g2 * dr - r * py
+        work[i, 9] = g1 * du + g3 * dv + g4 * dr + r * px
+        work[i, 10] = g2 * du + g4 * dv + g5 * dr + u * py - v * px
+        work[i, 11], work[i, 12], work[i, 13] = g0, g1, g2
+        work[i, 14], work[i, 15], work[i, 16] = g3, g4, g5
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
+    """A force at a point of link ``i`` lessens the wrench its motion needs."""
+    work[i, 8] -= fx
+    work[i, 9] -= fy
+    work[i, 10] -= x * fy - y * fx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
+    """Morison drag at points, and damping of rotation."""
+    for e in range(drag.shape[0]):
+        i = drag_link[e]
+        r = work[i, 4]
+        x, y = drag[e, 0], drag[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        fx = -(drag[e, 2] * abs(vx) + drag[e, 4]) * vx
+        fy = -(drag[e, 3] * abs(vy) + drag[e, 5]) * vy
+        _push(work, i, x, y, fx, fy)
+        work[i, 10] += (drag[e, 6] * abs(r) + drag[e, 7]) * r
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
+    """Lift against and drag along the motion of a fin's point."""
+    for e in range(foil.shape[0]):
+        i = foil_link[e]
+        r = work[i, 4]
+        x, y = foil[e, 0], foil[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        square = vx * vx + vy * vy
+        if square > 0.0:
+            speed = math.sqrt(square)
+            along = vx * foil[e, 6] + vy * foil[e, 7]
+            across = vy * foil[e, 6] - vx * foil[e, 7]
+            lift = 2.0 * foil[e, 3] * along * across / square
+            drag_coefficient = foil[e, 4] + 2.0 * foil[e, 5] * across * across / square
+            push = foil[e, 2] * speed
+            fx = push * (lift * vy - drag_coefficient * vx)
+            fy = push * (-lift * vx - drag_coefficient * vy)
+            _push(work, i, x, y, fx, fy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
+    """Constant forces, in a link's axes or in the world's."""
+    for e in range(force.shape[0]):
+        i = force_link[e]
+        x, y = force[e, 0], force[e, 1]
+        fx, fy = force[e, 2], force[e, 3]
+        if force[e, 4] != 0.0:
+            c, s = work[i, 17], work[i, 18]
+            fx, fy = c * fx + s * fy, c * fy - s * fx
+        _push(work, i, x, y, fx, fy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
+    """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
+    hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
+    at = i
+    while at > 0:
+        c, s = work[at, 0], work[at, 1]
+        hx, hy = c * hx - s * hy, s * hx + c * hy
+        hm += joint[at, 0] * hy - joint[at, 1] * hx
+        at = topology[at, 0]
+        other = topology[at, 2]
+        if at > 0 and other >= 0:
+            matrix[3 + k, 3 + other] = hm
+            matrix[3 + other, 3 + k] = hm
+    matrix[3 + k, 0], matrix[3 + k, 1], matrix[3 + k, 2] = hx, hy, hm
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
+    """Add a link's wrench and composite inertia to its parent's, in the parent's axes."""
+    c, s = work[i, 0], work[i, 1]
+    jx, jy = joint[i, 0], joint[i, 1]
+    fx, fy = work[i, 8], work[i, 9]
+    gx, gy = c * fx - s * fy, s * fx + c * fy
+    work[p, 8] += gx
+    work[p, 9] += gy
+    work[p, 10] += work[i, 10] + jx * gy - jy * gx
+    # G in the parent's axes, then about the parent's origin
+    a0, a1, a3 = work[i, 11], work[i, 12], work[i, 14]
+    b0 = c * c * a0 - 2.0 * c * s * a1 + s * s * a3
+    b1 = c * s * (a0 - a3) + (c * c - s * s) * a1
+    b3 = s * s * a0 + 2.0 * c * s * a1 + c * c * a3
+    b2 = c * work[i, 13] - s * work[i, 15]
+    b4 = s * work[i, 13] + c * work[i, 15]
+    h2, h4 = b2 - b0 * jy + b1 * jx, b4 - b1 * jy + b3 * jx
+    work[p, 11] += b0
+    work[p, 12] += b1
+    work[p, 13] += h2
+    work[p, 14] += b3
+    work[p, 15] += h4
+    work[p, 16] += work[i, 16] - jy * (h2 + b2) + jx * (h4 + b4)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
+    """Sums of wrenches and composite inertias; the passive joints' rows of the equations."""
+    n = len(state) // 2
+    for i in range(topology.shape[0] - 1, 0, -1):
+        k = topology[i, 2]
+        if k >= 0:
+            angle, w = state[3 + k], state[n + 3 + k]
+            off = angle - passive[k, 4]
+            torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
+            torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
+            if passive[k, 5] != 0.0:
+                torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
+            right[3 + k] = torque - work[i, 10]
+            matrix[3 + k, 3 + k] = work[i, 16]
+            _coupling(i, k, topology, joint, work, matrix)
+        _to_parent(i, topology[i, 0], joint, work)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solve(matrix, right, first):  # type: ignore[no-untyped-def]
+    """Solve for the accelerations from row ``first`` on, by LDL^T in the lower triangle."""
+    n = len(right)
+    for j in range(first, n):
+        pivot = matrix[j, j]
+        for m in range(first, j):
+            pivot -= matrix[j, m] * matrix[j, m] * matrix[m, m]
+        matrix[j, j] = pivot if pivot > 0.0 else math.nan
+        for i in range(j + 1, n):
+            entry = matrix[i, j]
+            for m in range(first, j):
+                entry -= matrix[i, m] * matrix[j, m] * matrix[m, m]
+            matrix[i, j] = entry / pivot
+    for i in range(first, n):
+        for m in range(first, i):
+            right[i] -= matrix[i, m] * right[m]
+    for i in range(n - 1, first - 1, -1):
+        right[i] /= matrix[i, i]
+        for m in range(i + 1, n):
+            right[i] -= matrix[m, i] * right[m]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -105,165 +301,23 @@ def derivative(  # type: ignore[no-untyped-def]
     matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
         Scratch.
     """
-    links = topology.shape[0]
-    joints = passive.shape[0]
-    n = 3 + joints
-    theta = state[2]
-    cos0, sin0 = math.cos(theta), math.sin(theta)
-    loads = force.shape[0]
-    # outwards: velocities, accelerations without the unknown ones, wrenches
-    for i in range(links):
-        if i == 0:
-            c, s = 1.0, 0.0
-            u, v, r = state[n], state[n + 1], state[n + 2]
-            du, dv, dr = 0.0, 0.0, 0.0
-            work[0, 17], work[0, 18] = cos0, sin0
-        else:
-            p, d, k = topology[i, 0], topology[i, 1], topology[i, 2]
-            if d >= 0:
-                w, dw = row[d, 1], row[d, 2]
-                c, s = row[d, 3], row[d, 4]
-            elif k >= 0:
-                w, dw = state[n + 3 + k], 0.0
-                ca, sa = math.cos(state[3 + k]), math.sin(state[3 + k])
-                c = ca * joint[i, 2] - sa * joint[i, 3]
-                s = sa * joint[i, 2] + ca * joint[i, 3]
-            else:
-                w, dw = 0.0, 0.0
-                c, s = joint[i, 2], joint[i, 3]
-            jx, jy = joint[i, 0], joint[i, 1]
-            pr, pdr = work[p, 4], work[p, 7]
-            a, b = work[p, 2] - pr * jy, work[p, 3] + pr * jx
-            da, db = work[p, 5] - pdr * jy, work[p, 6] + pdr * jx
-            u, v, r = c * a + s * b, c * b - s * a, pr + w
-            du, dv, dr = c * da + s * db + w * v, c * db - s * da - w * u, pdr + dw
-            work[i, 17] = work[p, 17] * c - work[p, 18] * s
-            work[i, 18] = work[p, 18] * c + work[p, 17] * s
-        g0, g1, g2 = inertia[i, 0], inertia[i, 1], inertia[i, 2]
-        g3, g4, g5 = inertia[i, 3], inertia[i, 4], inertia[i, 5]
-        px = g0 * u + g1 * v + g2 * r
-        py = g1 * u + g3 * v + g4 * r
-        work[i, 0], work[i, 1] = c, s
-        work[i, 2], work[i, 3], work[i, 4] = u, v, r
-        work[i, 5], work[i, 6], work[i, 7] = du, dv, dr
-        work[i, 8] = g0 * du + g1 * dv + g2 * dr - r * py
-        work[i, 9] = g1 * du + g3 * dv + g4 * dr + r * px
-        work[i, 10] = g2 * du + g4 * dv + g5 * dr + u * py - v * px
-        work[i, 11], work[i, 12], work[i, 13] = g0, g1, g2
-        work[i, 14], work[i, 15], work[i, 16] = g3, g4, g5
-    # what the water and the world push with
-    for e in range(drag.shape[0]):
-        i = drag_link[e]
-        r = work[i, 4]
-        x, y = drag[e, 0], drag[e, 1]
-        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
-        fx = -(drag[e, 2] * abs(vx) + drag[e, 4]) * vx
-        fy = -(drag[e, 3] * abs(vy) + drag[e, 5]) * vy
-        work[i, 8] -= fx
-        work[i, 9] -= fy
-        work[i, 10] -= x * fy - y * fx - (drag[e, 6] * abs(r) + drag[e, 7]) * r
-    for e in range(foil.shape[0]):
-        i = foil_link[e]
-        r = work[i, 4]
-        x, y = foil[e, 0], foil[e, 1]
-        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
-        square = vx * vx + vy * vy
-        if square > 0.0:
-            speed = math.sqrt(square)
-            along = vx * foil[e, 6] + vy * foil[e, 7]
-            across = vy * foil[e, 6] - vx * foil[e, 7]
-            lift = 2.0 * foil[e, 3] * along * across / square
-            drag_coefficient = foil[e, 4] + 2.0 * foil[e, 5] * across * across / square
-            push = foil[e, 2] * speed
-            fx = push * (lift * vy - drag_coefficient * vx)
-            fy = push * (-lift * vx - drag_coefficient * vy)
-            work[i, 8] -= fx
-            work[i, 9] -= fy
-            work[i, 10] -= x * fy - y * fx
-    for e in range(force.shape[0]):
-        i = force_link[e]
-        x, y = force[e, 0], force[e, 1]
-        fx, fy = force[e, 2], force[e, 3]
-        if force[e, 4] != 0.0:
-            c, s = work[i, 17], work[i, 18]
-            fx, fy = c * fx + s * fy, c * fy - s * fx
-        work[i, 8] -= fx
-        work[i, 9] -= fy
-        work[i, 10] -= x * fy - y * fx
-    # inwards: sums of wrenches and composite inertias; rows of the passive joints
-    for i in range(links - 1, 0, -1):
-        k = topology[i, 2]
-        if k >= 0:
-            angle, w = state[3 + k], state[n + 3 + k]
-            off = angle - passive[k, 4]
-            torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
-            torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
-            if passive[k, 5] != 0.0:
-                torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
-            right[3 + k] = torque - work[i, 10]
-            matrix[3 + k, 3 + k] = work[i, 16]
-            # the wrench a unit acceleration of this joint needs, carried down to the base
-            hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
-            at = i
-            while at > 0:
-                c, s = work[at, 0], work[at, 1]
-                hx, hy = c * hx - s * hy, s * hx + c * hy
-                hm += joint[at, 0] * hy - joint[at, 1] * hx
-                at = topology[at, 0]
-                other = topology[at, 2]
-                if at > 0 and other >= 0:
-                    matrix[3 + k, 3 + other] = hm
-                    matrix[3 + other, 3 + k] = hm
-            matrix[3 + k, 0], matrix[3 + k, 1], matrix[3 + k, 2] = hx, hy, hm
-        p = topology[i, 0]
-        c, s = work[i, 0], work[i, 1]
-        jx, jy = joint[i, 0], joint[i, 1]
-        fx, fy = work[i, 8], work[i, 9]
-        gx, gy = c * fx - s * fy, s * fx + c * fy
-        work[p, 8] += gx
-        work[p, 9] += gy
-        work[p, 10] += work[i, 10] + jx * gy - jy * gx
-        # G in the parent's axes, then about the parent's origin
-        a0, a1, a3 = work[i, 11], work[i, 12], work[i, 14]
-        b0 = c * c * a0 - 2.0 * c * s * a1 + s * s * a3
-        b1 = c * s * (a0 - a3) + (c * c - s * s) * a1
-        b3 = s * s * a0 + 2.0 * c * s * a1 + c * c * a3
-        b2 = c * work[i, 13] - s * work[i, 15]
-        b4 = s * work[i, 13] + c * work[i, 15]
-        h2, h4 = b2 - b0 * jy + b1 * jx, b4 - b1 * jy + b3 * jx
-        work[p, 11] += b0
-        work[p, 12] += b1
-        work[p, 13] += h2
-        work[p, 14] += b3
-        work[p, 15] += h4
-        work[p, 16] += work[i, 16] - jy * (h2 + b2) + jx * (h4 + b4)
+    n = len(state) // 2
+    _outwards(state, row, topology, joint, inertia, work)
+    _drag(drag_link, drag, work)
+    _foils(foil_link, foil, work)
+    _forces(force_link, force, work)
+    _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
     if free_base:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = work[0, 11], work[0, 14], work[0, 16]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = work[0, 12], work[0, 13], work[0, 15]
         right[0], right[1], right[2] = -work[0, 8], -work[0, 9], -work[0, 10]
-    # LDL^T in the lower triangle
-    for j in range(first, n):
-        pivot = matrix[j, j]
-        for m in range(first, j):
-            pivot -= matrix[j, m] * matrix[j, m] * matrix[m, m]
-        matrix[j, j] = pivot if pivot > 0.0 else math.nan
-        for i in range(j + 1, n):
-            entry = matrix[i, j]
-            for m in range(first, j):
-                entry -= matrix[i, m] * matrix[j, m] * matrix[m, m]
-            matrix[i, j] = entry / pivot
-    for i in range(first, n):
-        for m in range(first, i):
-            right[i] -= matrix[i, m] * right[m]
-    for i in range(n - 1, first - 1, -1):
-        right[i] /= matrix[i, i]
-        for m in range(i + 1, n):
-            right[i] -= matrix[m, i] * right[m]
+    _solve(matrix, right, first)
     u, v = state[n], state[n + 1]
-    rate[0] = cos0 * u - sin0 * v
-    rate[1] = sin0 * u + cos0 * v
+    c, s = work[0, 17], work[0, 18]
+    rate[0] = c * u - s * v
+    rate[1] = s * u + c * v
     for i in range(2, n):
         rate[i] = state[n + i]
     for i in range(n):

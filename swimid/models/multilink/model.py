@@ -113,9 +113,16 @@ class MultilinkModel(Model):
             scale = c.scale or abs(c.value) or abs(start) or 1.0
             found.append(
                 Parameter(
-                    name, c.unit, -math.inf if c.bounds[0] is None else low, high, start, scale, c.free,
-                    meaning=c.meaning, source=c.source,
-                )  # fmt: skip
+                    name,
+                    c.unit,
+                    -math.inf if c.bounds[0] is None else low,
+                    high,
+                    start,
+                    scale,
+                    c.free,
+                    meaning=c.meaning,
+                    source=c.source,
+                )
             )
         return found
 
@@ -131,13 +138,35 @@ class MultilinkModel(Model):
         for axis in self.assembly.passive:
             name = axis.joint.name
             found.append(
-                Parameter(f"initial_angle_{name}", "rad", -inf, inf, 0.0, 0.1, False, True, f"angle of {name} at the first sample")
+                Parameter(
+                    f"initial_angle_{name}",
+                    "rad",
+                    -inf,
+                    inf,
+                    0.0,
+                    0.1,
+                    False,
+                    True,
+                    f"angle of {name} at the first sample",
+                )
             )
             found.append(
-                Parameter(f"initial_rate_{name}", "rad/s", -inf, inf, 0.0, 1.0, False, True, f"rate of {name} at the first sample")
+                Parameter(
+                    f"initial_rate_{name}",
+                    "rad/s",
+                    -inf,
+                    inf,
+                    0.0,
+                    1.0,
+                    False,
+                    True,
+                    f"rate of {name} at the first sample",
+                )
             )
         found.append(
-            Parameter("drive_phase", "rad", -inf, inf, 0.0, 0.1, False, True, "phase of the beat at time zero")
+            Parameter(
+                "drive_phase", "rad", -inf, inf, 0.0, 0.1, False, True, "phase of the beat at time zero"
+            )
         )
         return found
 
@@ -145,12 +174,64 @@ class MultilinkModel(Model):
         inf = math.inf
         words = self.plane.words
         view = [
-            Parameter(self.starts[0], "m", -inf, inf, 0.0, 0.01, False, True, f"{words[0]} of the start against the first sample"),
-            Parameter(self.starts[1], "m", -inf, inf, 0.0, 0.01, False, True, f"{words[1]} of the start against the first sample"),
-            Parameter(self.starts[2], "rad", -inf, inf, 0.0, 0.05, False, True, f"{words[2]} of the start against the first sample"),
-            Parameter("clock_offset", "s", -inf, inf, 0.0, 0.01, False, True, "the log's clock ahead of the drive's"),
-            Parameter("camera_rotation", "rad", -inf, inf, 0.0, 0.02, False, False, "camera axes against the world's"),
-            Parameter("heading_offset", "rad", -inf, inf, 0.0, 0.02, False, False, "marked heading against the robot's axis"),
+            Parameter(
+                self.starts[0],
+                "m",
+                -inf,
+                inf,
+                0.0,
+                0.01,
+                False,
+                True,
+                f"{words[0]} of the start against the first sample",
+            ),
+            Parameter(
+                self.starts[1],
+                "m",
+                -inf,
+                inf,
+                0.0,
+                0.01,
+                False,
+                True,
+                f"{words[1]} of the start against the first sample",
+            ),
+            Parameter(
+                self.starts[2],
+                "rad",
+                -inf,
+                inf,
+                0.0,
+                0.05,
+                False,
+                True,
+                f"{words[2]} of the start against the first sample",
+            ),
+            Parameter(
+                "clock_offset", "s", -inf, inf, 0.0, 0.01, False, True, "the log's clock ahead of the drive's"
+            ),
+            Parameter(
+                "camera_rotation",
+                "rad",
+                -inf,
+                inf,
+                0.0,
+                0.02,
+                False,
+                False,
+                "camera axes against the world's",
+            ),
+            Parameter(
+                "heading_offset",
+                "rad",
+                -inf,
+                inf,
+                0.0,
+                0.02,
+                False,
+                False,
+                "marked heading against the robot's axis",
+            ),
         ]
         return view if self.assembly.free_base else [view[3]]
 
@@ -241,19 +322,21 @@ class MultilinkModel(Model):
     def _table(self, values: Array, trial: Trial, begin: float, step: float, steps: int) -> Array:
         phase = self._value(values, "drive_phase")
         servos = tuple(
-            None if s is None else tuple(q.at(dict(zip(self.assembly.names, values, strict=False))) for q in s)
+            None
+            if s is None
+            else tuple(q.at(dict(zip(self.assembly.names, values, strict=False))) for q in s)
             for s in self._servos
         )
         key = (trial.id, begin, step, steps, phase, servos)
         if key in self._tables:
             return self._tables[key]
-        half = begin + 0.5 * step * np.arange(2 * steps + 1)
+        half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
         motions = []
         for k, (axis, servo) in enumerate(zip(self.assembly.driven, servos, strict=True)):
             if servo is None:
                 motions.append(joint_motion(axis, k, trial.settings, half, phase))
                 continue
-            fine = begin + 0.25 * step * np.arange(4 * steps + 1)
+            fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
             command = joint_motion(axis, k, trial.settings, fine, phase)[0]
             omega, damping = 2 * math.pi * servo[0], servo[1]
             answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
@@ -281,9 +364,12 @@ class MultilinkModel(Model):
             found[axis.column.replace("_rad", "_rate_rad_s")] = states[:, n + 3 + k]
         if self.assembly.driven:
             driven, _ = engine.sampled(
-                time, run.begin_s, run.step_s,
-                np.ascontiguousarray(run.driven[:, :, 0]), np.ascontiguousarray(run.driven[:, :, 1]),
-            )  # fmt: skip
+                time,
+                run.begin_s,
+                run.step_s,
+                np.ascontiguousarray(run.driven[:, :, 0]),
+                np.ascontiguousarray(run.driven[:, :, 1]),
+            )
             for k, axis in enumerate(self.assembly.driven):
                 found[axis.column] = driven[:, k]
         return found
@@ -306,12 +392,12 @@ class MultilinkModel(Model):
         # the run starts at the origin, along x unless the world's axes matter
         heading = float(pose[2]) + offsets[2] - turn - mark
         spin = turn + (0.0 if self._heading_matters() else heading)
-        c, s = math.cos(spin), math.sin(spin)
+        along, across = math.cos(spin), math.sin(spin)
         dx, dy = x - x[0], y - y[0]
         names, rates = self.plane.pose, self.plane.velocity
         return {
-            names[0]: float(pose[0]) + offsets[0] + c * dx - s * dy,
-            names[1]: float(pose[1]) + offsets[1] + s * dx + c * dy,
+            names[0]: float(pose[0]) + offsets[0] + along * dx - across * dy,
+            names[1]: float(pose[1]) + offsets[1] + across * dx + along * dy,
             names[2]: theta + spin + mark,
             rates[0]: u - r * b,
             rates[1]: v + r * a,
@@ -374,6 +460,8 @@ def warm_up() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.linspace(0.0, 0.1, 6)
     beat = drive.Beat("a-cpg", 1.0, 0.3)
-    model.simulate(np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, settings={"beat": beat}))
+    model.simulate(
+        np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, settings={"beat": beat})
+    )
     drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
     engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))

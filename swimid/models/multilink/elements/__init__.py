@@ -49,14 +49,14 @@ class Tables:
     ) -> None:
         """Add a mass (which may differ by direction) at a point, and a moment of inertia about it."""
         row = self.inertia[self.index[link]]
-        terms = (
+        terms: Row = [
             forward,
             0.0,
             -(forward * y),
             port,
             port * x,
             turning + forward * y * y + port * x * x,
-        )
+        ]
         self.inertia[self.index[link]] = [
             Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)
         ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from swimid.formats.multilink import Drag, Link
-from swimid.models.multilink.elements import Tables
+from swimid.models.multilink.elements import Row, Tables
 from swimid.models.multilink.polynomial import Polynomial
 
 
@@ -27,5 +27,5 @@ def add(element: Drag, link: Link, tables: Tables) -> None:
         stations = [Polynomial.of(low + 0.5 * (high - low) * (1.0 + float(z))) for z in nodes]
         shares = [0.5 * float(w) for w in weights]
     for station, share in zip(stations, shares, strict=True):
-        row = [-station, Polynomial.of(element.offset_m), *(share * g for g in gains), 0.0, 0.0]
+        row: Row = [-station, Polynomial.of(element.offset_m), *(share * g for g in gains), 0.0, 0.0]
         tables.drag.append((tables.index[link.name], row))

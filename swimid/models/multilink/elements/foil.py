@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 from swimid.formats.multilink import Foil, Link
-from swimid.models.multilink.elements import Tables
+from swimid.models.multilink.elements import Row, Tables
 from swimid.models.multilink.polynomial import Polynomial
 
 
 def add(element: Foil, link: Link, tables: Tables) -> None:
     """Add the fin's point, area, polar and chord direction."""
     chord = math.radians(element.chord_deg)
-    row = [
+    row: Row = [
         -Polynomial.of(element.at_m),
         Polynomial.of(element.offset_m),
         0.5 * tables.density_kg_m3 * Polynomial.of(element.area_m2),

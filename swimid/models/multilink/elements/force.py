@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from swimid.formats.multilink import Force, Link
-from swimid.models.multilink.elements import Tables
+from swimid.models.multilink.elements import Row, Tables
 from swimid.models.multilink.polynomial import Polynomial
 
 
 def add(element: Force, link: Link, tables: Tables) -> None:
     """Add the force, fixed to the link or to the world."""
-    row = [
+    row: Row = [
         -Polynomial.of(element.at_m),
         Polynomial.of(element.offset_m),
         Polynomial.of(element.forward_N),

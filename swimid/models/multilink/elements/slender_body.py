@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from swimid.formats.multilink import Link, SlenderBody
-from swimid.models.multilink.elements import Tables
+from swimid.models.multilink.elements import Row, Tables
 from swimid.models.multilink.polynomial import Polynomial
 
 
@@ -28,7 +28,7 @@ def add(element: SlenderBody, link: Link, tables: Tables) -> None:
         zero = Polynomial.of(0.0)
         tables.add_inertia(link.name, Polynomial.of(-float(station)), zero, forward, mass, zero)
         half = 0.5 * tables.density_kg_m3 * float(width)
-        row = [
+        row: Row = [
             -float(station),
             0.0,
             half * girth * Polynomial.of(element.friction_coefficient),

@@ -1,0 +1,259 @@
+"""Free-swimming and multibody trials of a planar multi-link robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError, UsageError, nearest
+from swimid.experiments import beats
+from swimid.experiments.base import Experiment, input_files, read_log
+from swimid.formats import robot as robot_format
+from swimid.formats import trials as trials_format
+from swimid.formats.log import Log
+from swimid.formats.robot import Robot
+from swimid.formats.trials import Drive, FreeSwim, FreeSwimTrial, Multibody
+from swimid.models.base import Array, Trial
+from swimid.models.multilink import drive
+from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel
+from swimid.signals.beat import find_beat
+
+#: The start state is estimated when a log's first stretch moves faster than this share of its top
+#: speed, by more than this many standard errors.
+MOVING, CERTAIN = 0.05, 4.0
+#: Length of that stretch, s.
+OPENING_S = 0.3
+
+
+def robot_model(
+    name: str,
+    relative_to: Path | None = None,
+    *,
+    readings: Mapping[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+) -> tuple[Robot, MultilinkModel]:
+    """A multi-link robot and its model.
+
+    Raises
+    ------
+    InputError
+        With file and line, for anything wrong in the robot file, or when it has no links.
+    """
+    robot = robot_format.read(name, relative_to, readings=readings)
+    path = robot_format.locate(name, relative_to)
+    if robot.multilink is None:
+        raise InputError(
+            f"the robot '{robot.name}' has no 'multilink' part: links, joints and elements",
+            file=path,
+            hint="fit-drag and fit-propulsion serve robots that are one body",
+        )
+    try:
+        return robot, MultilinkModel(robot, max_step=max_step)
+    except InputError as error:
+        raise robot_format.located(error, path) from error
+
+
+def load(
+    path: str | Path,
+    *,
+    readings: Mapping[str, str] | None = None,
+    channels: Sequence[str] = (),
+    start_state: str = "auto",
+    max_step: float = DEFAULT_STEP,
+) -> Experiment:
+    """Read a free-swim or multibody trials file of a multi-link robot.
+
+    Parameters
+    ----------
+    readings : mapping, optional
+        Readings of the robot's source other than the file's.
+    channels : sequence of str
+        Columns to fit. By default the pose where it is logged, else the velocities, and the angles of
+        passive joints (and of driven ones behind a servo) where they are logged.
+    start_state : {"auto", "rest", "estimate"}
+        Whether the body starts at rest; ``auto`` lets each log's first stretch say.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in the trials file, the robot file or a log.
+    UsageError
+        For a channel the robot does not have.
+    """
+    path = Path(path)
+    entries = trials_format.read(path, FreeSwim, Multibody)
+    assert isinstance(entries, FreeSwim | Multibody)
+    robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
+    _check_channels(model, channels)
+    trials, logs, moving = [], [], []
+    found: dict[str, Any] = {}
+    for entry in entries.trials:
+        trial, log = _trial(entry, path, model, channels)
+        trials.append(trial)
+        logs.append(log.path)
+        found[entry.id] = _beat(entry, log, model)
+        if _moving(trial, log, model):
+            moving.append(entry.id)
+    free = set(_start_parameters(model, trials))
+    if start_state == "estimate" or (start_state == "auto" and moving):
+        free |= {p.name for p in model.parameters if p.name.startswith("initial_")}
+    held = {
+        t.id: tuple(n for n in free if n.startswith("initial_"))
+        for t in trials
+        if start_state == "auto" and t.id not in moving
+    }
+    trials = [replace(t, settings={**t.settings, "held": held.get(t.id, ())}) for t in trials]
+    model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
+    facts = {"beats": found, "moving": moving, "start_state": start_state}
+    return Experiment(
+        entries.experiment, robot, model, trials, input_files(path, entries.robot, logs), facts=facts
+    )
+
+
+def beat_of(command: Drive) -> drive.Beat:
+    """A trials file's drive in SI."""
+    return drive.Beat(
+        command.waveform,
+        command.frequency_hz,
+        math.radians(command.amplitude_deg),
+        math.radians(command.bias_deg),
+        command.asymmetry,
+        command.ramp_s,
+    )
+
+
+def _check_channels(model: MultilinkModel, channels: Sequence[str]) -> None:
+    known = [c.name for c in model.channels]
+    for name in channels:
+        if name not in known:
+            close = nearest(name, known)
+            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}"
+            raise UsageError(f"the robot has no channel '{name}'", hint=hint)
+
+
+def _trial(
+    entry: FreeSwimTrial, path: Path, model: MultilinkModel, channels: Sequence[str]
+) -> tuple[Trial, Log]:
+    known = [c.name for c in model.channels]
+    commands = [a.column.replace("joint", "cmd") for a in model.assembly.driven]
+    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
+    settings: dict[str, Any] = {}
+    if entry.drive is not None:
+        settings["beat"] = beat_of(entry.drive)
+    elif model.assembly.driven:
+        settings["joints"] = [_motion(model, k, log) for k in range(len(model.assembly.driven))]
+    measured = {name: _unwrapped(name, log[name]) for name in (channels or _default_channels(model, log))}
+    pose = [log[name] for name in model.plane.pose if name in log]
+    if len(pose) == 3 and model.assembly.free_base:
+        settings["pose"] = tuple(
+            float(_unwrapped(n, log[n])[np.isfinite(log[n])][0]) if np.isfinite(log[n]).any() else 0.0
+            for n in model.plane.pose
+        )
+    others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
+    return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, settings=settings), log
+
+
+def _unwrapped(name: str, values: Array) -> Array:
+    """A heading without its jumps at half a turn; other columns as they are."""
+    if not name.endswith("_rad") or name.startswith("joint"):
+        return values
+    there = np.isfinite(values)
+    found = values.copy()
+    found[there] = np.unwrap(values[there])
+    return found
+
+
+def _default_channels(model: MultilinkModel, log: Log) -> list[str]:
+    def there(names: Sequence[str]) -> list[str]:
+        return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
+
+    chosen = []
+    if model.assembly.free_base:
+        pose = there(model.plane.pose)
+        chosen = pose if len(pose) == 3 else there(model.plane.velocity) or pose
+    chosen += there([a.column for a in model.assembly.passive])
+    chosen += there([a.column for a in model.assembly.driven if a.joint.driven and a.joint.driven.servo])
+    if not chosen:
+        names = ", ".join(c.name for c in model.channels)
+        raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
+    return chosen
+
+
+def _motion(model: MultilinkModel, number: int, log: Log) -> Any:
+    """A driven joint's motion from its measured angle, or from its commanded one."""
+    axis = model.assembly.driven[number]
+    joint, name = axis.joint, axis.column
+    servo = joint.driven is not None and joint.driven.servo is not None
+    order = [name.replace("joint", "cmd"), name] if servo else [name, name.replace("joint", "cmd")]
+    for candidate in order:
+        if candidate in log and np.isfinite(log[candidate]).sum() >= 5:
+            return drive.spline_motion(drive.measured(log.time_s, log[candidate]))
+    raise InputError(
+        f"the driven joint '{joint.name}' needs the column '{name}' or '{name.replace('joint', 'cmd')}'",
+        file=log.path,
+        hint="or give the trial a 'drive' in the trials file",
+    )
+
+
+def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, Any] | None:
+    """The beat found in the heading, against the drive's."""
+    if entry.drive is None or not model.assembly.free_base:
+        return None
+    for name in (model.plane.pose[2], model.plane.velocity[2]):
+        if name in log and np.isfinite(log[name]).sum() > 16:
+            seen = np.isfinite(log[name])
+            return beats.facts(
+                entry, find_beat(log.time_s[seen], _unwrapped(name, log[name])[seen]), used="stated"
+            )
+    return None
+
+
+def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
+    """Whether the log's first stretch shows the body, or a passive joint, in motion."""
+    columns = [*model.plane.pose, *model.plane.velocity] if model.assembly.free_base else []
+    columns += [a.column for a in model.assembly.passive]
+    first = log.time_s <= log.time_s[0] + max(OPENING_S, 6 * float(np.median(np.diff(log.time_s))))
+    for name in columns:
+        if name not in log:
+            continue
+        values = _unwrapped(name, log[name])
+        there = first & np.isfinite(values)
+        if there.sum() < 5:
+            continue
+        t = log.time_s[there] - log.time_s[0]
+        is_rate = name.endswith("_s")
+        order = 1 if is_rate else 2
+        design = np.vander(t, order + 1, increasing=True)
+        weights, *_ = np.linalg.lstsq(design, values[there], rcond=None)
+        left = values[there] - design @ weights
+        sd = float(np.sqrt(np.sum(left**2) / max(len(t) - order - 1, 1)))
+        spread = np.linalg.inv(design.T @ design)
+        which = 0 if is_rate else 1
+        error = sd * math.sqrt(spread[which, which])
+        everything = values[np.isfinite(values)]
+        if is_rate:
+            top = float(np.max(np.abs(everything)))
+        else:
+            times = log.time_s[np.isfinite(values)]
+            top = float(np.max(np.abs(everything - everything[0])) / max(times[-1] - times[0], 1e-9))
+        if abs(weights[which]) > CERTAIN * error and abs(weights[which]) > MOVING * top:
+            return True
+        if name in {a.column for a in model.assembly.passive}:
+            off = abs(weights[0]) > CERTAIN * sd * math.sqrt(spread[0, 0])
+            if off and abs(weights[0]) > MOVING * float(np.max(np.abs(everything))):
+                return True
+    return False
+
+
+def _start_parameters(model: MultilinkModel, trials: Sequence[Trial]) -> list[str]:
+    """Offsets of the start pose, for each measured coordinate."""
+    return [
+        name
+        for name, column in zip(model.starts, model.plane.pose, strict=True)
+        if model.assembly.free_base and any(column in t.measured for t in trials)
+    ]
