@@ -5,12 +5,12 @@ from __future__ import annotations
 import click
 
 import swimid
-from swimid.cli import doctor, fit_drag, fit_propulsion, report, rwls, schema, track
+from swimid.cli import doctor, fit_drag, fit_graybox, fit_propulsion, report, rwls, schema, track
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track"]),
-    ("Identify", ["fit-drag", "fit-propulsion", "rwls"]),
+    ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
     ("Publish", ["report"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
@@ -49,6 +49,7 @@ for command in (
     fit_drag.command,
     fit_propulsion.command,
     rwls.command,
+    fit_graybox.command,
     report.command,
     schema.command,
     doctor.command,

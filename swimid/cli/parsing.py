@@ -33,6 +33,11 @@ def named_number(texts: tuple[str, ...], option: str) -> dict[str, float]:
     return {name: number(value, option) for name, value in _named(texts, option)}
 
 
+def named_word(texts: tuple[str, ...], option: str) -> dict[str, str]:
+    """``NAME=OPTION`` items."""
+    return {name: value.strip() for name, value in _named(texts, option)}
+
+
 def bounded(texts: tuple[str, ...], option: str) -> dict[str, tuple[float, float]]:
     """``NAME=LOW,HIGH`` items."""
     found = {}

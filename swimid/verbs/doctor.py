@@ -37,6 +37,7 @@ OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]
 KERNELS = (
     "swimid.models.rig",
     "swimid.models.difference",
+    "swimid.models.multilink.model",
     "swimid.estimators.recursive",
     "swimid.estimators.armax",
     "swimid.tracking.detect",

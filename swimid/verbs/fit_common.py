@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swimid.estimators import metrics
+from swimid.estimators.identifiability import combinations, sentences
 from swimid.estimators.output_error import STEP_ERROR, FitResult
 from swimid.estimators.residual_tests import autocorrelation, joined, ljung_box
 from swimid.estimators.sandwich import HETEROGENEITY
 from swimid.experiments import beats
+from swimid.experiments.base import Experiment
+from swimid.formats import atomic
 from swimid.formats import evidence as ev
 from swimid.formats import parameters as parameters_format
 from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
-from swimid.models.base import Parameter
+from swimid.models.base import Parameter, chosen
 from swimid.notices import Notice, warn
 from swimid.reporting import numbers
 
@@ -74,12 +77,11 @@ def correlation_of(result: FitResult) -> Correlation | None:
 
 def identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
     """What the trials cannot tell, in words, and the combination they can; warns of each."""
-    said = []
+    said = sentences(result)
+    for sentence in said:
+        warn("SWM010", sentence)
     for label, status in result.status.items():
-        if status == "unidentifiable":
-            said.append(f"{label} is not identifiable from these trials")
-            warn("SWM010", said[-1])
-        elif status == "at-bound":
+        if status == "at-bound":
             name = label.split("[")[0]
             bounds = next(p for p in result.parameters if p.name == name).bounds
             text = (
@@ -90,9 +92,8 @@ def identifiability(result: FitResult, correlation: Correlation | None) -> list[
         return said
     for i, first in enumerate(correlation.names):
         for j in range(i + 1, len(correlation.names)):
-            rho = correlation.matrix[i][j]
-            if abs(rho) > STRONG:
-                second = correlation.names[j]
+            rho, second = correlation.matrix[i][j], correlation.names[j]
+            if abs(rho) > STRONG and result.status[first] == result.status[second] == "estimated":
                 said.append(
                     f"{first} and {second} are hard to tell apart (correlation {rho:+.3f}): "
                     f"{_combination(result, first, second)}"
@@ -155,7 +156,7 @@ def parameter_file(
         parameters=estimates(result, profiles or {}),
         identifiability=identifiability(result, correlation),
         correlation=correlation,
-        derived=derived or {},
+        derived={**_known_sums(result), **(derived or {})},
         settings=settings or {},
         fit=Fit(
             trials=[t.id for t in result.trials if t.role == "fit"],
@@ -174,6 +175,44 @@ def parameter_file(
             step_error=result.step_error,  # type: ignore[call-arg]
         ),
         provenance=provenance,
+    )
+
+
+def _known_sums(result: FitResult) -> dict[str, Estimate]:
+    """Sums of confounded parameters that the trials do determine."""
+    return {
+        c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
+        for c in combinations(result)
+    }
+
+
+def prepare(
+    experiment: Experiment,
+    output: Path | None,
+    *,
+    parameters: Sequence[Parameter] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    also: Sequence[Path] = (),
+) -> tuple[Parameter, ...]:
+    """The parameters to fit with the user's choices, once the output is known to be writable.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter, optional
+        Default those of the experiment's model.
+    also : sequence of Path
+        Inputs besides the experiment's own that the output must not replace.
+
+    Raises
+    ------
+    InputError, UsageError
+    """
+    if output is not None:
+        atomic.check_writable(output, inputs=(*experiment.inputs, *also))
+    return chosen(
+        tuple(parameters or experiment.model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds
     )
 
 

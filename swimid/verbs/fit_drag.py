@@ -17,11 +17,11 @@ from swimid.estimators.profile import profile_interval
 from swimid.estimators.residual_tests import fit_autoregression
 from swimid.experiments import rig as rig_experiment
 from swimid.experiments.base import Experiment
-from swimid.formats import atomic, provenance
 from swimid.formats import evidence as ev
+from swimid.formats import provenance
 from swimid.formats.parameters import Estimate, Fit, ParameterFile
 from swimid.models import theory
-from swimid.models.base import Parameter, Trial, chosen
+from swimid.models.base import Parameter, Trial
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.reporting import numbers
@@ -84,9 +84,7 @@ def fit_drag(
     """
     with recorded(repeat=True) as notices:
         experiment = rig_experiment.load(trials_file, coordinate=coordinate)
-        if output is not None:
-            atomic.check_writable(output, inputs=tuple(experiment.inputs))
-        choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed), bounds=bounds)
+        choices = fit_common.prepare(experiment, output, fixed=fixed, freed=freed, bounds=bounds)
         result, facts = _best_fit(experiment, choices, start_state, progress)
         profiles = _profiles(result, progress) if profile else {}
         pair = _two_point(experiment, points_m, insist=method == "two-point")

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from swimid.errors import UsageError
 from swimid.experiments import propulsion as experiment_module
-from swimid.formats import atomic, provenance
-from swimid.models.base import chosen
+from swimid.formats import provenance
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.verbs import fit_common, propulsion_cruise, propulsion_surge
@@ -54,9 +53,7 @@ def fit_propulsion(
     """
     with recorded(repeat=True) as notices:
         experiment = experiment_module.load(trials_file, drag=drag)
-        if output is not None:
-            atomic.check_writable(output, inputs=tuple(experiment.inputs))
-        choices = chosen(experiment.model.parameters, fixed=fixed, freed=tuple(freed))
+        choices = fit_common.prepare(experiment, output, fixed=fixed, freed=freed)
         settings = {
             "wake": wake,
             "keep_departures": keep_departures,

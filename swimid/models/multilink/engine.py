@@ -225,6 +225,10 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
 def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
     """Sums of wrenches and composite inertias; the passive joints' rows of the equations."""
     n = len(state) // 2
+    # joints on different branches do not meet; the last factorisation has filled their entries
+    for k in range(3, n):
+        for m in range(3, k):
+            matrix[k, m] = 0.0
     for i in range(topology.shape[0] - 1, 0, -1):
         k = topology[i, 2]
         if k >= 0:

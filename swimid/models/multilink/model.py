@@ -251,7 +251,9 @@ class MultilinkModel(Model):
 
     def refined(self) -> MultilinkModel:
         """The same model with half the integration step."""
-        return MultilinkModel(self.robot, max_step=0.5 * self.max_step)
+        finer = MultilinkModel(self.robot, max_step=0.5 * self.max_step)
+        finer.parameters = self.parameters
+        return finer
 
     # -------------------------------------------------------- simulation
 

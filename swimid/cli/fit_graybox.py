@@ -1,0 +1,128 @@
+"""``swimid fit-graybox``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.cli.parsing import bounded, named_number, named_word
+
+
+@click.command("fit-graybox")
+@click.argument("trials", type=click.Path(path_type=Path))
+@click.option("--fix", "fixed", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option(
+    "--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default."
+)
+@click.option("--bounds", multiple=True, metavar="NAME=LOW,HIGH", help="Change a parameter's bounds.")
+@click.option(
+    "--share",
+    multiple=True,
+    metavar="PREFIX",
+    help="One value for all coefficients of this name and a number (c_f: c_f0, c_f13, c_f4).",
+)
+@click.option(
+    "--channels",
+    metavar="A,B",
+    default="",
+    help="Columns to fit. Default: the pose where it is logged, else velocities; passive joints.",
+)
+@click.option(
+    "--start-state",
+    type=click.Choice(["auto", "rest", "estimate"]),
+    default="auto",
+    show_default=True,
+    help="Do trials start at rest at their first sample? auto: unless a log's first stretch moves.",
+)
+@click.option(
+    "--start-from", "begin", type=click.Path(path_type=Path), help="Parameter file to start the search from."
+)
+@click.option(
+    "--loss",
+    type=click.Choice(["linear", "huber"]),
+    default="linear",
+    show_default=True,
+    help="huber: outliers pull less.",
+)
+@click.option(
+    "--starts",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Start from so many points in the bounds.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
+@click.option("--subset", is_flag=True, help="Hold what the trials cannot tell, until all the rest is known.")
+@click.option(
+    "--reading",
+    "readings",
+    multiple=True,
+    metavar="NAME=OPTION",
+    help="Read an ambiguity of the source otherwise.",
+)
+@click.option(
+    "--dt",
+    "max_step",
+    type=click.FloatRange(0, min_open=True),
+    default=0.005,
+    show_default=True,
+    help="Integration step, s.",
+)
+@click.option("--jobs", type=click.IntRange(1), help="Threads; default one per processor.")
+@shared_options("Parameter file to write (YAML).")
+def command(
+    trials: Path,
+    fixed: tuple[str, ...],
+    freed: tuple[str, ...],
+    bounds: tuple[str, ...],
+    share: tuple[str, ...],
+    channels: str,
+    start_state: str,
+    begin: Path | None,
+    loss: str,
+    starts: int,
+    seed: int,
+    subset: bool,
+    readings: tuple[str, ...],
+    max_step: float,
+    jobs: int | None,
+    shared: Shared,
+) -> None:
+    """Identify the coefficients of a multi-link swimmer.
+
+    TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
+    dolphin, or a robot file of your own. Ctrl-C keeps the best point so far.
+
+    \b
+    Examples:
+      swimid fit-graybox trials.yaml -o tfish.yaml
+      swimid fit-graybox trials.yaml --share c_f --starts 8 -o tfish.yaml
+      swimid fit-graybox trials.yaml --channels u_m_s,yaw_rate_rad_s --free d_p -o tfish.yaml
+    """
+    with running("fit-graybox", shared) as run:
+        protect(shared.output, shared, inputs=(trials,))
+        from swimid.verbs.fit_graybox import fit_graybox
+
+        run.finish(
+            fit_graybox(
+                trials,
+                output=shared.output,
+                fixed=named_number(fixed, "--fix"),
+                freed=freed,
+                bounds=bounded(bounds, "--bounds"),
+                share=share,
+                channels=[c.strip() for c in channels.split(",") if c.strip()],
+                start_state=start_state,
+                begin=begin,
+                loss=loss,  # type: ignore[arg-type]
+                starts=starts,
+                seed=seed,
+                subset=subset,
+                readings=named_word(readings, "--reading"),
+                max_step=max_step,
+                jobs=jobs,
+                progress=run.progress,
+            )
+        )

@@ -1,0 +1,58 @@
+"""Trials of a black-box model from one input column to one output column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from swimid.errors import InputError
+from swimid.experiments.base import Experiment, read_log
+from swimid.formats import trials as trials_format
+from swimid.formats.parameters import ParameterFile
+from swimid.formats.trials import Arma as ArmaTrials
+from swimid.models.arx import Arma
+from swimid.models.base import Trial
+
+
+def model_of(file: ParameterFile, path: Path) -> Arma:
+    """The model a parameter file holds.
+
+    Raises
+    ------
+    InputError
+        With the file's name, when it lacks delay, sample time or coefficients.
+    """
+    try:
+        return Arma.from_file(file)
+    except InputError as error:
+        raise InputError(error.reason, file=path, column=error.column, hint=error.hint) from error
+
+
+def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experiment:
+    """Read trials of the experiment ``arma`` for the model of a parameter file.
+
+    Input and output are the columns the model was fitted with.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in the trials file, the parameter file or a log.
+    """
+    path = Path(path)
+    entries = trials_format.read(path, ArmaTrials)
+    robot = trials_format.robot_of(entries, path)
+    model = model_of(file, parameters_path)
+    wanted = [model.output] if model.sine else [model.source, model.output]
+    trials, logs = [], []
+    for entry in entries.trials:
+        log = read_log(entry, path.parent, required=tuple(wanted))
+        logs.append(log.path)
+        trials.append(
+            Trial(
+                entry.id,
+                entry.role,
+                log.time_s,
+                {model.output: log[model.output]},
+                inputs={} if model.sine else {model.source: log[model.source]},
+            )
+        )
+    return Experiment("arma", robot, model, trials, [path, *logs])

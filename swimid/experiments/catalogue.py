@@ -1,0 +1,176 @@
+"""Any trials file, with any parameter file, as one experiment."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from swimid.errors import InputError
+from swimid.experiments import arma, multilink, propulsion, rig
+from swimid.experiments.applied import Applied
+from swimid.experiments.base import Experiment
+from swimid.formats import parameters as parameters_format
+from swimid.formats import robot as robot_format
+from swimid.formats import trials as trials_format
+from swimid.formats.parameters import ParameterFile
+from swimid.models.multilink.model import DEFAULT_STEP
+from swimid.models.propulsion import RecoilModel, SurgeModel
+
+#: Experiments whose trials tell each model's parameters.
+EXPERIMENTS = {
+    "multilink": ("free-swim", "multibody"),
+    "falling-weight": ("falling-weight",),
+    "towed": ("towed",),
+    "free-decay": ("free-decay",),
+    RecoilModel.name: ("cruise",),
+    SurgeModel.name: ("free-swim",),
+    "arma": ("arma",),
+}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """An experiment and the parameters to simulate it with."""
+
+    experiment: Experiment
+    applied: Applied
+
+
+def read_parameters(path: str | Path) -> ParameterFile:
+    """A parameter file of any model that can be simulated.
+
+    Raises
+    ------
+    InputError
+        When it is none, or of a model that is not known.
+    """
+    return parameters_format.read(path, model=tuple(EXPERIMENTS))
+
+
+def load(
+    trials_file: str | Path,
+    parameters: str | Path,
+    *,
+    robot: str | None = None,
+    chosen: dict[str, float] | None = None,
+    readings: dict[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+) -> Loaded:
+    """A trials file of any experiment as the model of a parameter file, and its values.
+
+    Parameters
+    ----------
+    trials_file, parameters : path
+    robot : str, optional
+        Accept the parameters for this robot although the file names another one.
+    chosen : dict of str to float, optional
+        Values that win over the file's.
+    readings : dict, optional
+        Readings of the robot's source over those of the parameter file.
+    max_step : float, s
+        Integration step of a multi-link robot.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in one of the files: another experiment than the parameters' model
+        describes, another robot, missing columns.
+    """
+    trials_path, path = Path(trials_file), Path(parameters)
+    file = read_parameters(path)
+    entries = trials_format.read(trials_path)
+    if entries.experiment not in EXPERIMENTS[file.model]:  # type: ignore[attr-defined]
+        raise InputError(
+            f"holds trials of the experiment '{entries.experiment}'; parameters of the model "  # type: ignore[attr-defined]
+            f"'{file.model}' describe: {', '.join(EXPERIMENTS[file.model])}",
+            file=trials_path,
+            column="experiment",
+        )
+    _check_robot(entries.robot, trials_path, file, path, robot)
+    if file.model == "multilink":
+        options = {**dict(file.settings.get("readings", {})), **(readings or {})}
+        experiment = multilink.load(trials_path, readings=options, max_step=max_step)
+    elif file.model in ("falling-weight", "towed", "free-decay"):
+        experiment = _rig(trials_path, file)
+    elif file.model == "arma":
+        experiment = arma.load(trials_path, file, path)
+    else:
+        experiment = _propulsion(trials_path, file, path)
+    experiment = replace(experiment, inputs=[*experiment.inputs, path])
+    return Loaded(experiment, Applied(experiment.model, file, path, chosen or {}))
+
+
+def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
+    """Name or file of the robot a parameter file is of, and the folder that is relative to.
+
+    Raises
+    ------
+    InputError
+        When neither the file nor the user names one.
+    """
+    if robot is not None:
+        return robot, None
+    if file.robot is None:
+        raise InputError("this key is missing", file=path, column="robot", hint="give the robot: --robot")
+    return file.robot, path.parent
+
+
+def _check_robot(
+    name: str, trials_path: Path, file: ParameterFile, path: Path, accepted: str | None
+) -> None:
+    """Refuse the parameters of one robot for the trials of another."""
+    mine = robot_format.read(name, trials_path.parent).name
+    if file.robot is None or accepted is not None:
+        return
+    if file.robot in (mine, name):
+        return
+    try:
+        theirs = robot_format.read(file.robot, path.parent).name
+    except InputError:
+        theirs = Path(file.robot).stem
+    if theirs != mine:
+        raise InputError(
+            f"these are the parameters of the robot '{theirs}'; the trials in {trials_path.name} are of "
+            f"'{mine}'",
+            file=path,
+            column="robot",
+        )
+
+
+def _rig(trials_path: Path, file: ParameterFile) -> Experiment:
+    coordinate = None
+    if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
+        coordinate = next(iter(file.fit.channels))
+    experiment = rig.load(trials_path, coordinate=coordinate)
+    rounding = file.settings.get("encoder_rounding")
+    if rounding in experiment.variants:
+        experiment = replace(experiment, trials=experiment.variants[str(rounding)])
+    return experiment
+
+
+def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experiment:
+    drag = file.settings.get("drag_file")
+    given = trials_format.read(trials_path)
+    named: Any = getattr(given, "drag", None)
+    if file.model == RecoilModel.name and drag is not None and named is None:
+        # as the fit named it, relative to where it ran; else beside the parameter file
+        places = [Path(str(drag)), path.parent / Path(str(drag)).name]
+        found = next((p for p in places if p.is_file()), None)
+        if found is None:
+            raise InputError(
+                f"the drag file {drag} it was made with is not there",
+                file=path,
+                column="settings.drag_file",
+                hint="name it as 'drag' in the trials file",
+            )
+        return propulsion.load(trials_path, drag=os.fspath(found))
+    experiment = propulsion.load(trials_path)
+    model = experiment.model
+    if isinstance(model, SurgeModel):
+        for key in ("reference_amplitude_rad", "reference_frequency_hz"):
+            if key not in file.settings:
+                raise InputError("this key is missing", file=path, column=f"settings.{key}")
+            setattr(model, key, float(file.settings[key]))
+    return experiment
