@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.generators import cruise, longfin, pool_video, rig
+from tests.generators import cruise, longfin, pool_video, rig, swimmer
 
 
 def main(folder: Path) -> None:
@@ -14,6 +14,7 @@ def main(folder: Path) -> None:
     cruise.write_sample(folder / "cruise")
     longfin.write_sample(folder / "longfin")
     pool_video.write_sample(folder / "pool")
+    swimmer.write_sample(folder / "tfish")
 
 
 if __name__ == "__main__":

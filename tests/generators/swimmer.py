@@ -485,6 +485,7 @@ def write_trials(
     columns: Sequence[str] | None = None,
     robot: str | None = None,
     with_drive: bool = True,
+    decimals: int | None = None,
 ) -> Path:
     """Write one log per run, with white noise, and the trials file over them.
 
@@ -504,6 +505,8 @@ def write_trials(
     robot : str, optional
     with_drive : bool
         Whether the trials file says what drove the joints; else the logged joints do.
+    decimals : int, optional
+        Of every column.
 
     Returns
     -------
@@ -525,7 +528,7 @@ def write_trials(
             delimiter=",",
             header=header,
             comments="",
-            fmt="%.10g",
+            fmt="%.10g" if decimals is None else f"%.{decimals}f",
         )
         lines.append(f"  - id: {run.id}\n    log: {run.id}.csv\n    role: {run.role}")
         if with_drive:
@@ -534,3 +537,32 @@ def write_trials(
     path = folder / "trials.yaml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+#: Coefficients of the sample fish: not those of the robot file, which a fit must not merely return.
+SAMPLE = {
+    "c_ma": 1.0,
+    "c_Ia": 1.45,
+    "c_d0": 4.1,
+    "c_d13": 0.35,
+    "c_d4": 5.2,
+    "c_f0": 0.016,
+    "c_f13": 0.012,
+    "c_f4": 0.011,
+}
+SAMPLE_NOISE = {"x_m": 0.002, "y_m": 0.002, "yaw_rad": np.radians(0.5)}
+
+
+def write_sample(folder: Path) -> None:
+    """Five 12 s runs of a tendon fish under a camera, one of them held out."""
+    runs = []
+    for name, frequency, amplitude, bias, role in (
+        ("f10a20", 1.0, 20, 0, "fit"),
+        ("f10a30b10", 1.0, 30, 10, "fit"),
+        ("f14a25", 1.4, 25, 0, "fit"),
+        ("f18a20b15", 1.8, 20, -15, "fit"),
+        ("f14a20", 1.4, 20, 0, "validate"),
+    ):
+        drive = {"frequency_hz": frequency, "amplitude_deg": amplitude, "bias_deg": bias}
+        runs.append(Run(name, drive, simulate("tfish", SAMPLE, drive, 12.0, 25.0), role))
+    write_trials(folder, "tfish", runs, SAMPLE_NOISE, 20261121, columns=list(SAMPLE_NOISE), decimals=4)
