@@ -21,7 +21,7 @@ from swimid.formats import provenance
 from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Model, Parameter
-from swimid.models.multilink.model import DEFAULT_STEP
+from swimid.models.multilink.model import DEFAULT_STEP, PLANES
 from swimid.models.tied import Tied, groups_by_prefix
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
@@ -149,7 +149,7 @@ def fit_graybox(
         verdict=fit_common.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=_tables(experiment, result, ends),
-        figures=fit_common.figures(result),
+        figures=[*_track(experiment, result), *fit_common.figures(result)],
         notices=fit_common.notices(notices),
         methods=_methods(experiment, result, ends, left_out),
         references=list(experiment.robot.sources),
@@ -238,6 +238,38 @@ def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Pa
         return name
     folder = output.parent if output else Path(trials_file).parent
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
+
+
+def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
+    """The paths in the plane of motion, where the pose was fitted."""
+    body = experiment.robot.multilink
+    assert body is not None
+    across, along = PLANES[body.plane].pose[:2]
+    traces = []
+    for group, trial in enumerate(t.id for t in result.trials):
+        series = {s.channel: s for s in result.series if s.trial == trial}
+        if across not in series or along not in series:
+            continue
+        held_out = ", held out" if series[across].role == "validate" else ""
+        for style, part in (("points", "measured"), ("line" if not held_out else "dashed", "simulated")):
+            x, y = getattr(series[across], part), getattr(series[along], part)
+            step = max(len(x) // 200, 1) if style == "points" else 1
+            label = f"{trial}{held_out}" if style == "points" else ""
+            traces.append(ev.Trace(x=x[::step], y=y[::step], style=style, label=label, group=group))
+    if not traces:
+        return []
+    view = "from above" if body.plane == "horizontal" else "from the side"
+    panel = ev.Panel(
+        x_label=f"{across[:-2]} (m)", y_label=f"{along[:-2]} (m)", traces=traces, equal_aspect=True
+    )
+    return [
+        ev.Figure(
+            id="track",
+            title=f"Paths {view}",
+            caption="Points are measured, lines simulated with the estimated parameters.",
+            panels=[panel],
+        )
+    ]
 
 
 def _starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
@@ -382,7 +414,10 @@ def _scores(file: ParameterFile) -> list[str]:
     lines = []
     for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
         for channel, score in block.items():
-            rmse, nrmse = numbers.number(score["rmse"], 3, score["unit"]), numbers.number(100 * score["nrmse"], 3)
+            rmse, nrmse = (
+                numbers.number(score["rmse"], 3, score["unit"]),
+                numbers.number(100 * score["nrmse"], 3),
+            )
             vaf = numbers.number(100 * score["vaf"], 4)
             lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse} %, VAF {vaf} %")
     return lines
