@@ -50,6 +50,12 @@ CODES: dict[str, str] = {
     "SWM050": "evidence of a result is missing",
     "SWM051": "figure reduced to fewer points",
     "SWM052": "evidence is that of another run",
+    "SWM053": "a value lies outside its bounds",
+    "SWM054": "the drive is not one a swimmer has, or is not resolved",
+    "SWM055": "uncertainty of a parameter not carried along",
+    "SWM056": "start state of a trial not found",
+    "SWM060": "the target of an export cannot carry something",
+    "SWM061": "exported added mass may make the simulator unstable",
 }
 
 

@@ -25,9 +25,10 @@ ALLOWED = {
     "tracking": {"tracking", "signals", "formats", *BASE},
     "reporting": {"reporting", "formats", *BASE},
     "experiments": {"experiments", "estimators", "models", "signals", "formats", *BASE},
+    "exporters": {"exporters", "models", "signals", "formats", *BASE},
     "robots": set(),
 }
-ALLOWED["verbs"] = {"verbs", *ALLOWED["experiments"], "tracking", "reporting"}
+ALLOWED["verbs"] = {"verbs", *ALLOWED["experiments"], "tracking", "reporting", "exporters"}
 ALLOWED["cli"] = {"cli", "verbs", "formats", *BASE}
 
 

@@ -5,13 +5,25 @@ from __future__ import annotations
 import click
 
 import swimid
-from swimid.cli import doctor, fit_drag, fit_graybox, fit_propulsion, report, rwls, schema, track
+from swimid.cli import (
+    doctor,
+    export,
+    fit_drag,
+    fit_graybox,
+    fit_propulsion,
+    report,
+    rwls,
+    schema,
+    simulate,
+    track,
+)
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track"]),
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
-    ("Publish", ["report"]),
+    ("Simulate and compare", ["simulate"]),
+    ("Publish", ["report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
 
@@ -50,7 +62,9 @@ for command in (
     fit_propulsion.command,
     rwls.command,
     fit_graybox.command,
+    simulate.command,
     report.command,
+    export.command,
     schema.command,
     doctor.command,
 ):
