@@ -22,6 +22,13 @@ class Progress(Protocol):
         ...
 
 
+def show(step: Step, text: str) -> None:
+    """Put a remark beside a running bar, where whoever draws it has a ``note(text)`` for that."""
+    note = getattr(step, "note", None)
+    if note is not None:
+        note(text)
+
+
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
     """The progress nobody sees: the default of every library function."""
 

@@ -250,6 +250,19 @@ def _ours(path: Path) -> bool:
     return not head or b"swimid" in head or b"swimid" in tail
 
 
+class _RichStep:
+    """A running bar: call it to advance, note what stands beside it."""
+
+    def __init__(self, bars: Any, task: Any, description: str) -> None:
+        self._bars, self._task, self._description = bars, task, description
+
+    def __call__(self, amount: int = 1) -> None:
+        self._bars.advance(self._task, amount)
+
+    def note(self, text: str) -> None:
+        self._bars.update(self._task, description=f"{self._description}: {text}")
+
+
 @contextmanager
 def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]:
     from rich.console import Console
@@ -272,7 +285,4 @@ def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]
     with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task(description, total=total)
 
-        def step(amount: int = 1) -> None:
-            bars.advance(task, amount)
-
-        yield step
+        yield _RichStep(bars, task, description)

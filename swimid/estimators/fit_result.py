@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class FitResult:
         One per estimated number; a per-trial parameter appears as ``name[trial]``.
     estimate : ndarray, shape (p,)
     covariance : ndarray, shape (p, p)
-        Rows of parameters at a bound or not identifiable are NaN.
+        Rows of parameters at a bound, and of those the trials do not see at all, are NaN.
     status : dict of label to str
         ``estimated``, ``at-bound`` or ``unidentifiable``.
     series : list of Series
@@ -90,6 +91,21 @@ class FitResult:
     step_error : float
         Largest change of a simulated sample when the integration step is halved, in standard
         deviations of its noise.
+    interrupted : bool
+        The search was stopped early; the estimate is the best it had come to.
+    cost : float
+        Mean squared residual, averaged geometrically over channels of different units: the
+        exponential of twice the negative log-likelihood per sample, less one. It can be
+        compared between fits of the same samples, whatever their weights.
+    information_root : ndarray, shape (q, p)
+        ``information_root' information_root`` is the inverse of the covariance, also where
+        that is singular; columns of parameters that their bound holds are NaN.
+    loss : str
+        ``linear`` or ``huber``.
+    jacobians : int
+        Derivatives of all residuals taken.
+    start_states : mapping of label to float
+        Per-trial parameters of validation trials, estimated from them with the shared ones held.
     """
 
     model: Model
@@ -108,6 +124,12 @@ class FitResult:
     message: str
     evaluations: int
     step_error: float = 0.0
+    interrupted: bool = False
+    cost: float = math.nan
+    information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
+    loss: str = "linear"
+    jacobians: int = 0
+    start_states: Mapping[str, float] = field(default_factory=dict)
 
     def stderr(self, label: str) -> float | None:
         """Standard error of one estimate, or None where there is none."""
@@ -122,6 +144,8 @@ class FitResult:
         label = name if trial is None else f"{name}[{trial}]"
         if label in self.labels:
             return float(self.estimate[self.labels.index(label)])
+        if label in self.start_states:
+            return self.start_states[label]
         return next(p.start for p in self.parameters if p.name == name)
 
     def values(self, trial: str) -> Array:

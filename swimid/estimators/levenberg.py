@@ -49,6 +49,7 @@ def minimise(
     scale: Array,
     tolerance: float = 1e-10,
     max_iterations: int = 200,
+    watch: Callable[[Array, float, int], None] | None = None,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -60,6 +61,9 @@ def minimise(
         ``scale`` is the typical size of each parameter.
     tolerance : float
         Stop when neither the cost nor the parameters change by more than this, relatively.
+    watch : callable, optional
+        Called with the parameters, their cost and the iteration at the start and after every
+        step that lowers the cost.
 
     Returns
     -------
@@ -79,6 +83,8 @@ def minimise(
     cost = float(r @ r)
     if not np.isfinite(cost):
         return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
+    if watch is not None:
+        watch(x, cost, 0)
     damping, growth = -1.0, 2.0
     for iteration in range(1, max_iterations + 1):
         rows = jacobian(x) * scale
@@ -109,6 +115,8 @@ def minimise(
                 growth = 2.0
                 done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
                 x, r, cost = moved, candidate, new_cost
+                if watch is not None:
+                    watch(x, cost, iteration)
                 if done or small:
                     return Solution(x, cost, True, "cost and parameters no longer change", iteration)
                 break

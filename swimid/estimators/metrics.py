@@ -71,3 +71,119 @@ def score(measured: Array, simulated: Array) -> Score:
         bias=float(np.mean(e)),
         samples=len(y),
     )
+
+
+def rms_error(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Root-mean-square error, and that over the measured range (Eq 13 of the T-Fish paper).
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,)
+        Samples missing in either are left out.
+
+    Returns
+    -------
+    (absolute, normalised)
+        In the channel's unit, and without one.
+
+    >>> rms_error(np.array([0.0, 1.0, 4.0, 1.0]), np.array([1.0, 2.0, 3.0, 0.0]))
+    (1.0, 0.25)
+    """
+    whole = score(measured, simulated)
+    return whole.rmse, whole.nrmse
+
+
+def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,)
+        Samples missing in either are left out.
+
+    Returns
+    -------
+    (absolute, normalised)
+        In the channel's unit, and without one.
+
+    >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
+    (1.0, 0.25)
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan, np.nan
+    peak = float(np.max(np.abs(y)))
+    error = abs(peak - float(np.max(np.abs(z))))
+    return error, error / peak if peak > 0 else np.nan
+
+
+def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
+    """Dynamic-time-warping distance per sample: the RMSE left when time may be stretched a little.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,)
+        On one clock of even steps. Samples missing in either are left out.
+    band : int
+        By how many samples the two may be shifted at most (Sakoe and Chiba, 1978). With 0 the
+        distance is the RMSE; it never exceeds it.
+
+    Returns
+    -------
+    float
+        In the channel's unit: root of the least sum of squares over n.
+
+    >>> late = np.array([0.0, 0.0, 1.0, 0.0])
+    >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
+    0.0
+    >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
+    0.707
+    """
+    from dtaidistance import dtw  # type: ignore[import-untyped]
+
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan
+    # its window counts the diagonal
+    return float(dtw.distance_fast(y, z, window=int(band) + 1)) / math.sqrt(len(y))
+
+
+def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
+    """Phase of the simulation ahead of the measurement at one frequency.
+
+    Parameters
+    ----------
+    measured, simulated, time_s : ndarray, shape (n,)
+        Samples missing in either are left out; the time steps may be uneven.
+    frequency_hz : float
+        The beat's. A sine of this frequency, a constant and a trend are fitted to both.
+
+    Returns
+    -------
+    float
+        Radian, in (-pi, pi]; positive where the simulation is early. NaN where a series
+        has no part at that frequency, or fewer than five samples.
+
+    >>> t = np.linspace(0.0, 4.0, 200)
+    >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
+    >>> round(phase_error(np.sin(2 * np.pi * t) + 0.1 * t, early, t, frequency_hz=1.0), 6)
+    0.5
+    """
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    t = np.asarray(time_s)[there]
+    if len(t) < 5:
+        return np.nan
+    angle = 2 * np.pi * frequency_hz * t
+    design = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(t), t - t.mean()))
+    both = np.column_stack((measured[there], simulated[there]))
+    cosine, sine = np.linalg.lstsq(design, both, rcond=None)[0][:2]
+    # A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB))
+    phasor = cosine - 1j * sine
+    if np.any(np.abs(phasor) <= 1e-12 * np.max(np.abs(both), axis=0)):
+        return np.nan
+    return float(np.angle(phasor[1] / phasor[0]))
+
+
+def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]

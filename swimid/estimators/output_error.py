@@ -10,29 +10,41 @@ Works for every :class:`swimid.models.base.Model`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import noise as noise_model
 from swimid.estimators import sandwich
 from swimid.estimators.fit_result import FitResult, Noise, Series
-from swimid.estimators.levenberg import Solution
 from swimid.estimators.problem import Problem
 from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.progress import Progress, silent
+from swimid.progress import Progress, show, silent
 
 #: A standard error above this share of a parameter's size makes it unidentifiable.
 UNIDENTIFIABLE = 0.5
-#: Rounds of weighting by the noise model.
-ROUNDS = 4
+#: Rounds of weighting by the noise model, at most, and the change of weights that ends them.
+ROUNDS = 12
+SETTLED = 0.01
+#: Relative tolerance of the cost while the weights still change, and at the end.
+COARSE, FINE = 1e-3, 1e-10
+#: An estimate at its bound that would lie beyond it by at most this many standard errors may
+#: be there by noise alone.
+BY_NOISE = 2.0
+#: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
+CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
 #: standard deviations of its noise, at most so many times.
 STEP_ERROR = 0.1
 MAX_REFINEMENTS = 6
+
+Loss = Literal["linear", "huber"]
 
 
 def fit(
@@ -41,6 +53,9 @@ def fit(
     *,
     parameters: Sequence[Parameter] | None = None,
     progress: Progress = silent,
+    jobs: int | None = None,
+    loss: Loss = "linear",
+    begin: Array | None = None,
 ) -> FitResult:
     """Estimate the free parameters of a model from all fit trials at once.
 
@@ -52,10 +67,21 @@ def fit(
     parameters : sequence of Parameter, optional
         The model's with the user's choices applied
         (:func:`swimid.models.base.chosen`); default the model's own.
+    jobs : int, optional
+        Threads for simulations that take long, by default one per processor. The result does
+        not depend on it. ``model.simulate`` must then be safe to call from several at once.
+    loss : {"linear", "huber"}
+        Huber's loss keeps outliers from pulling the estimate; the size of the noise is then
+        the median absolute deviation.
+    begin : ndarray, shape (p,), optional
+        Where the search starts, one number per label of the result; default the parameters'
+        start values.
 
     Returns
     -------
     FitResult
+        Ctrl-C during the search stops it: the result is then the best point so far, not
+        converged. A second Ctrl-C raises KeyboardInterrupt.
 
     Raises
     ------
@@ -64,21 +90,22 @@ def fit(
 
     Notes
     -----
-    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method, reweighted
-    :data:`ROUNDS` times by the estimated noise. Covariance ``H^-1 M H^-1`` with ``H = J'J``
+    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method, reweighted by the
+    estimated noise until the weights settle. Covariance ``H^-1 M H^-1`` with ``H = J'J``
     and ``M = sum_trials J_k' R J_k``, R the correlation of the weighted residuals under an
-    autoregression chosen by BIC; multiplied by the trials' scatter where they disagree.
+    autoregression chosen by BIC; multiplied by the trials' scatter where they disagree. A
+    parameter that its bound may hold by noise alone counts as free in it.
     """
     parameters = tuple(parameters or model.parameters)
     for _ in range(MAX_REFINEMENTS):
-        result = _fit_once(model, trials, parameters, progress)
+        result = _fit_once(model, trials, parameters, progress, jobs or os.cpu_count() or 1, loss, begin)
         finer = model.refined()
-        if finer is None:
+        if finer is None or result.interrupted:
             return result
         result = replace(result, step_error=_step_error(result, finer))
         if result.step_error <= STEP_ERROR:
             return result
-        model = finer
+        model, begin = finer, result.estimate
     return result
 
 
@@ -95,84 +122,153 @@ def _step_error(result: FitResult, finer: Model) -> float:
 
 
 def _fit_once(
-    model: Model, trials: Sequence[Trial], parameters: tuple[Parameter, ...], progress: Progress
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    progress: Progress,
+    jobs: int,
+    loss: Loss,
+    begin: Array | None,
 ) -> FitResult:
     fitted = [t for t in trials if t.role == "fit"]
     if not fitted:
         raise NoTrustworthyResult("no trial has the role 'fit'")
-    problem = Problem(model, parameters, fitted)
-    theta = problem.start
+    problem = Problem(model, parameters, fitted, jobs=jobs)
+    start = problem.start if begin is None else np.clip(begin, problem.lower, problem.upper)
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    if samples <= len(theta):
+    if samples <= len(start):
         raise NoTrustworthyResult(
-            f"{samples} samples cannot determine {len(theta)} unknowns",
+            f"{samples} samples cannot determine {len(start)} unknowns",
             hint="give longer logs or more trials, or fix some parameters",
         )
-    noise: dict[str, tuple[float, float]] = {}
-    # equal weights everywhere stay equal: one round is enough
-    even = len({c for names in problem.channels for c in names}) == 1 and not any(
-        t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted
-    )
-    rounds = 1 if even else ROUNDS
-    with progress("fitting", total=rounds) as step:
-        for round_ in range(rounds):
-            if round_:
-                noise = noise_model.estimate(problem, theta, noise)
-            else:
-                noise_model.weigh_first(problem, even)
-            previous = theta
-            solution = problem.solve(theta, tolerance=1e-6 if round_ < rounds - 1 else 1e-10)
-            theta = solution.x
-            step()
-            if round_ > 1 and np.all(
-                np.abs(theta - previous) <= 1e-7 * np.maximum(np.abs(theta), problem.scale)
-            ):
-                break
-    noise = noise_model.estimate(problem, theta, noise)
-    if not solution.success or not np.isfinite(theta).all():
+    try:
+        search = _Search(problem, start, loss)
+        search.run(progress)
+        _insist(problem, search)
+        noise = noise_model.estimate(problem, search.theta, search.noise, robust=loss == "huber")
+        return _result(problem, search, noise, parameters, tuple(trials), loss)
+    finally:
+        problem.close()
+
+
+@dataclass
+class _Search:
+    """The search for the minimum, reweighted by the noise until the weights settle."""
+
+    problem: Problem
+    theta: Array
+    loss: Loss
+    converged: bool = False
+    interrupted: bool = False
+    message: str = ""
+    iterations: int = 0
+
+    def __post_init__(self) -> None:
+        self.noise: dict[str, tuple[float, float]] = {}
+
+    def run(self, progress: Progress) -> None:
+        """Search until done or interrupted once there is a point to keep."""
+        fitted = self.problem.trials
+        # equal weights everywhere stay equal: one round is enough
+        even = (
+            self.loss == "linear"
+            and len({c for names in self.problem.channels for c in names}) == 1
+            and not any(t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted)
+        )
+        rounds = 1 if even else ROUNDS
+        noise_model.weigh_first(self.problem, even)
+        try:
+            with progress("fitting", total=rounds) as step:
+                for round_ in range(rounds):
+                    settled = round_ == rounds - 1 or (round_ > 0 and self._reweigh() < SETTLED)
+                    self._solve(FINE if settled else COARSE, lambda text: show(step, text))
+                    step()
+                    if settled:
+                        break
+        except KeyboardInterrupt:
+            if not self.message:
+                raise
+            self.interrupted, self.converged = True, False
+            self.message = f"interrupted after {self.iterations} iterations"
+
+    def _reweigh(self) -> float:
+        """Estimate the noise anew; the largest relative change of a weight."""
+        _insist_unbroken(self.problem, self.theta)
+        before = noise_model.weights(self.problem)
+        self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
+        return noise_model.far_apart(self.problem, before)
+
+    def _solve(self, tolerance: float, tell: Callable[[str], None]) -> None:
+        done = self.iterations
+
+        def watch(x: Array, cost: float, iteration: int) -> None:
+            self.theta, self.iterations, self.message = x, done + iteration, "searching"
+            tell(f"iteration {self.iterations}, cost {cost:.5g}")
+
+        solution = self.problem.solve(self.theta, tolerance=tolerance, watch=watch)
+        self.theta, self.iterations = solution.x, done + solution.iterations
+        self.converged, self.message = solution.success, solution.message
+
+
+def _insist(problem: Problem, search: _Search) -> None:
+    """Raise where there is nothing to go on from."""
+    if not (search.converged or search.interrupted) or not np.isfinite(search.theta).all():
         raise NoTrustworthyResult(
-            f"the fit did not converge: {solution.message}",
+            f"the fit did not converge: {search.message}",
             hint="check units and trial settings, or hold a parameter with --fix",
         )
-    return _result(problem, theta, noise, solution, parameters, tuple(trials))
+    _insist_unbroken(problem, search.theta)
+
+
+def _insist_unbroken(problem: Problem, theta: Array) -> None:
+    broken = problem.broken(theta)
+    if broken:
+        raise NoTrustworthyResult(
+            f"the simulation breaks down at the best point found, in {', '.join(broken)}",
+            hint="check units and trial settings, or start from other values",
+        )
 
 
 def _result(
     problem: Problem,
-    theta: Array,
+    search: _Search,
     noise: dict[str, tuple[float, float]],
-    solution: Solution,
     parameters: tuple[Parameter, ...],
     trials: tuple[Trial, ...],
+    loss: Loss,
 ) -> FitResult:
-    jacobians = problem.trial_jacobians(theta, central=True)
-    residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    samples = sum(len(r) for r in residuals)
-    margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
-    at_bound = (theta - problem.lower < margin) | (problem.upper - theta < margin)
-    free = ~at_bound
+    theta = search.theta
+    raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
+    samples = sum(len(r) for r in raw)
+    jacobians = problem.trial_jacobians(theta, central=samples * len(theta) <= CENTRAL_NUMBERS)
+    residuals, factors = noise_model.influence(problem, raw)
+    rows = [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
     autoregressions = noise_model.autoregressions(problem, residuals)
+    margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
+    outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
+    outward[problem.upper - theta < margin] = 1.0
+    free, found = _by_noise(problem, rows, residuals, autoregressions, outward)
     covariance = np.full((len(theta), len(theta)), np.nan)
-    scatter, scatter_p = 1.0, 1.0
+    root = np.full((int(free.sum()), len(theta)), np.nan)
     null = np.zeros(len(theta), dtype=bool)
-    if free.any():
-        rows = [j[:, free] * problem.scale[free] for j in jacobians]
-        correlated = sandwich.correlated_rows(problem, rows, autoregressions)
-        part, null_part, scatter, scatter_p = sandwich.covariance(rows, correlated, residuals)
+    if found is not None:
+        scale = problem.scale[free]
         # Student's t for few samples: the standard error is that whose 1.96-fold covers 95 %
         few = float(stats.t.ppf(0.975, max(samples - int(free.sum()), 1)) / stats.norm.ppf(0.975))
-        covariance[np.ix_(free, free)] = few**2 * part * np.outer(problem.scale[free], problem.scale[free])
-        null[np.flatnonzero(free)[null_part]] = True
+        covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
+        root[:, free] = found.root / few / scale
+        null[free] = found.null
     status = {}
     for j, label in enumerate(problem.labels):
         variance = covariance[j, j]
         limit = UNIDENTIFIABLE * max(abs(theta[j]), problem.scale[j])
-        if at_bound[j]:
+        known = not null[j] and math.isfinite(variance) and math.sqrt(max(variance, 0.0)) <= limit
+        if outward[j] and (known or not free[j]):
             status[label] = "at-bound"
-        elif null[j] or not math.isfinite(variance) or math.sqrt(max(variance, 0.0)) > limit:
-            status[label] = "unidentifiable"
         else:
-            status[label] = "estimated"
+            status[label] = "estimated" if known else "unidentifiable"
+    held = np.array([status[label] == "at-bound" for label in problem.labels], dtype=bool)
+    covariance[held] = covariance[:, held] = np.nan
     result = FitResult(
         model=problem.model,
         parameters=parameters,
@@ -186,21 +282,74 @@ def _result(
             c: Noise(noise_model.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in noise.items()
         },
-        scatter=scatter,
-        scatter_p=scatter_p,
+        scatter=1.0 if found is None else found.scatter,
+        scatter_p=1.0 if found is None else found.scatter_p,
         samples=samples,
-        converged=bool(solution.success),
-        message=str(solution.message),
+        converged=search.converged,
+        message=search.message,
         evaluations=problem.evaluations,
+        interrupted=search.interrupted,
+        cost=_cost(problem, raw),
+        information_root=root,
+        loss=loss,
+        jacobians=problem.jacobians,
     )
     return replace(result, series=_series(problem, result, trials))
 
 
+def _by_noise(
+    problem: Problem,
+    rows: list[Array],
+    residuals: list[Array],
+    autoregressions: dict[str, Array],
+    outward: Array,
+) -> tuple[NDArray[np.bool_], sandwich.Sandwich | None]:
+    """The parameters to take as free, and their covariance.
+
+    Those whose minimum without bounds lies well beyond the bound they are at are held by it.
+    The others at a bound may be there by noise alone: leaving them out would make what they
+    are confounded with look well known.
+    """
+    free = np.ones(len(outward), dtype=bool)
+    while free.any():
+        found = sandwich.sandwich(problem, [r[:, free] for r in rows], residuals, autoregressions)
+        sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
+        beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= BY_NOISE:
+            return free, found
+        free[np.flatnonzero(free)[worst]] = False
+    return free, None
+
+
+def _cost(problem: Problem, residuals: list[Array]) -> float:
+    """See :attr:`FitResult.cost`; ``residuals`` as weighted by the final noise model."""
+    total, count = 0.0, 0
+    for k, values in enumerate(residuals):
+        sds, dampings = (
+            np.concatenate([v[mask] for v, mask in zip(parts[k], problem.masks[k], strict=True)])
+            if parts[k]
+            else np.empty(0)
+            for parts in (problem.sd, problem.damping)
+        )
+        # under Huber's loss a far residual costs 2 c |r| - c^2; linear losses have no damping
+        far = dampings < 1
+        squares = np.where(far, 2 * values**2 - noise_model.CORNER**2, values**2)
+        total += float(np.sum(2 * np.log(sds) + squares))
+        count += len(values)
+    return float(np.exp(min(total / max(count, 1) - 1.0, 700.0)))
+
+
 def _series(problem: Problem, result: FitResult, trials: tuple[Trial, ...]) -> list[Series]:
     by_id = {t.id: k for k, t in enumerate(problem.trials)}
+    known = problem.simulations(result.estimate)
     series = []
     for trial in trials:
-        simulated = problem.model.simulate(result.values(trial.id), trial)
+        simulated = (
+            known[by_id[trial.id]]
+            if trial.id in by_id
+            else problem.model.simulate(result.values(trial.id), trial)
+        )
         for channel in (c.name for c in problem.model.channels if c.name in trial.measured):
             if trial.id in by_id and channel in problem.channels[by_id[trial.id]]:
                 k = by_id[trial.id]

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from swimid.estimators.levenberg import Solution, minimise
 from swimid.models.base import Array, Model, Parameter, Trial
 
+#: Simulations that take longer than this, s, are shared among threads.
+WORTH_A_THREAD = 3e-4
+#: Derivatives are taken anew once the parameters have moved by more than this many standard
+#: errors; an optimum found with the old ones is off by far less.
+NEAR = 0.01
+#: Weighted residual of a sample the model cannot simulate.
+BROKEN = 1e6
+#: Points whose simulations are kept.
+KEPT = 3
+
 
 class Problem:
     """Residuals and their derivatives as functions of the estimated numbers.
+
+    Simulations and derivatives are kept unweighted, so that a change of weights costs none.
 
     Attributes
     ----------
@@ -21,14 +35,23 @@ class Problem:
         Parameter of each number, and the trial it belongs to.
     channels : list of list of str
         Channels of each trial that hold samples.
-    masks, sd : list of list of ndarray, each shape (n_k,)
-        By trial and channel: where samples are, and their standard deviations.
+    masks, sd, damping : list of list of ndarray, each shape (n_k,)
+        By trial and channel: where samples are, their standard deviations, and the factor (at
+        most 1) by which a robust loss reduces a sample's residual.
+    evaluations, jacobians : int
+        Simulations of single trials so far, and derivatives of all residuals.
+    jobs : int
+        Threads among which simulations are shared when they take long; the results do not
+        depend on it. :meth:`close` ends them.
     """
 
-    def __init__(self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial]) -> None:
+    def __init__(
+        self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial], *, jobs: int = 1
+    ) -> None:
         self.model = model
         self.parameters = list(parameters)
         self.trials = list(trials)
+        self.jobs = jobs
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
@@ -38,7 +61,10 @@ class Problem:
         for index, parameter in enumerate(self.parameters):
             if not parameter.free:
                 continue
-            owners: list[int | None] = list(range(len(self.trials))) if parameter.per_trial else [None]
+            owners: list[int | None] = [None]
+            if parameter.per_trial:
+                held = [parameter.name in t.settings.get("held", ()) for t in self.trials]
+                owners = [k for k in range(len(self.trials)) if not held[k]]
             for owner in owners:
                 name = parameter.name
                 self.labels.append(name if owner is None else f"{name}[{self.trials[owner].id}]")
@@ -51,13 +77,26 @@ class Problem:
             [np.ones(len(t.time_s)) for _ in names]
             for t, names in zip(self.trials, self.channels, strict=True)
         ]
+        self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
         self.evaluations = 0
+        self.jacobians = 0
         self.base = np.array([p.start for p in self.parameters])
         self.lower = np.array([self.parameters[i].lower for i, _ in self.slots])
         self.upper = np.array([self.parameters[i].upper for i, _ in self.slots])
         self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
         starts = np.array([self.parameters[i].start for i, _ in self.slots])
         self.start = np.clip(starts, self.lower, self.upper)
+        self._measured = [self._stacked(k, t.measured) for k, t in enumerate(self.trials)]
+        self._simulated: dict[bytes, list[dict[str, Array]]] = {}
+        self._slopes: tuple[Array, bool, list[Array]] | None = None
+        self._typical_s = 0.0
+        self._pool: ThreadPoolExecutor | None = None
+
+    def close(self) -> None:
+        """End the threads, if any were started."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
 
     def vector(self, theta: Array, trial: int) -> Array:
         """Full parameter vector of one trial."""
@@ -67,55 +106,56 @@ class Problem:
                 values[index] = number
         return values
 
+    def simulations(self, theta: Array) -> list[dict[str, Array]]:
+        """Simulated channels of every trial; the last few points are remembered."""
+        key = np.asarray(theta, dtype=float).tobytes()
+        if key not in self._simulated:
+            found = self._simulate([(theta, k) for k in range(len(self.trials))])
+            while len(self._simulated) >= KEPT:
+                del self._simulated[next(iter(self._simulated))]
+            self._simulated[key] = found
+        return self._simulated[key]
+
+    def broken(self, theta: Array) -> list[str]:
+        """Trials in which a measured sample cannot be simulated."""
+        return [
+            self.trials[k].id
+            for k, simulated in enumerate(self.simulations(theta))
+            if not np.isfinite(self._stacked(k, simulated)).all()
+        ]
+
     def trial_residuals(self, theta: Array, k: int) -> Array:
         """Weighted residuals of trial ``k``, channel after channel, missing samples left out."""
-        trial = self.trials[k]
-        simulated = self.model.simulate(self.vector(theta, k), trial)
-        self.evaluations += 1
-        parts = [
-            ((trial.measured[c] - simulated[c]) / sd)[mask]
-            for c, sd, mask in zip(self.channels[k], self.sd[k], self.masks[k], strict=True)
-        ]
-        values = np.concatenate(parts) if parts else np.empty(0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = self._measured[k] - self._stacked(k, self.simulations(theta)[k])
+            values = error * self._weights(k)
         # a simulation that broke down costs, it does not crash
-        return np.where(np.isfinite(values), values, 1e6)
+        return np.where(np.isfinite(values), values, BROKEN)
 
     def residuals(self, theta: Array) -> Array:
         """Weighted residuals of all trials, shape (n,)."""
         return np.concatenate([self.trial_residuals(theta, k) for k in range(len(self.trials))])
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Derivative of each trial's residuals, shape (n_k, p) each."""
-        jacobians = []
-        steps = 1e-6 * np.maximum(np.abs(theta), self.scale)
-        if central:
-            steps = 1e-5 * np.maximum(np.abs(theta), self.scale)
-        # step towards the inside of the bounds
-        steps = np.where(theta + steps > self.upper, -steps, steps)
-        for k in range(len(self.trials)):
-            here = self.trial_residuals(theta, k)
-            columns = np.zeros((len(here), len(theta)))
-            for j, (_, owner) in enumerate(self.slots):
-                if owner is not None and owner != k:
-                    continue
-                moved = theta.copy()
-                moved[j] += steps[j]
-                ahead = self.trial_residuals(moved, k)
-                inside = self.lower[j] <= theta[j] - steps[j] <= self.upper[j]
-                if central and inside:
-                    moved[j] = theta[j] - steps[j]
-                    columns[:, j] = (ahead - self.trial_residuals(moved, k)) / (2 * steps[j])
-                else:
-                    columns[:, j] = (ahead - here) / steps[j]
-            jacobians.append(columns)
-        return jacobians
+        """Derivative of each trial's residuals, shape (n_k, p) each.
+
+        Forward differences, accurate to about 1e-6, or central ones at twice the cost. Those
+        of an earlier point are used again within :data:`NEAR` of it.
+        """
+        slopes = self._derivatives(theta, central)
+        return [-self._weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
     def jacobian(self, theta: Array) -> Array:
         """Derivative of all residuals, shape (n, p)."""
         return np.concatenate(self.trial_jacobians(theta))
 
-    def solve(self, theta: Array, *, tolerance: float) -> Solution:
-        """Minimise the squared residuals from ``theta`` on, inside the bounds."""
+    def solve(
+        self, theta: Array, *, tolerance: float, watch: Callable[[Array, float, int], None] | None = None
+    ) -> Solution:
+        """Minimise the squared residuals from ``theta`` on, inside the bounds.
+
+        ``watch`` is called as :func:`swimid.estimators.levenberg.minimise` does.
+        """
         return minimise(
             self.residuals,
             self.jacobian,
@@ -124,4 +164,89 @@ class Problem:
             upper=self.upper,
             scale=self.scale,
             tolerance=tolerance,
+            watch=watch,
         )
+
+    def _weights(self, k: int) -> Array:
+        """Factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
+        parts = [
+            (damping / sd)[mask]
+            for damping, sd, mask in zip(self.damping[k], self.sd[k], self.masks[k], strict=True)
+        ]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+        parts = [series[c][mask] for c, mask in zip(self.channels[k], self.masks[k], strict=True)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _derivatives(self, theta: Array, central: bool) -> list[Array]:
+        """Derivative of the simulated samples of each trial, shape (n_k, p) each."""
+        if self._slopes is not None:
+            where, was_central, known = self._slopes
+            if (was_central or not central) and self._near(theta, where, known):
+                return known
+        size = np.maximum(np.abs(theta), self.scale)
+        here = [self._stacked(k, s) for k, s in enumerate(self.simulations(theta))]
+        steps = (1e-5 if central else 1e-6) * size
+        # step towards the inside of the bounds
+        steps = np.where(theta + steps > self.upper, -steps, steps)
+        both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
+        points: list[tuple[Array, int]] = []
+        places: list[tuple[int, int]] = []
+        for j, (_, owner) in enumerate(self.slots):
+            for k in range(len(self.trials)) if owner is None else [owner]:
+                for sign in (1, -1) if both[j] else (1,):
+                    moved = theta.copy()
+                    moved[j] += sign * steps[j]
+                    points.append((moved, k))
+                places.append((k, j))
+        moves = iter(zip(points, self._simulate(points), strict=True))
+        slopes = [np.zeros((len(y), len(theta))) for y in here]
+        for k, j in places:
+            (ahead_at, _), simulated = next(moves)
+            ahead, back, back_at = self._stacked(k, simulated), here[k], theta
+            if both[j]:
+                (back_at, _), simulated = next(moves)
+                back = self._stacked(k, simulated)
+            with np.errstate(over="ignore", invalid="ignore"):
+                column = (ahead - back) / (ahead_at[j] - back_at[j])
+            slopes[k][:, j] = np.where(np.isfinite(column), column, 0.0)
+        self.jacobians += 1
+        self._slopes = (theta.copy(), central, slopes)
+        return slopes
+
+    def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
+        """Whether the step between two points is small against the noise of the estimates."""
+        moved, left, samples = 0.0, 0.0, 0
+        for k, rows in enumerate(slopes):
+            change = rows @ (theta - where) * self._weights(k)
+            residuals = self.trial_residuals(theta, k)
+            moved += float(change @ change)
+            left += float(residuals @ residuals)
+            samples += len(residuals)
+        # a step of one standard error in any direction changes the cost by the residuals' variance
+        return moved * samples <= NEAR**2 * left
+
+    def _simulate(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+        """Simulations of (numbers, trial) pairs, in their order."""
+        self.evaluations += len(points)
+        if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self.jobs)
+            timed = list(self._pool.map(self._simulate_one, *zip(*points, strict=True)))
+        else:
+            timed = [self._simulate_one(theta, k) for theta, k in points]
+        # the median, since the first may have compiled the model and a broken one ends early
+        self._typical_s = float(np.median([seconds for _, seconds in timed])) if timed else 0.0
+        return [found for found, _ in timed]
+
+    def _simulate_one(self, theta: Array, k: int) -> tuple[dict[str, Array], float]:
+        begun = time.perf_counter()
+        trial = self.trials[k]
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = self.model.simulate(self.vector(theta, k), trial)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            found = {c.name: np.full(len(trial.time_s), np.nan) for c in self.model.channels}
+        seconds = time.perf_counter() - begun
+        return {c: y for c, y in found.items() if c in trial.measured}, seconds

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import matmul_toeplitz
 
@@ -13,6 +16,8 @@ from swimid.models.base import Array
 
 #: Trials are called inconsistent below this p-value.
 HETEROGENEITY = 1e-3
+#: Directions in which the residuals change by less than this, relatively, are not seen.
+SINGULAR = 1e-8
 
 
 def autocovariance(coefficients: Array, lags: int) -> Array:
@@ -72,48 +77,98 @@ def correlated_rows(
     return products
 
 
-def covariance(
-    jacobians: list[Array], correlated: list[Array], residuals: list[Array]
-) -> tuple[Array, Array, float, float]:
-    """Covariance, null parameters, scatter factor and its p-value, in scaled parameters.
+@dataclass(frozen=True)
+class Sandwich:
+    """Covariance of least-squares estimates, and what it was made of.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (p, p)
+        ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
+        parameters the data do not see are NaN.
+    null : ndarray of bool, shape (p,)
+        Parameters the data do not see.
+    root : ndarray, shape (p, p)
+        Square root of the information: ``root' root`` is the inverse of the covariance, and
+        stays accurate where that is singular.
+    step : ndarray, shape (p,)
+        The Gauss-Newton step from here to the minimum without bounds.
+    scatter : float
+        At least 1.
+    scatter_p : float
+        Of the test that the trials agree: their scores, each zero on average at the common
+        optimum, against their own covariance.
+    """
+
+    covariance: Array
+    null: NDArray[np.bool_]
+    root: Array
+    step: Array
+    scatter: float
+    scatter_p: float
+
+
+def sandwich(
+    problem: Problem, jacobians: list[Array], residuals: list[Array], autoregressions: dict[str, Array]
+) -> Sandwich:
+    """Covariance of the estimates under coloured residuals and scattering trials.
 
     Parameters
     ----------
-    jacobians, correlated : list of ndarray, each shape (n_k, p)
-        J and R J of each trial (:func:`correlated_rows`).
+    jacobians : list of ndarray, each shape (n_k, p)
+        Of the weighted residuals of each trial, columns scaled to parameters of like size.
     residuals : list of ndarray, each shape (n_k,)
+    autoregressions : dict of channel name to ndarray
+        Of the weighted residuals.
 
-    Returns
-    -------
-    covariance : ndarray, shape (p, p)
-        ``H^-1 M H^-1``, enlarged by the square of the scatter factor.
-    null : ndarray of bool, shape (p,)
-        Parameters the data do not see.
-    scatter : float
-        At least 1.
-    p_value : float
-        Of the test that the trials agree: their scores, each zero on average at the common
-        optimum, against their own covariance.
+    Notes
+    -----
+    With ``J = U S V'`` the middle ``U' R U`` is computed from the orthogonal U, so that a
+    direction the data hardly see has a large variance, not the rounding error of a small one.
     """
     j = np.concatenate(jacobians)
     samples, unknowns = j.shape
     size = np.linalg.norm(j, axis=0)
     null = size == 0
     size = np.where(null, 1.0, size)
-    _, singular, vt = np.linalg.svd(j / size, full_matrices=False)
-    good = (
-        singular > 1e-8 * singular[0] if len(singular) and singular[0] > 0 else np.zeros(len(singular), bool)
-    )
+    u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
+    good = singular > SINGULAR * singular[0] if singular[0] > 0 else np.zeros(len(singular), bool)
     # a parameter with a part in a direction the data do not see is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
-    inverse = (vt[good].T / singular[good] ** 2) @ vt[good] / np.outer(size, size)
-    variance = sum(float(r @ r) for r in residuals) / max(samples - unknowns, 1)
-    meat = sum(a.T @ b for a, b in zip(jacobians, correlated, strict=True)) * variance
-    covariance = inverse @ meat @ inverse
-    covariance = 0.5 * (covariance + covariance.T)
+    ends = np.cumsum([0, *(len(r) for r in residuals)])
+    directions = [u[a:b] for a, b in itertools.pairwise(ends)]
+    coloured = correlated_rows(problem, directions, autoregressions)
+    r = np.concatenate(residuals)
+    variance = float(r @ r) / max(samples - unknowns, 1)
+    middle = np.sum([a.T @ b for a, b in zip(directions, coloured, strict=True)], axis=0)
+    middle = 0.5 * (middle + middle.T)
+    back = singular[:, None] * vt * size
+    scatter, p_value = _scatter(
+        jacobians, [b @ back for b in coloured], residuals, variance, degrees=-int(good.sum())
+    )
+    spread = scatter * math.sqrt(variance)
+    values, vectors = np.linalg.eigh(middle)
+    values = np.maximum(values, 1e-9 * values.max(initial=1e-300))
+    outer = vt[good].T / singular[good] / size[:, None]
+    covariance = spread**2 * outer @ middle[np.ix_(good, good)] @ outer.T
+    covariance[null] = covariance[:, null] = np.nan
+    return Sandwich(
+        covariance=0.5 * (covariance + covariance.T),
+        null=null,
+        root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
+        step=-outer @ (u[:, good].T @ r),
+        scatter=scatter,
+        scatter_p=p_value,
+    )
+
+
+def _scatter(
+    jacobians: list[Array], correlated: list[Array], residuals: list[Array], variance: float, degrees: int
+) -> tuple[float, float]:
+    """Factor by which trials scatter more than their noise, and the p-value that they do not."""
     if len(jacobians) < 3:
-        return covariance, null, 1.0, 1.0
-    statistic, degrees = 0.0, -unknowns
+        return 1.0, 1.0
+    statistic = 0.0
     for a, b, r in zip(jacobians, correlated, residuals, strict=True):
         score = a.T @ r
         spread = (a.T @ b) * variance
@@ -124,7 +179,6 @@ def covariance(
         statistic += float(np.sum(part**2 / values[keep]))
         degrees += int(keep.sum())
     if degrees < 1:
-        return covariance, null, 1.0, 1.0
+        return 1.0, 1.0
     p_value = float(stats.chi2.sf(statistic, degrees))
-    factor = math.sqrt(statistic / degrees) if p_value < HETEROGENEITY else 1.0
-    return covariance * max(factor, 1.0) ** 2, null, max(factor, 1.0), p_value
+    return (max(math.sqrt(statistic / degrees), 1.0) if p_value < HETEROGENEITY else 1.0), p_value

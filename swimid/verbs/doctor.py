@@ -24,6 +24,7 @@ REQUIRED = (
     "numba",
     "opencv-python-headless",
     "control",
+    "dtaidistance",
     "matplotlib",
     "pydantic",
     "ruamel.yaml",

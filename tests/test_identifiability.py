@@ -1,0 +1,193 @@
+"""Which parameters the trials determine, and which only together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swimid.estimators import identifiability as idn
+from swimid.estimators import output_error
+from swimid.estimators.fit_result import FitResult
+from swimid.models.tied import Tied
+from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
+
+TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))
+FRICTIONS = ("c_f0", "c_f13", "c_f4")
+
+
+def _fit(seed: int) -> FitResult:
+    model = Toy(friction, FRICTION)
+    return output_error.fit(model, trials(model, FRICTION_TRUTH, {"y": 0.05}, np.random.default_rng(seed)))
+
+
+@pytest.fixture(scope="module")
+def result() -> FitResult:
+    return _fit(0)
+
+
+class TestThreeFrictions:
+    def test_one_at_its_bound_by_chance_is_no_less_confounded(self, result: FitResult) -> None:
+        assert result.value("c_f4") == 0.0
+        assert idn.unidentifiable(result) == list(FRICTIONS)
+        assert result.status["thrust"] == "estimated"
+
+    def test_the_sum_is_named(self, result: FitResult) -> None:
+        assert idn.confounded(result) == [FRICTIONS]
+        (sum_,) = idn.combinations(result)
+        assert sum_.members == FRICTIONS
+        # differences of 1e-6 relative accuracy
+        assert list(sum_.weights.values()) == pytest.approx(WEIGHTS, rel=1e-4)
+        assert sum_.text.startswith("c_f0 + 0.31 c_f13 + 0.08 c_f4 = ")
+        assert idn.sentences(result) == [
+            f"c_f0, c_f13 and c_f4 cannot be told apart from these trials; known is {sum_.text}"
+        ]
+
+    def test_its_error_is_that_of_repeated_experiments(self) -> None:
+        repeats = 100
+        sums = [idn.combinations(_fit(seed))[0] for seed in range(repeats)]
+        values = np.array([s.value for s in sums])
+        stderr = np.median([s.stderr for s in sums])
+        # a sample deviation is known to 1 / sqrt(2 n), a mean to 1 / sqrt(n); four times each
+        assert np.std(values) == pytest.approx(stderr, rel=4 / np.sqrt(2 * repeats))
+        assert np.mean(values) == pytest.approx(TOTAL, abs=4 * stderr / np.sqrt(repeats))
+
+    def test_its_error_is_that_of_the_shared_coefficient(self, result: FitResult) -> None:
+        tied = Tied(Toy(friction, FRICTION), {"c_f": FRICTIONS})
+        shared = output_error.fit(tied, result.trials)
+        (sum_,) = idn.combinations(result)
+        assert shared.status["c_f"] == "estimated"
+        # the variance of the residuals is over 600 - 2 and over 600 - 4
+        assert sum_.stderr == pytest.approx(shared.stderr("c_f") * sum(WEIGHTS), rel=2e-3)
+        assert sum_.value == pytest.approx(shared.value("c_f") * sum(WEIGHTS), abs=1e-3 * sum_.stderr)
+
+    def test_ranking(self, result: FitResult) -> None:
+        ranked = idn.ranked(result)
+        assert sorted(label for label, _ in ranked) == sorted(result.labels)
+        shares = dict(ranked)
+        assert shares["thrust"] > 0.9
+        assert max(shares[c] for c in FRICTIONS) > 0.9
+        assert all(share < 1e-4 for _, share in ranked[2:])
+
+    def test_subset(self, result: FitResult) -> None:
+        subset, fixed = idn.select_subset(result)
+        assert len(fixed) == 2
+        assert set(fixed) < set(FRICTIONS)
+        assert idn.unidentifiable(subset) == []
+        (left,) = set(FRICTIONS) - set(fixed)
+        assert all(subset.value(name) == 1.0 for name in fixed)
+        weights = dict(zip(FRICTIONS, WEIGHTS, strict=True))
+        total = sum(weights[name] * subset.value(name) for name in FRICTIONS)
+        if subset.status[left] == "estimated":
+            (sum_,) = idn.combinations(result)
+            assert total == pytest.approx(sum_.value, abs=1e-3 * sum_.stderr)
+        else:
+            assert subset.status[left] == "at-bound"
+
+
+def _pairs(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    a, b, c, d, unseen = values
+    return {"y": (a + 2 * b) * t + (c - 0.5 * d) * np.cos(4 * t) + 0.0 * unseen}
+
+
+def test_a_member_that_happens_to_look_known_stays_in_its_group() -> None:
+    """Confounded with the others, its estimate strays to where half of it exceeds its standard error."""
+    for seed in range(40):
+        model = Toy(
+            lambda v, t: {"y": v[0] * t + v[1] * (t + 0.1 * np.sin(t))},
+            (parameter("a", 1.0, scale=0.1), parameter("b", 1.0, scale=0.1)),
+        )
+        rng = np.random.default_rng(seed)
+        result = output_error.fit(model, trials(model, (0.3, 0.3), {"y": 0.5}, rng))
+        vague = all(result.stderr(name) > idn.VAGUE * abs(result.value(name)) for name in ("a", "b"))
+        if vague and sorted(result.status.values()) == ["estimated", "unidentifiable"]:
+            assert idn.confounded(result) == [("a", "b")]
+            (sum_,) = idn.combinations(result)
+            assert sum_.stderr < 0.1 * result.stderr("a")
+            return
+    pytest.fail("no such seed")
+
+
+class TestGroups:
+    parameters = tuple(parameter(name, 1.0) for name in ("a", "b", "c", "d", "unseen"))
+
+    def test_pairs_are_kept_apart_and_the_unseen_alone(self, rng: np.random.Generator) -> None:
+        model = Toy(_pairs, self.parameters)
+        result = output_error.fit(model, trials(model, (1.0, 2.0, 3.0, 1.0, 0.0), {"y": 0.1}, rng))
+        assert idn.unidentifiable(result) == ["a", "b", "c", "d", "unseen"]
+        assert idn.confounded(result) == [("a", "b"), ("c", "d")]
+        first, second = idn.combinations(result)
+        ratio = first.weights["b"] / first.weights["a"]
+        assert ratio == pytest.approx(2.0, rel=1e-4)
+        assert second.weights["d"] / second.weights["c"] == pytest.approx(-0.5, rel=1e-4)
+        assert abs(second.value / second.weights["c"] - 2.5) < 4 * second.stderr / abs(second.weights["c"])
+        said = idn.sentences(result)
+        assert len(said) == 3
+        assert said[-1] == "unseen is not identifiable from these trials"
+        assert result.stderr("unseen") is None
+
+    def test_what_depends_on_other_parameters_is_counted_so(self, rng: np.random.Generator) -> None:
+        """The error of a sum includes that of an identified parameter it is correlated with."""
+
+        def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+            a, b, offset = values
+            return {"y": (a + 2 * b) * t + offset}
+
+        model = Toy(formula, [parameter(n, 1.0) for n in ("a", "b", "offset")])
+        result = output_error.fit(model, trials(model, (1.0, 2.0, 3.0), {"y": 0.1}, rng))
+        (sum_,) = idn.combinations(result)
+        t = np.concatenate([s.time_s for s in result.series])
+        sd = result.noise["y"].value_sd
+        expected = sd / np.sqrt(np.sum((t - t.mean()) ** 2)) / abs(sum_.weights["a"]) ** -1
+        # the noise's size: 2 of 600 samples
+        assert sum_.stderr == pytest.approx(expected, rel=1e-2)
+
+    def test_nothing_to_say_where_all_is_known(self, rng: np.random.Generator) -> None:
+        model = Toy(lambda v, t: {"y": v[0] * t + v[1]}, [parameter("a", 1.0), parameter("b", 1.0)])
+        result = output_error.fit(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
+        assert idn.sentences(result) == []
+        assert idn.combinations(result) == []
+        subset, fixed = idn.select_subset(result)
+        assert subset is result
+        assert fixed == []
+
+    def test_without_the_information_only_the_status_speaks(self, result: FitResult) -> None:
+        bare = replace(result, information_root=np.empty((0, 0)))
+        assert idn.combinations(bare) == idn.ranked(bare) == []
+        assert idn.sentences(bare) == [f"{name} is not identifiable from these trials" for name in FRICTIONS]
+
+    def test_numbers_of_single_trials_are_accounted_for(self, rng: np.random.Generator) -> None:
+        """A common offset that each trial's own offset can imitate has no share of its own."""
+
+        def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+            return {"y": values[0] * t + values[1] + values[2]}
+
+        parameters = [
+            parameter("slope", 1.0),
+            parameter("offset", 1.0),
+            parameter("own", 0.0, per_trial=True),
+        ]
+        model = Toy(formula, parameters)
+        result = output_error.fit(model, trials(model, (1.0, 2.0, 0.0), {"y": 0.1}, rng))
+        assert result.status["slope"] == "estimated"
+        assert [label for label, _ in idn.ranked(result)] == ["slope", "offset"]
+        assert dict(idn.ranked(result))["offset"] < 1e-4
+        assert idn.confounded(result) == [("offset", "own[t0]", "own[t1]", "own[t2]")]
+        subset, fixed = idn.select_subset(result)
+        assert fixed == ["offset"]
+        assert idn.unidentifiable(subset) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (0.012345, 0.00021, "0.01235 ± 0.00021"),
+        (-2.5, 0.031, "-2.500 ± 0.031"),
+        (187654.0, 910.0, "1.8765e+05 ± 9.1e+02"),
+        (3.0, 0.0, "3"),
+    ],
+)
+def test_values_are_written_to_two_digits_of_their_error(value: float, stderr: float, text: str) -> None:
+    sum_ = idn.Combination({"a": 1.0, "b": -0.5}, ("a", "b"), value, stderr, "kg")
+    assert sum_.text == f"a - 0.5 b = {text} kg"

@@ -1,0 +1,312 @@
+"""The output-error fit: threads, interruption, weights, robust loss, bounds, broken simulations."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from swimid.errors import NoTrustworthyResult
+from swimid.estimators import output_error
+from swimid.estimators.problem import Problem
+from swimid.estimators.sandwich import sandwich
+from swimid.models.base import Trial
+from swimid.progress import Step
+from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
+
+BOTH = {"y": 0.02, "v": 0.05}
+
+
+def slow() -> None:
+    time.sleep(1e-3)
+
+
+class TestThreads:
+    def test_the_result_does_not_depend_on_them(self, rng: np.random.Generator) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        results = []
+        for jobs in (1, 3):
+            model = Toy(decay, DECAY, ("y", "v"), before=slow)
+            results.append(output_error.fit(model, data, jobs=jobs))
+            assert (len(model.threads) > 1) is (jobs > 1)
+        one, three = results
+        assert np.array_equal(one.estimate, three.estimate)
+        assert np.array_equal(one.covariance, three.covariance)
+        assert one.evaluations == three.evaluations
+        assert one.cost == three.cost
+
+    def test_fast_simulations_stay_in_one(self, rng: np.random.Generator) -> None:
+        model = Toy(decay, DECAY, ("y", "v"))
+        output_error.fit(model, trials(model, TRUTH, BOTH, rng), jobs=3)
+        assert len(model.threads) == 1
+
+    def test_nothing_is_simulated_twice(self, rng: np.random.Generator) -> None:
+        seen: list[tuple[bytes, int]] = []
+
+        def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+            seen.append((values.tobytes(), len(t)))
+            return decay(values, t)
+
+        model = Toy(formula, DECAY, ("y", "v"))
+        data = [trials(model, TRUTH, BOTH, rng, count=1, samples=n)[0] for n in (150, 200)]
+        seen.clear()
+        result = output_error.fit(model, data)
+        assert result.evaluations == len(seen) == len(set(seen))
+        # a new weighting costs nothing by itself
+        problem = Problem(model, DECAY, data)
+        problem.residuals(result.estimate)
+        problem.trial_jacobians(result.estimate)
+        before = len(seen)
+        problem.sd = [[3.0 * sd for sd in sds] for sds in problem.sd]
+        problem.residuals(result.estimate)
+        problem.trial_jacobians(result.estimate)
+        assert len(seen) == before
+
+    def test_forward_and_central_differences_agree(self, rng: np.random.Generator) -> None:
+        model = Toy(decay, DECAY, ("y", "v"))
+        problem = Problem(model, DECAY, trials(model, TRUTH, BOTH, rng))
+        theta = np.array(TRUTH)
+        forward = np.concatenate(problem.trial_jacobians(theta))
+        central = np.concatenate(problem.trial_jacobians(theta, central=True))
+        error = np.linalg.norm(forward - central, axis=0) / np.linalg.norm(central, axis=0)
+        # half the second derivative (at most 49, from t^2) times the step of 1e-6 over the first
+        assert np.all(error < 1e-5)
+        assert np.any(error > 0)
+
+
+class Interrupting:
+    """Raises SIGINT at the given simulations."""
+
+    def __init__(self, *at: int) -> None:
+        self.at = at
+        self.count = 0
+
+    def __call__(self) -> None:
+        self.count += 1
+        if self.count in self.at:
+            signal.raise_signal(signal.SIGINT)
+            slow()
+
+
+class TestInterrupt:
+    @pytest.mark.parametrize("jobs", [1, 2])
+    @pytest.mark.parametrize("at", [10, 17, 30, 41])
+    def test_the_best_so_far_is_kept(self, rng: np.random.Generator, jobs: int, at: int) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        before = Interrupting(at)
+
+        def pause() -> None:
+            slow()
+            before()
+
+        model = Toy(decay, DECAY, ("y", "v"), before=pause)
+        result = output_error.fit(model, data, jobs=jobs)
+        assert result.interrupted
+        assert not result.converged
+        assert result.message.startswith("interrupted")
+        assert np.isfinite(result.covariance).all()
+        # the same weights at both points
+        problem = Problem(Toy(decay, DECAY, ("y", "v")), DECAY, data)
+        for k, trial in enumerate(problem.trials):
+            problem.sd[k] = [
+                next(s.sd for s in result.series if (s.trial, s.channel) == (trial.id, c))
+                for c in problem.channels[k]
+            ]
+        first, last = (float(np.sum(problem.residuals(x) ** 2)) for x in (problem.start, result.estimate))
+        assert last < first or np.array_equal(result.estimate, problem.start)
+
+    def test_a_second_one_goes_through(self, rng: np.random.Generator) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        model = Toy(decay, DECAY, ("y", "v"), before=Interrupting(17, 18))
+        with pytest.raises(KeyboardInterrupt):
+            output_error.fit(model, data, jobs=1)
+
+    def test_with_nothing_simulated_there_is_nothing_to_keep(self, rng: np.random.Generator) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        with pytest.raises(KeyboardInterrupt):
+            output_error.fit(Toy(decay, DECAY, ("y", "v"), before=Interrupting(2)), data, jobs=1)
+
+    def test_progress_tells_the_cost(self, rng: np.random.Generator) -> None:
+        said: list[str] = []
+
+        class Bar:
+            def __call__(self, amount: int = 1) -> None:
+                pass
+
+            def note(self, text: str) -> None:
+                said.append(text)
+
+        @contextmanager
+        def progress(description: str, total: int | None = None) -> Iterator[Step]:
+            yield Bar()
+
+        model = Toy(decay, DECAY, ("y", "v"))
+        output_error.fit(model, trials(model, TRUTH, BOTH, rng), progress=progress)
+        assert said[0].startswith("iteration 0, cost ")
+        assert len(said) > 3
+
+
+class TestWeights:
+    @pytest.mark.parametrize("sd", [{"y": 1e-5, "v": 0.3}, {"y": 0.2, "v": 1e-5}])
+    def test_far_off_first_weights_are_found(self, rng: np.random.Generator, sd: dict[str, float]) -> None:
+        """Against maximum likelihood with the noise known."""
+        model = Toy(decay, DECAY, ("y", "v"))
+        data = trials(model, TRUTH, sd, rng)
+        result = output_error.fit(model, data)
+
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return np.concatenate(
+                [(t.measured[c] - decay(x, t.time_s)[c]) / s for t in data for c, s in sd.items()]
+            )
+
+        known = optimize.least_squares(residuals, TRUTH, x_scale="jac", xtol=1e-14, ftol=1e-14)
+        # a weight is known to 1 / sqrt(2 x 600), 3 %; it moves the estimate by that part of the
+        # pull between the channels, a standard error at most of the coarser one's share
+        stderr = np.sqrt(np.diag(np.linalg.inv(known.jac.T @ known.jac)))
+        assert np.all(np.abs(result.estimate - known.x) < 0.1 * stderr)
+        for channel, size in sd.items():
+            assert result.noise[channel].value_sd == pytest.approx(size, rel=4 / np.sqrt(2 * 600))
+        assert result.jacobians <= 20
+
+    def test_the_cost_is_the_mean_square_of_one_channel(self, rng: np.random.Generator) -> None:
+        model = Toy(decay, DECAY)
+        result = output_error.fit(model, trials(model, TRUTH, {"y": 0.02}, rng))
+        squares = np.concatenate([s.residual for s in result.series]) ** 2
+        assert result.cost == pytest.approx(np.mean(squares), rel=1e-9)
+
+
+class TestHuber:
+    def _fits(self, share: float, loss: output_error.Loss, repeats: int) -> tuple[np.ndarray, np.ndarray]:
+        model = Toy(decay, DECAY)
+        errors, stderrs = [], []
+        for seed in range(repeats):
+            rng = np.random.default_rng(seed)
+            data = trials(model, TRUTH, {"y": 0.02}, rng, samples=100)
+            for trial in data:
+                far = rng.random(100) < share
+                trial.measured["y"][far] += rng.normal(0.0, 1.0, far.sum())
+            result = output_error.fit(model, data, loss=loss)
+            errors.append(result.estimate - TRUTH)
+            stderrs.append(np.sqrt(np.diag(result.covariance)))
+        return np.array(errors), np.array(stderrs)
+
+    def test_outliers_hardly_matter(self) -> None:
+        repeats = 60
+        robust, stderr = self._fits(0.1, "huber", repeats)
+        plain, _ = self._fits(0.1, "linear", repeats)
+        assert np.all(np.std(plain, axis=0) > 3 * np.std(robust, axis=0))
+        # standard errors: the sample deviation of z is 1 to within 1 / sqrt(2 n), four times that
+        spread = np.sqrt(np.mean((robust / stderr) ** 2, axis=0))
+        assert spread == pytest.approx(np.ones(3), abs=4 / np.sqrt(2 * repeats))
+
+    def test_costs_five_percent_where_there_are_none(self) -> None:
+        repeats = 60
+        robust, stderr = self._fits(0.0, "huber", repeats)
+        plain, best = self._fits(0.0, "linear", repeats)
+        assert np.median(stderr / best) == pytest.approx(1 / np.sqrt(0.95), abs=0.05)
+        spread = np.sqrt(np.mean((robust / stderr) ** 2, axis=0))
+        assert spread == pytest.approx(np.ones(3), abs=4 / np.sqrt(2 * repeats))
+        assert np.all(np.abs(robust - plain) < 1.5 * best)
+
+    def test_is_the_minimum_of_hubers_loss(self, rng: np.random.Generator) -> None:
+        model = Toy(decay, DECAY)
+        data = trials(model, TRUTH, {"y": 0.02}, rng)
+        for trial in data:
+            trial.measured["y"][::10] += 0.5
+        result = output_error.fit(model, data, loss="huber")
+
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return np.concatenate([t.measured["y"] - decay(x, t.time_s)["y"] for t in data])
+
+        sd = result.noise["y"].value_sd
+        assert sd == pytest.approx(np.median(np.abs(residuals(result.estimate))) / 0.674490, rel=1e-4)
+        direct = optimize.least_squares(
+            residuals, TRUTH, loss="huber", f_scale=1.345 * sd, xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
+        # weights are settled to 1 %
+        stderr = np.sqrt(np.diag(result.covariance))
+        assert np.all(np.abs(result.estimate - direct.x) < 0.05 * stderr)
+
+
+def line(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    return {"y": values[0] * t + values[1] * np.sqrt(t)}
+
+
+class TestBounds:
+    def _fit(
+        self, truth: tuple[float, float], rng: np.random.Generator, lower: float = 0.0
+    ) -> output_error.FitResult:
+        model = Toy(line, (parameter("slope", 1.0), parameter("root", 1.0, lower, 5.0)))
+        return output_error.fit(model, trials(model, truth, {"y": 0.1}, rng))
+
+    def test_held_by_its_bound(self, rng: np.random.Generator) -> None:
+        result = self._fit((2.0, -1.0), rng)
+        assert result.status["root"] == "at-bound"
+        assert result.stderr("root") is None
+        t = np.concatenate([s.time_s for s in result.series])
+        alone = np.std(np.concatenate([s.residual for s in result.series])) / np.linalg.norm(t)
+        assert result.stderr("slope") >= alone * 0.99
+
+    def test_at_its_bound_by_noise_the_others_do_not_profit(self) -> None:
+        """The standard error must be the one a wider bound gives."""
+        landed = 0
+        for seed in range(6):
+            held = self._fit((2.0, 0.0), np.random.default_rng(seed))
+            wide = self._fit((2.0, 0.0), np.random.default_rng(seed), lower=-5.0)
+            assert held.status["slope"] == "estimated"
+            assert held.stderr("slope") == pytest.approx(wide.stderr("slope"), rel=0.02)
+            if held.value("root") == 0.0:
+                landed += 1
+                assert held.status["root"] == "at-bound"
+        # each seed lands with probability one half
+        assert landed > 0
+
+
+class TestNearlyNull:
+    @pytest.mark.parametrize("apart", [1e-2, 1e-4, 1e-6, 1e-7])
+    def test_the_standard_error_grows_as_it_should(self, rng: np.random.Generator, apart: float) -> None:
+        """Columns a and a + eps b, a and b orthonormal: the errors are sqrt(1 + 1/eps^2) and 1/eps."""
+        samples = 400
+        a, b = np.linalg.qr(rng.normal(size=(samples, 2)))[0].T
+        trial = Trial("t", "fit", np.arange(samples), {"y": np.zeros(samples)})
+        model = Toy(line, (parameter("slope", 1.0), parameter("root", 1.0)))
+        problem = Problem(model, model.parameters, [trial])
+        r = rng.normal(size=samples)
+        found = sandwich(problem, [np.column_stack((a, a + apart * b))], [r], {"y": np.empty(0)})
+        sd = np.sqrt(np.diag(found.covariance) / (r @ r / (samples - 2)))
+        # the columns' own rounding, 1e-16 over eps
+        assert sd == pytest.approx([np.hypot(1, 1 / apart), 1 / apart], rel=1e-6 + 1e-15 / apart)
+        assert not found.null.any()
+
+
+class TestBroken:
+    def _model(self, limit: float, how: Callable[[], float]) -> Toy:
+        def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+            found = decay(values, t)
+            return {c: y * how() for c, y in found.items()} if values[2] > limit else found
+
+        return Toy(formula, DECAY, ("y", "v"))
+
+    def fail(self) -> float:
+        raise ZeroDivisionError
+
+    @pytest.mark.parametrize("how", ["nan", "error"])
+    def test_a_start_that_cannot_be_simulated_is_refused(self, rng: np.random.Generator, how: str) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        model = self._model(2.2, self.fail if how == "error" else lambda: np.nan)
+        with pytest.raises(NoTrustworthyResult, match=r"breaks down.*t0, t1, t2"):
+            output_error.fit(model, data)
+
+    @pytest.mark.parametrize("how", ["nan", "error"])
+    def test_a_step_that_cannot_be_simulated_costs(self, rng: np.random.Generator, how: str) -> None:
+        data = trials(Toy(decay, DECAY), TRUTH, BOTH, rng)
+        model = self._model(2.05, self.fail if how == "error" else lambda: np.nan)
+        result = output_error.fit(model, data, begin=np.array([1.5, 0.1, 1.8]))
+        whole = output_error.fit(Toy(decay, DECAY, ("y", "v")), data)
+        stderr = np.sqrt(np.diag(whole.covariance))
+        assert np.all(np.abs(result.estimate - whole.estimate) < 1e-3 * stderr)
