@@ -7,6 +7,7 @@ those are the parameters a gray-box fit estimates.
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -44,10 +45,14 @@ def factors(quantity: float | str) -> tuple[float, tuple[str, ...]]:
             raise ValueError(
                 f"'{quantity}' is neither a number nor a product of numbers and coefficient names"
             ) from None
+    if not math.isfinite(number):
+        raise ValueError(f"'{quantity}' is not finite")
     return number, tuple(sorted(names))
 
 
 def _quantity(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(f"'{str(value).lower()}' is not a number")
     if isinstance(value, str):
         factors(value)
     return value
@@ -205,6 +210,8 @@ class Drag(_Element):
     def _point_or_strips(self) -> Drag:
         if self.at_m is not None and self.strips != 1:
             raise ValueError("at_m belongs to a single point: set strips: 1, or give from_m and to_m")
+        if self.to_m is not None and self.to_m <= (self.from_m or 0.0):
+            raise ValueError("to_m must lie behind from_m")
         return self
 
 
@@ -327,3 +334,10 @@ class Multilink(yamlio.Document):
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []
     elements: list[Element] = []
+
+    @model_validator(mode="after")
+    def _names_of_coefficients(self) -> Multilink:
+        for name in self.coefficients:
+            if not NAME.fullmatch(name):
+                raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
+        return self

@@ -153,7 +153,12 @@ def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, s
         return robot
     patched = yamlio.plain(data)
     for place, value in changes.items():
-        _put(patched, place, value, path)
+        try:
+            _put(patched, place, value, path)
+        except InputError as error:
+            key = next(k for k, option in chosen.items() if place in robot.readings[k].options[option].set)
+            where = f"readings.{key}.options.{chosen[key]}"
+            raise located(InputError(error.reason, column=where), path) from error
     for key, option in chosen.items():
         patched["readings"][key]["chosen"] = option
     return yamlio.validate(patched, Robot, path)

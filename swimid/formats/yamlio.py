@@ -149,9 +149,10 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
     except ValidationError as error:
         problems = error.errors()
         first = min(problems, key=lambda p: (p["type"] != "extra_forbidden", 0))
-        location = [part for part in first["loc"] if _in_data(data, part)]
+        location = _in_data(data, first)
         message, hint = _explain(first, data, model)
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        places = {tuple(_in_data(data, problem)) for problem in problems}
+        more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
         raise InputError(
             message + more,
             file=path,
@@ -161,9 +162,19 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         ) from error
 
 
-def _in_data(data: Any, part: Any) -> bool:
-    # Discriminated unions put the name of the chosen branch into the location.
-    return not (isinstance(part, str) and part.startswith(("function-", "tagged-")))
+def _in_data(data: Any, problem: Any) -> list[Any]:
+    """Where a problem is, without the names of the branches of unions that pydantic puts in between."""
+    found = []
+    *way, last = problem["loc"] or ("",)
+    for part in (*way, last):
+        here = (isinstance(data, Mapping) and part in data) or (
+            isinstance(data, list) and isinstance(part, int)
+        )
+        if here:
+            data = data[part] if isinstance(data, Mapping) or part < len(data) else None
+        if here or (part is last and problem["type"] == "missing"):
+            found.append(part)
+    return found
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:

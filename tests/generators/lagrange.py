@@ -377,7 +377,8 @@ def random_tree(rng: np.random.Generator, links: int, passive: int, *, fluid: bo
                 "inertia_kg_m2": some(0, 0.01), "at_m": some(0, length), "offset_m": some(-0.05, 0.05),
             },
             {
-                "kind": "drag", "link": name, "strips": 1, "at_m": some(0, length), "offset_m": some(-0.02, 0.02),
+                "kind": "drag", "link": name, "strips": 1, "at_m": some(0, length),
+                "offset_m": some(-0.02, 0.02),
                 "axial_area_m2": some(0, 0.01), "axial_coefficient": some(0, 0.5),
                 "normal_area_m2": some(0, 0.02), "normal_coefficient": some(0, 4),
                 "axial_linear_N_s_m": some(0, 0.2), "normal_linear_N_s_m": some(0, 0.5),
@@ -397,7 +398,8 @@ def random_tree(rng: np.random.Generator, links: int, passive: int, *, fluid: bo
             },
             {
                 "kind": "force", "link": name, "at_m": some(0, length), "offset_m": some(-0.02, 0.02),
-                "forward_N": some(-1, 1), "port_N": some(-1, 1), "frame": ("link", "world")[int(rng.integers(2))],
+                "forward_N": some(-1, 1), "port_N": some(-1, 1),
+                "frame": ("link", "world")[int(rng.integers(2))],
             },
         ]  # fmt: skip
     return {"plane": "vertical", "links": bodies, "joints": joints, "elements": elements}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +18,23 @@ from swimid.models.multilink.polynomial import Polynomial, Table
 
 #: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
 GYRATION = (0.02, 5.0)
-#: So is a robot heavier than this times its length cubed, kg/m3 (solid lead has 11340).
+#: So is a link heavier than a block of this density, kg/m3, its own length and as wide and high as the
+#: robot is long (solid lead has 11340).
 DENSEST = 5000.0
+#: A length may not exceed this times the robot's, an area this times its square.
+FAR = 3.0
+#: Keys that hold lengths, and keys of elements whose quantity has only one sign.
+LENGTH = re.compile(r"(?!.*_N_m$)(?!.*_N_s_m$).*_m")
+LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume")
+#: What of a passive joint's law has only one sign, and its column in the engine's table.
+ONE_SIGN = {
+    "stiffness_N_m_rad": 0,
+    "damping_N_m_s_rad": 2,
+    "quadratic_damping_N_m_s2_rad2": 3,
+    "tendon.spring_N_m": 5,
+}
+#: A number beyond this is a slip of the pen.
+HUGE = 1e15
 
 
 @dataclass(frozen=True)
@@ -136,66 +152,85 @@ class Assembly:
         InputError
         """
         rigid, apparent = self._rigid(values), self._inertia(values)
+        _check_sizes(self.body, dict(zip(self.names, values, strict=True)))
         span = sum(link.length_m for link in self.links)
-        for i, link in enumerate(self.links):
-            where = f"multilink.links.{link.name}"
-            mass = rigid[i, 0]
-            if mass <= 0:
-                raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
-            x, y = rigid[i, 4] / mass, -rigid[i, 2] / mass
-            central = rigid[i, 5] - mass * (x * x + y * y)
-            if central <= 0:
-                about = "the front end" if link.inertia_about == "front" else "the centre of mass"
-                raise InputError(
-                    f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
-                    column=f"{where}.inertia_kg_m2",
-                    hint=f"the file says the inertia is about {about}: "
-                    f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end",
-                )
-            ratio = math.sqrt(central / mass) / link.length_m
-            if not GYRATION[0] <= ratio <= GYRATION[1]:
-                raise InputError(
-                    f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
-                    f"{1e3 * ratio * link.length_m:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
-                    column=f"{where}.inertia_kg_m2",
-                    hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
-                )
-            whole = _full(apparent[i])
-            if (
-                np.linalg.eigvalsh(
-                    whole / np.outer(np.sqrt(np.diag(_full(rigid[i]))), np.sqrt(np.diag(_full(rigid[i]))))
-                ).min()
-                <= 0
-            ):
+        for link, own, whole in zip(self.links, rigid, apparent, strict=True):
+            _check_link(link, own, span)
+            scale = np.sqrt(np.diag(_full(own)))
+            if np.linalg.eigvalsh(_full(whole) / np.outer(scale, scale)).min() <= 0:
                 raise InputError(
                     "its apparent inertia (with added mass) is not positive definite",
-                    column=where,
+                    column=f"multilink.links.{link.name}",
                     hint="an added mass or inertia is negative",
                 )
-        total = float(rigid[:, 0].sum())
-        if total > DENSEST * span**3:
-            raise InputError(
-                f"the robot weighs {total:g} kg at a length of {span:g} m",
-                column="multilink.links",
-                hint="masses are in kg, lengths in m: is one of them in g or mm?",
-            )
         for axis, law in zip(self.passive, self._passive(values), strict=True):
-            if law[0] < 0 or law[2] < 0:
-                raise InputError(
-                    "stiffness and damping must not be negative", column=f"multilink.joints.{axis.joint.name}"
-                )
+            for key, column in ONE_SIGN.items():
+                if law[column] < 0:
+                    raise InputError(
+                        f"{law[column]:g} is negative; it must not be",
+                        column=f"multilink.joints.{axis.joint.name}.passive.{key}",
+                    )
+
+
+def _check_link(link: Link, own: Array, span: float) -> None:
+    """Refuse a rigid link that no body is."""
+    where = f"multilink.links.{link.name}"
+    mass = float(own[0])
+    if mass <= 0:
+        raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
+    if mass > DENSEST * link.length_m * span**2:
+        raise InputError(
+            f"it weighs {mass:g} kg at a length of {link.length_m:g} m, in a robot {span:g} m long",
+            column=f"{where}.mass_kg",
+            hint="masses are in kg, lengths in m: is one of them in g or mm?",
+        )
+    x, y = own[4] / mass, -own[2] / mass
+    central = float(own[5] - mass * (x * x + y * y))
+    if central <= 1e-9 * mass * link.length_m**2:
+        shift = f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end"
+        raise InputError(
+            f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
+            column=f"{where}.inertia_kg_m2",
+            hint=f"the file says it is about the front end: {shift}"
+            if link.inertia_about == "front"
+            else None,
+        )
+    radius = math.sqrt(central / mass)
+    if not GYRATION[0] <= radius / link.length_m <= GYRATION[1]:
+        raise InputError(
+            f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
+            f"{1e3 * radius:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
+            column=f"{where}.inertia_kg_m2",
+            hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
+        )
+
+
+def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
+    """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
+    span = sum(link.length_m for link in body.links)
+    for path, quantity in _leaves(body.model_dump(include={"links", "joints", "elements"}), "multilink"):
+        number = Polynomial.of(quantity).at(values)
+        key = path.rsplit(".", 1)[-1]
+        if not abs(number) < HUGE:
+            raise InputError(f"{number:g} is out of all proportion", column=path)
+        power = 2 if key.endswith("area_m2") else 1 if LENGTH.fullmatch(key) else 0
+        if power and abs(number) > FAR * span**power:
+            unit = ("m", "m2")[power - 1]
+            raise InputError(
+                f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
+                column=path,
+                hint=f"lengths are in m, areas in m2: is it in {'mm' if power == 1 else 'cm2'}?",
+            )
+        if number < 0 and LOSS.search(key) and path.startswith("multilink.elements"):
+            raise InputError(f"{number:g} is negative; it must not be", column=path)
 
 
 def _check_names(body: Multilink) -> None:
-    for kind, members in (("links", body.links), ("joints", body.joints)):
-        seen: set[str] = set()
-        for member in members:
-            if member.name in seen:
-                raise InputError(
-                    f"the name '{member.name}' stands twice", column=f"multilink.{kind}.{member.name}"
-                )
-            seen.add(member.name)
     links = [link.name for link in body.links]
+    for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
+        for n, own in enumerate(given):
+            if own in given[:n]:
+                raise InputError(f"the name '{own}' stands twice", column=f"multilink.{kind}.{n}")
     used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
     used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
     for where, name in used:
@@ -207,7 +242,7 @@ def _check_names(body: Multilink) -> None:
                 hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(links)}",
             )
     known = list(body.coefficients)
-    for path, quantity in _quantities(body.model_dump(), "multilink"):
+    for path, quantity in _leaves(body.model_dump(include={"links", "joints", "elements"}), "multilink"):
         for name in Polynomial.of(quantity).terms:
             for factor in name:
                 if factor not in known:
@@ -236,23 +271,24 @@ WORDS = {
 }
 
 
-def _quantities(value: object, path: str) -> list[tuple[str, str]]:
+def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
+    """The quantities of a robot file and their dotted paths, list members by their names."""
     if isinstance(value, dict):
         return [
             found
             for key, member in value.items()
             if key not in WORDS and key != "coefficients"
-            for found in _quantities(member, f"{path}.{key}")
+            for found in _leaves(member, f"{path}.{key}")
         ]
     if isinstance(value, list):
         return [
             found
             for n, member in enumerate(value)
-            for found in _quantities(
-                member, f"{path}.{member.get('name') or n if isinstance(member, dict) else n}"
+            for found in _leaves(
+                member, f"{path}.{(member.get('name') or n) if isinstance(member, dict) else n}"
             )
         ]
-    return [(path, value)] if isinstance(value, str) else []
+    return [(path, value)] if isinstance(value, float | int | str) and not isinstance(value, bool) else []
 
 
 def _ordered(body: Multilink) -> tuple[list[Link], list[Joint | None]]:

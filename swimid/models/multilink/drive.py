@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.optimize import minimize_scalar
 
 from swimid.models.base import Array
 
@@ -149,7 +150,83 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
     there = np.isfinite(angle_rad)
     if there.sum() < 5:
         raise ValueError("a measured joint needs at least five samples")
-    return make_smoothing_spline(time_s[there], np.unwrap(angle_rad[there]))
+    times, angles = time_s[there], np.unwrap(angle_rad[there])
+    # in units of the sampling interval the smoothing has one natural range, whatever the rate
+    scale = float(np.median(np.diff(times)))
+    places = (times - times[0]) / scale
+    spacing = np.diff(places)
+    grid = np.arange(-8.0, 10.0, 0.5)
+    scores = [_cross_validation(10.0**power, spacing, angles) for power in grid]
+    best = float(grid[int(np.argmin(scores))])
+    around = (best - 0.5, best + 0.5)
+    power = minimize_scalar(
+        lambda p: _cross_validation(10.0**p, spacing, angles), bounds=around, method="bounded"
+    ).x
+    found = make_smoothing_spline(places, angles, lam=10.0**power)
+    return BSpline(times[0] + scale * found.t, found.c, 3)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cross_validation(smoothing, spacing, values):  # type: ignore[no-untyped-def]
+    """Generalised cross-validation score of a natural cubic smoothing spline.
+
+    Parameters
+    ----------
+    smoothing : float
+        Weight of the integrated squared curvature.
+    spacing : ndarray, shape (n - 1,)
+    values : ndarray, shape (n,)
+
+    Returns
+    -------
+    float
+        ``n |residuals|^2 / trace(I - A)^2``.
+
+    Notes
+    -----
+    Reinsch's banded system for the curvatures; the trace from the bands of its inverse
+    (Hutchinson and de Hoog, Numerische Mathematik 47, 1985).
+    """
+    n = len(values)
+    m = n - 2
+    left, right = 1.0 / spacing[:-1], 1.0 / spacing[1:]
+    middle = -left - right
+    # the bands of Q'Q, then of R + smoothing Q'Q and its factors
+    square, beside, beyond = left**2 + middle**2 + right**2, np.zeros(m + 2), np.zeros(m + 2)
+    pivot, first, second = np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
+    curvature = np.zeros(m + 2)
+    for j in range(m):
+        if j < m - 1:
+            beside[j] = middle[j] * left[j + 1] + right[j] * middle[j + 1]
+        if j < m - 2:
+            beyond[j] = right[j] * left[j + 2]
+    for j in range(m):
+        pivot[j] = (spacing[j] + spacing[j + 1]) / 3.0 + smoothing * square[j]
+        first[j] = (spacing[j + 1] / 6.0 if j < m - 1 else 0.0) + smoothing * beside[j]
+        second[j] = smoothing * beyond[j]
+        curvature[j] = values[j] * left[j] + values[j + 1] * middle[j] + values[j + 2] * right[j]
+        if j > 0:
+            pivot[j] -= first[j - 1] ** 2 * pivot[j - 1]
+            first[j] -= second[j - 1] * first[j - 1] * pivot[j - 1]
+            curvature[j] -= first[j - 1] * curvature[j - 1]
+        if j > 1:
+            pivot[j] -= second[j - 2] ** 2 * pivot[j - 2]
+            curvature[j] -= second[j - 2] * curvature[j - 2]
+        first[j] /= pivot[j]
+        second[j] /= pivot[j]
+    trace, inverse, near, far = 0.0, np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
+    for j in range(m - 1, -1, -1):
+        curvature[j] = curvature[j] / pivot[j] - first[j] * curvature[j + 1] - second[j] * curvature[j + 2]
+        near[j] = -first[j] * inverse[j + 1] - second[j] * near[j + 1]
+        far[j] = -first[j] * near[j + 1] - second[j] * inverse[j + 2]
+        inverse[j] = 1.0 / pivot[j] - first[j] * near[j] - second[j] * far[j]
+        trace += square[j] * inverse[j] + 2.0 * (beside[j] * near[j] + beyond[j] * far[j])
+    residual = np.zeros(n)
+    for j in range(m):
+        residual[j] += left[j] * curvature[j]
+        residual[j + 1] += middle[j] * curvature[j]
+        residual[j + 2] += right[j] * curvature[j]
+    return n * np.sum(residual**2) / trace**2
 
 
 def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:

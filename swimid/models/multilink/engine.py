@@ -77,7 +77,7 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
     return -spring * (pretension + stretch) * arm * crank * math.sin(angle) / distance
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
     """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
     n = len(state) // 2
@@ -122,7 +122,7 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
         work[i, 14], work[i, 15], work[i, 16] = g3, g4, g5
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
     """A force at a point of link ``i`` lessens the wrench its motion needs."""
     work[i, 8] -= fx
@@ -130,7 +130,7 @@ def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
     work[i, 10] -= x * fy - y * fx
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
     """Morison drag at points, and damping of rotation."""
     for e in range(drag.shape[0]):
@@ -144,7 +144,7 @@ def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
         work[i, 10] += (drag[e, 6] * abs(r) + drag[e, 7]) * r
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
     """Lift against and drag along the motion of a fin's point."""
     for e in range(foil.shape[0]):
@@ -165,7 +165,7 @@ def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
             _push(work, i, x, y, fx, fy)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
     """Constant forces, in a link's axes or in the world's."""
     for e in range(force.shape[0]):
@@ -178,7 +178,7 @@ def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
         _push(work, i, x, y, fx, fy)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
     hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
@@ -195,7 +195,7 @@ def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-d
     matrix[3 + k, 0], matrix[3 + k, 1], matrix[3 + k, 2] = hx, hy, hm
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add a link's wrench and composite inertia to its parent's, in the parent's axes."""
     c, s = work[i, 0], work[i, 1]
@@ -221,7 +221,7 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     work[p, 16] += work[i, 16] - jy * (h2 + b2) + jx * (h4 + b4)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
     """Sums of wrenches and composite inertias; the passive joints' rows of the equations."""
     n = len(state) // 2
@@ -244,7 +244,7 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
         _to_parent(i, topology[i, 0], joint, work)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _solve(matrix, right, first):  # type: ignore[no-untyped-def]
     """Solve for the accelerations from row ``first`` on, by LDL^T in the lower triangle."""
     n = len(right)

@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from swimid.models.base import Array, Channel, Model, Parameter, Trial
 from swimid.models.multilink import drive, engine
 from swimid.models.multilink.assembly import Assembly, Axis
 from swimid.models.multilink.polynomial import Polynomial
+from swimid.progress import Progress
 
 #: Largest integration step, s.
 DEFAULT_STEP = 0.005
@@ -218,19 +220,8 @@ class MultilinkModel(Model):
                 0.0,
                 0.02,
                 False,
-                False,
-                "camera axes against the world's",
-            ),
-            Parameter(
-                "heading_offset",
-                "rad",
-                -inf,
-                inf,
-                0.0,
-                0.02,
-                False,
-                False,
-                "marked heading against the robot's axis",
+                True,
+                "axes of the measured position against those of the heading",
             ),
         ]
         return view if self.assembly.free_base else [view[3]]
@@ -270,8 +261,7 @@ class MultilinkModel(Model):
         """
         dynamic = self._dynamic if not self._heading_matters() else [*self._dynamic, *self._heading()]
         key = values[dynamic].tobytes()
-        span = (float(trial.time_s[0]), float(trial.time_s[-1]), len(trial.time_s))
-        key = key + np.array(span).tobytes()
+        key = key + np.array(self._grid(values, trial)).tobytes()
         with self._lock:
             kept = self._kept.setdefault(trial.id, OrderedDict())
             if key in kept:
@@ -288,10 +278,16 @@ class MultilinkModel(Model):
         return self.assembly.world_forces and self.assembly.free_base
 
     def _heading(self) -> list[int]:
-        return [self._at[n] for n in (self.starts[2], "camera_rotation", "heading_offset") if n in self._at]
+        return [self._at[n] for n in (self.starts[2],) if n in self._at]
+
+    def _grid(self, values: Array, trial: Trial) -> tuple[float, float, int]:
+        """Begin, step and number of steps; a late clock asks for some beyond the last sample."""
+        begin, step, steps = grid(trial.time_s, self.max_step)
+        late = min(max(-self._value(values, "clock_offset"), 0.0), step * steps)
+        return begin, step, steps + math.ceil(late / step)
 
     def _run(self, values: Array, trial: Trial) -> Trajectory:
-        begin, step, steps = grid(trial.time_s, self.max_step)
+        begin, step, steps = self._grid(values, trial)
         table = self._table(values, trial, begin, step, steps)
         n = self.assembly.unknowns
         start = np.zeros(2 * n)
@@ -314,12 +310,7 @@ class MultilinkModel(Model):
 
     def _start_heading(self, values: Array, trial: Trial) -> float:
         pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
-        return float(
-            pose[2]
-            + self._value(values, self.starts[2])
-            - self._value(values, "camera_rotation")
-            - self._value(values, "heading_offset")
-        )
+        return float(pose[2]) + self._value(values, self.starts[2])
 
     def _table(self, values: Array, trial: Trial, begin: float, step: float, steps: int) -> Array:
         phase = self._value(values, "drive_phase")
@@ -384,23 +375,21 @@ class MultilinkModel(Model):
         a, b = -body.reference.station_m, body.reference.offset_m
         pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
         offsets = [self._value(values, name) for name in self.starts]
-        turn = self._value(values, "camera_rotation")
-        mark = self._value(values, "heading_offset")
         theta = states[:, 2]
         c, s = np.cos(theta), np.sin(theta)
         x = states[:, 0] + a * c - b * s
         y = states[:, 1] + a * s + b * c
         u, v, r = states[:, n], states[:, n + 1], states[:, n + 2]
         # the run starts at the origin, along x unless the world's axes matter
-        heading = float(pose[2]) + offsets[2] - turn - mark
-        spin = turn + (0.0 if self._heading_matters() else heading)
+        heading = 0.0 if self._heading_matters() else float(pose[2]) + offsets[2]
+        spin = heading + self._value(values, "camera_rotation")
         along, across = math.cos(spin), math.sin(spin)
         dx, dy = x - x[0], y - y[0]
         names, rates = self.plane.pose, self.plane.velocity
         return {
             names[0]: float(pose[0]) + offsets[0] + along * dx - across * dy,
             names[1]: float(pose[1]) + offsets[1] + across * dx + along * dy,
-            names[2]: theta + spin + mark,
+            names[2]: theta + heading,
             rates[0]: u - r * b,
             rates[1]: v + r * a,
             rates[2]: r,
@@ -408,7 +397,7 @@ class MultilinkModel(Model):
 
 
 #: Parameters that change how a run is seen, not the run itself; so do the offsets of the start pose.
-VIEW = ("clock_offset", "camera_rotation", "heading_offset")
+VIEW = ("clock_offset", "camera_rotation")
 
 
 def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
@@ -455,6 +444,16 @@ def _servo(axis: Axis, names: list[str]) -> tuple[Polynomial, Polynomial] | None
     return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
 
 
+def prepare(progress: Progress) -> None:
+    """Compile the kernels where that has not been done on this machine, under a bar that says so."""
+    line = engine.integrate.py_func.__code__.co_firstlineno
+    cache = Path(engine.integrate.stats.cache_path)
+    if engine.integrate.signatures or any(cache.glob(f"engine.integrate-{line}.*.nbi")):
+        return
+    with progress("compiling the simulation (on first use only)"):
+        warm_up()
+
+
 def warm_up() -> None:
     """Compile the kernels."""
     from swimid.formats import robot as robot_format
@@ -466,4 +465,5 @@ def warm_up() -> None:
         np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, settings={"beat": beat})
     )
     drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
+    drive.measured(np.arange(6.0), np.zeros(6))
     engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))

@@ -1,0 +1,698 @@
+"""The multi-link engine against Lagrange's equations, MuJoCo, conservation laws and closed forms."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+import swimid
+from swimid.formats import robot as robot_format
+from swimid.formats.multilink import Multilink
+from swimid.formats.robot import Fluid, Robot
+from swimid.models.base import Trial
+from swimid.models.multilink import drive, engine
+from swimid.models.multilink.assembly import Assembly
+from swimid.models.multilink.model import MultilinkModel
+
+pytestmark = pytest.mark.kernels
+
+WATER = 1000.0
+needs_casadi = pytest.mark.skipif(
+    importlib.util.find_spec("casadi") is None, reason="casadi derives the equations of the oracle"
+)
+
+
+def assembly(body: dict[str, Any], **fluid: float) -> Assembly:
+    return Assembly(Multilink.model_validate(body), Fluid(density_kg_m3=WATER, **fluid))
+
+
+def defaults(model: Assembly) -> np.ndarray:
+    return np.array([c.value for c in model.body.coefficients.values()])
+
+
+def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+    """The engine's acceleration of the base (in its own axes) and of the passive joints.
+
+    ``motion`` holds angle, rate and acceleration of each driven joint. The scratch arrays are full of
+    NaN: nothing may depend on what an earlier call has left in them.
+    """
+    n = model.unknowns
+    row = np.zeros((len(model.driven), 5))
+    for k, axis in enumerate(model.driven):
+        assert motion is not None
+        row[k, :3] = motion[k]
+        angle = motion[k, 0] + math.radians(axis.joint.mount_deg)
+        row[k, 3:] = math.cos(angle), math.sin(angle)
+    scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
+    engine.derivative(state, row, *model.tables(defaults(model)), *scratch)
+    return scratch[-1][n:]
+
+
+def integrated(
+    model: Assembly, start: np.ndarray, step: float, duration: float
+) -> tuple[np.ndarray, np.ndarray]:
+    steps = round(duration / step)
+    table = np.zeros((2 * steps + 1, 0, 5))
+    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)))
+    return states, rates
+
+
+def in_world(state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Base acceleration in its own axes, seen from the world; joint accelerations stay."""
+    n = len(acceleration)
+    c, s = math.cos(state[2]), math.sin(state[2])
+    u, v, r = state[n : n + 3]
+    a, b = acceleration[0] - r * v, acceleration[1] + r * u
+    return np.r_[c * a - s * b, s * a + c * b, acceleration[2:]]
+
+
+def world_rates(state: np.ndarray) -> np.ndarray:
+    n = len(state) // 2
+    c, s = math.cos(state[2]), math.sin(state[2])
+    return np.r_[c * state[n] - s * state[n + 1], s * state[n] + c * state[n + 1], state[n + 2 :]]
+
+
+def chain(links: int = 5, *, water: bool = False) -> dict[str, Any]:
+    """A chain held by springs, without loss; ``water`` adds mass off each link's axis, mostly in sway."""
+    bodies = [
+        {
+            "name": f"link{i}", "length_m": 0.1, "mass_kg": 0.3 - 0.04 * i, "com_m": 0.045,
+            "com_offset_m": 0.004 * (-1) ** i, "inertia_kg_m2": 3e-4, "inertia_about": "com",
+        }
+        for i in range(links)
+    ]  # fmt: skip
+    joints = [
+        {
+            "name": f"joint{i}", "parent": f"link{i - 1}", "child": f"link{i}",
+            "passive": {"stiffness_N_m_rad": 0.08, "cubic_N_m_rad3": 0.05},
+        }
+        for i in range(1, links)
+    ]  # fmt: skip
+    elements = [
+        {
+            "kind": "added-mass", "link": f"link{i}", "surge_kg": 0.03, "sway_kg": 0.5, "inertia_kg_m2": 1e-4,
+            "at_m": 0.06, "offset_m": 0.01,
+        }
+        for i in range(links if water else 0)
+    ]  # fmt: skip
+    return {"plane": "horizontal", "links": bodies, "joints": joints, "elements": elements}
+
+
+def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) -> Assembly:
+    """One link of 0.4 m, 2 kg and 0.03 kg m2, its centre of mass at its front end."""
+    body = {
+        "name": "body", "length_m": 0.4, "mass_kg": 2.0, "com_m": 0.0, "inertia_kg_m2": 0.03,
+        "inertia_about": "com",
+    }  # fmt: skip
+    return assembly(
+        {"plane": plane, "links": [{**body, **link}], "elements": [{"link": "body", **e} for e in elements]}
+    )
+
+
+def wrench(
+    model: Assembly, u: float = 0.0, v: float = 0.0, r: float = 0.0, heading: float = 0.0
+) -> np.ndarray:
+    """Force along and across :func:`one_link`'s body and moment about its front end."""
+    u_dot, v_dot, r_dot = accelerations(model, np.array([0.0, 0.0, heading, u, v, r]))
+    return np.array([2.0 * (u_dot - r * v), 2.0 * (v_dot + r * u), 0.03 * r_dot])
+
+
+# ------------------------------------------------------------ Lagrange's equations
+
+
+@needs_casadi
+class TestLagrange:
+    @pytest.mark.parametrize("base", ["free", "fixed"])
+    def test_random_trees(self, base: str) -> None:
+        """Branches, offsets, mounts, springs, tendons, weight and every element, to 1e-10."""
+        from tests.generators import lagrange
+
+        rng = np.random.default_rng(20)
+        branched = 0
+        for _ in range(30):
+            links = int(rng.integers(2, 8))
+            yielding = int(rng.integers(base == "fixed", min(links - 1, 3) + 1))
+            body = {**lagrange.random_tree(rng, links, yielding), "base": base}
+            parents = [j["parent"] for j in body["joints"]]
+            branched += len(set(parents)) < len(parents)
+            oracle, model = lagrange.Lagrange(body, density=WATER), assembly(body)
+            n, driven = model.unknowns, len(model.driven)
+            for _ in range(3):
+                q, qd, told = (
+                    rng.normal(size=n + driven),
+                    rng.normal(size=n + driven),
+                    rng.normal(size=driven),
+                )
+                if base == "fixed":
+                    q[:3], qd[:3] = 0.0, 0.0
+                c, s = math.cos(q[2]), math.sin(q[2])
+                state = np.r_[q[:n], c * qd[0] + s * qd[1], c * qd[1] - s * qd[0], qd[2:n]]
+                found = accelerations(model, state, np.column_stack([q[n:], qd[n:], told]))
+                expected = oracle.acceleration(q, qd, told)
+                np.testing.assert_allclose(
+                    in_world(state, found), expected, rtol=0, atol=1e-10 * np.abs(expected).max()
+                )
+        assert branched > 8
+
+    @pytest.mark.parametrize("water", [False, True], ids=["dry", "added mass"])
+    def test_what_is_conserved(self, water: bool) -> None:
+        """Energy and impulses drift with the fourth power of the step, and so does the motion.
+
+        The energy of a small oscillation drifts with the fifth: the modulus of Runge-Kutta's growth
+        factor departs from one by (omega h)^6 / 144 in a step.
+        """
+        from tests.generators import lagrange
+
+        oracle, model = lagrange.Lagrange(chain(water=water)), assembly(chain(water=water))
+        rng = np.random.default_rng(3)
+        bent, turning = rng.uniform(-0.3, 0.3, 4), rng.uniform(-1.0, 1.0, 4)
+        start = np.r_[0.0, 0.0, 0.3, bent, 0.3, -0.2, 0.5, turning]
+        steps = (0.005, 0.0025, 0.00125)
+        energies, impulses, motions = [], [], []
+        for step in (*steps, 0.0003125):
+            states, _ = integrated(model, start, step, 10.0)
+            states = states[:: round(0.02 / step)]
+            pairs = [oracle.conserved(s[: model.unknowns], world_rates(s)) for s in states]
+            energy, impulse = np.array([e for e, _ in pairs]), np.array([p for _, p in pairs])
+            energies.append(np.sqrt(np.mean((energy / energy[0] - 1) ** 2)))
+            impulses.append(np.abs(impulse - impulse[0]).max() / np.abs(impulse[0]).max())
+            motions.append(states)
+        errors = [np.abs(m - motions[-1]).max() for m in motions[:3]]
+        np.testing.assert_allclose(np.log2(np.divide(impulses[:2], impulses[1:3])), 4.0, atol=0.3)
+        np.testing.assert_allclose(np.log2(np.divide(errors[:2], errors[1:])), 4.0, atol=0.3)
+        orders = np.log2(np.divide(energies[:2], energies[1:3]))
+        assert (orders > 3.7).all()
+        assert (orders < 5.3).all()
+        assert energies[0] < 2e-6
+        assert impulses[0] < 1e-6
+
+
+# ------------------------------------------------------------ the tendon fish, with everything
+
+
+def tfish_body() -> dict[str, Any]:
+    path = Path(swimid.__file__).parent / "robots" / "tfish.yaml"
+    return YAML(typ="safe", pure=True).load(path)["multilink"]
+
+
+def values_of(model: MultilinkModel) -> np.ndarray:
+    """Start values, with the published coefficients."""
+    body = model.robot.multilink
+    assert body is not None
+    published = {name: c.value for name, c in body.coefficients.items()}
+    return np.array([published.get(p.name, p.start) for p in model.parameters])
+
+
+def swim(
+    times: np.ndarray,
+    step: float = 0.005,
+    values: np.ndarray | None = None,
+    pose: tuple[float, ...] = (0, 0, 0),
+) -> np.ndarray:
+    """The built-in fish at 1.4 Hz and 30 degrees: pose, passive angle, velocities, passive rate."""
+    model = MultilinkModel(robot_format.read("tfish"), max_step=step)
+    beat = drive.Beat("sine", 1.4, math.radians(30.0))
+    trial = Trial("run", "fit", times, {}, settings={"beat": beat, "pose": pose})
+    found = model.simulate(values_of(model) if values is None else values, trial)
+    names = ("x_m", "y_m", "yaw_rad", "joint4_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s", "joint4_rate_rad_s")
+    return np.column_stack([found[name] for name in names])
+
+
+GRID = np.arange(0.0, 20.0 + 1e-9, 0.02)
+#: Between the grid points of every step tried.
+BETWEEN = GRID[:-1] + 0.00731
+
+
+@pytest.fixture(scope="module")
+def reference() -> tuple[np.ndarray, np.ndarray]:
+    """20 s of the fish by Lagrange's equations and DOP853, on the grid and between."""
+    pytest.importorskip("casadi", reason="casadi derives the equations of the oracle")
+    from tests.generators import lagrange
+
+    oracle = lagrange.Lagrange(tfish_body(), density=WATER)
+    times = np.sort(np.r_[GRID, BETWEEN])
+    states = oracle.swim(lagrange.sine(1.4, math.radians(30.0), 1.0), times, breaks=(1.0,), rtol=1e-12)
+    on = np.isin(times, GRID)
+    return states[on], states[~on]
+
+
+class TestTendonFish:
+    @pytest.mark.parametrize(
+        ("step", "speed_m_s", "yaw_rate_deg_s", "angle_deg"),
+        [
+            (0.02, 9e-5, 2e-2, 4e-2),
+            (0.01, 6e-6, 2e-3, 3e-3),
+            (0.005, 8e-7, 2e-4, 4e-4),
+            (0.0025, 2e-7, 2e-5, 5e-5),
+            (0.001, 8e-9, 2e-6, 4e-6),
+        ],
+    )
+    def test_error_against_step(
+        self, step: float, speed_m_s: float, yaw_rate_deg_s: float, angle_deg: float, reference: Any
+    ) -> None:
+        """Not more than twice what the documentation's table says."""
+        error = np.abs(swim(GRID, step) - reference[0]).max(axis=0)
+        assert max(error[4], error[5]) < speed_m_s
+        assert math.degrees(error[6]) < yaw_rate_deg_s
+        assert math.degrees(error[3]) < angle_deg
+
+    def test_awkward_sample_times(self, reference: Any) -> None:
+        """Interpolation between steps adds no more than the integration itself has lost.
+
+        The fin's rate, whose drag has a kink at every reversal, is interpolated about as well as it is
+        integrated; all else much better.
+        """
+        model = MultilinkModel(robot_format.read("tfish"))
+        trial = Trial("run", "fit", GRID, {}, settings={"beat": drive.Beat("sine", 1.4, math.radians(30.0))})
+        run = model.trajectory(values_of(model), trial)
+        found, slopes = engine.sampled(BETWEEN, run.begin_s, run.step_s, run.states, run.rates)
+        grid_error = np.abs(run.states[:: round(0.02 / run.step_s)] - reference[0]).max(axis=0)
+        between_error = np.abs(found - reference[1]).max(axis=0)
+        assert (between_error < np.r_[np.full(7, 1.1), 3.0] * grid_error).all()
+        # the slopes are those of the values
+        step = 1e-6
+        late, _ = engine.sampled(BETWEEN + step, run.begin_s, run.step_s, run.states, run.rates)
+        early, _ = engine.sampled(BETWEEN - step, run.begin_s, run.step_s, run.states, run.rates)
+        np.testing.assert_allclose((late - early) / (2 * step), slopes, atol=1e-7)
+        # an uneven record, whose samples lie on no grid
+        order = np.argsort(np.r_[GRID, BETWEEN])
+        uneven = np.abs(swim(np.r_[GRID, BETWEEN][order]) - np.vstack([*reference])[order]).max(axis=0)
+        assert (uneven < 3 * grid_error).all()
+
+    def test_start_pose_turns_and_moves_the_run(self) -> None:
+        times = np.linspace(0.0, 3.0, 61)
+        straight, turned = swim(times), swim(times, pose=(1.0, -2.0, 0.7))
+        c, s = math.cos(0.7), math.sin(0.7)
+        np.testing.assert_allclose(turned[:, 0], 1.0 + c * straight[:, 0] - s * straight[:, 1], atol=1e-12)
+        np.testing.assert_allclose(turned[:, 1], -2.0 + s * straight[:, 0] + c * straight[:, 1], atol=1e-12)
+        np.testing.assert_allclose(turned[:, 2], 0.7 + straight[:, 2], atol=1e-12)
+        np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
+
+    def test_finite_differences(self) -> None:
+        """One-sided steps of 1e-6 against extrapolated central ones, by the norm of each column."""
+        times = np.linspace(0.0, 10.0, 501)
+        model = MultilinkModel(robot_format.read("tfish"))
+        base = values_of(model)
+        rest = swim(times)
+        for k, parameter in enumerate(model.parameters[:9]):
+            size = max(abs(base[k]), parameter.scale)
+
+            def moved(by: float, k: int = k, size: float = size) -> np.ndarray:
+                values = base.copy()
+                values[k] += by * size
+                return swim(times, values=values)
+
+            forward = (moved(1e-6) - rest) / (1e-6 * size)
+            wide, narrow = ((moved(h) - moved(-h)) / (2 * h * size) for h in (1e-4, 5e-5))
+            central = (4 * narrow - wide) / 3
+            assert np.linalg.norm(forward - central) < 1e-5 * np.linalg.norm(central), parameter.name
+
+    @needs_casadi
+    def test_sensitivities(self) -> None:
+        """Finite differences of the engine against variations of the independent equations."""
+        from tests.generators import lagrange
+
+        times = np.linspace(0.0, 4.0, 201)
+        model = MultilinkModel(robot_format.read("tfish"))
+        names, base = [p.name for p in model.parameters], values_of(model)
+        # the flow depends on friction weakly: a wide variation of it is still a straight line
+        for name, width in {"c_ma": 1e-3, "c_Ia": 1e-3, "c_d4": 1e-3, "c_f0": 3e-2, "d_p": 1e-3}.items():
+            k = names.index(name)
+            size = max(abs(base[k]), model.parameters[k].scale)
+            sides = []
+            for sign in (-1, 1):
+                moved = {name: base[k] + sign * width * size}
+                oracle = lagrange.Lagrange(tfish_body(), density=WATER, values=moved)
+                beat = lagrange.sine(1.4, math.radians(30.0), 1.0)
+                sides.append(oracle.swim(beat, times, breaks=(1.0,)))
+            variation = (sides[1] - sides[0]) / (2 * width * size)
+            values = base.copy()
+            values[k] += 1e-6 * size
+            for step, tolerance in ((0.005, 2e-3), (0.00125, 2e-4)):
+                forward = (swim(times, step, values) - swim(times, step)) / (1e-6 * size)
+                assert np.linalg.norm(forward - variation) < tolerance * np.linalg.norm(variation), name
+
+
+class TestBreakdown:
+    def test_unstable_run_ends_in_nan(self) -> None:
+        body = chain(3)
+        for joint in body["joints"]:
+            joint["passive"]["stiffness_N_m_rad"] = 1e4
+        model = assembly(body)
+        start = np.r_[0.0, 0.0, 0.0, 0.1, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+        states, rates = integrated(model, start, 0.005, 5.0)
+        good = np.isfinite(states).all(axis=1)
+        first = int(np.argmin(good))
+        assert 0 < first < len(states)
+        assert good[:first].all()
+        assert np.isnan(states[first:]).all()
+        assert np.isnan(rates[first:]).all()
+        assert np.abs(states[:first]).max() < engine.BROKEN
+
+    def test_no_inertia_no_motion(self) -> None:
+        """An apparent inertia that is not positive definite gives NaN, not numbers."""
+        times = np.linspace(0.0, 1.0, 51)
+        model = MultilinkModel(robot_format.read("tfish"))
+        values = values_of(model)
+        values[0] = -5.0
+        assert np.isnan(swim(times, values=values)[:, :3]).any()
+
+
+# ------------------------------------------------------------ MuJoCo
+
+
+def mujoco_model(body: dict[str, Any], step: float) -> Any:
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is the second opinion on rigid chains")
+    lengths = {link["name"]: link["length_m"] for link in body["links"]}
+    links = {link["name"]: link for link in body["links"]}
+
+    def written(name: str, place: str, joints: str) -> str:
+        link = links[name]
+        moment = link["inertia_kg_m2"]
+        if link["inertia_about"] == "front":
+            moment -= link["mass_kg"] * (link["com_m"] ** 2 + link["com_offset_m"] ** 2)
+        text = f'<body name="{name}" {place}>{joints}'
+        text += f'<inertial pos="{-link["com_m"]!r} {link["com_offset_m"]!r} 0" mass="{link["mass_kg"]!r}"'
+        text += f' diaginertia="{moment!r} {moment!r} {moment!r}"/>'
+        for j in body["joints"]:
+            if j["parent"] != name:
+                continue
+            station, half = j.get("at_m", lengths[name]), 0.5 * math.radians(j.get("mount_deg", 0.0))
+            spot = f'pos="{-station!r} {j.get("offset_m", 0.0)!r} 0" '
+            spot += f'quat="{math.cos(half)!r} 0 0 {math.sin(half)!r}"'
+            hinge, law = "", j.get("passive")
+            if law or j.get("driven"):
+                hinge = f'<joint name="{j["name"]}" type="hinge" axis="0 0 1"'
+                if law:
+                    rest = math.radians(law.get("rest_deg", 0.0))
+                    hinge += f' stiffness="{law["stiffness_N_m_rad"]!r}" springref="{rest!r}"'
+                    hinge += f' damping="{law.get("damping_N_m_s_rad", 0.0)!r}"'
+                hinge += "/>"
+            text += written(j["child"], spot, hinge)
+        return text + "</body>"
+
+    base = "".join(
+        f'<joint name="{n}" type="slide" axis="{a}"/>' for n, a in (("x", "1 0 0"), ("y", "0 1 0"))
+    )
+    base += '<joint name="theta" type="hinge" axis="0 0 1"/>'
+    text = f"""<mujoco><compiler angle="radian" inertiafromgeom="false"/>
+        <option timestep="{step}" integrator="RK4" gravity="0 -9.81 0"/>
+        <worldbody>{written(body["links"][0]["name"], 'pos="0 0 0"', base)}</worldbody></mujoco>"""
+    return mujoco, mujoco.MjModel.from_xml_string(text)
+
+
+def dry_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
+    """A random tree of what MuJoCo knows: rigid bodies, weight, linear springs and dampers."""
+    from tests.generators import lagrange
+
+    body = lagrange.random_tree(rng, links, yielding, fluid=False)
+    for joint in body["joints"]:
+        law = joint.get("passive")
+        if law:
+            kept = ("stiffness_N_m_rad", "damping_N_m_s_rad", "rest_deg")
+            joint["passive"] = {key: law[key] for key in kept}
+        elif not driven:
+            joint.pop("driven", None)
+    body["elements"] = [{"kind": "hydrostatics", "link": link["name"]} for link in body["links"]]
+    return body
+
+
+@needs_casadi
+class TestMujoco:
+    def test_accelerations(self) -> None:
+        """Forward dynamics to 1e-9 of the largest acceleration."""
+        rng = np.random.default_rng(8)
+        for _ in range(12):
+            body = dry_tree(rng, int(rng.integers(2, 7)), int(rng.integers(1, 4)), driven=False)
+            model = assembly(body)
+            mujoco, theirs = mujoco_model(body, 0.001)
+            data = mujoco.MjData(theirs)
+            state = rng.normal(size=2 * model.unknowns)
+            order = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
+            data.qpos[order], data.qvel[order] = state[: model.unknowns], world_rates(state)
+            mujoco.mj_forward(theirs, data)
+            found = in_world(state, accelerations(model, state))
+            expected = data.qacc[order]
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+    def test_forces_with_driven_joints(self) -> None:
+        """Inverse dynamics of our accelerations leaves no force on the base and the passive joints."""
+        rng = np.random.default_rng(9)
+        for _ in range(12):
+            body = dry_tree(rng, int(rng.integers(3, 7)), 1, driven=True)
+            model = assembly(body)
+            mujoco, theirs = mujoco_model(body, 0.001)
+            data = mujoco.MjData(theirs)
+            state, motion = rng.normal(size=2 * model.unknowns), rng.normal(size=(len(model.driven), 3))
+            own = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
+            told = [theirs.joint(axis.joint.name).qposadr[0] for axis in model.driven]
+            data.qpos[own], data.qvel[own] = state[: model.unknowns], world_rates(state)
+            data.qacc[own] = in_world(state, accelerations(model, state, motion))
+            data.qpos[told], data.qvel[told], data.qacc[told] = motion.T
+            mujoco.mj_inverse(theirs, data)
+            scale = np.abs(data.qfrc_bias).max() + np.abs(data.qacc).max()
+            np.testing.assert_allclose(data.qfrc_inverse[own], 0.0, atol=1e-12 * scale)
+
+    def test_trajectory(self) -> None:
+        """Two seconds of a falling, flapping tree; both use fourth-order steps of 0.5 ms."""
+        body = dry_tree(np.random.default_rng(4), 5, 3, driven=False)
+        model = assembly(body)
+        mujoco, theirs = mujoco_model(body, 0.0005)
+        data = mujoco.MjData(theirs)
+        order = [theirs.joint(name).qposadr[0] for name in _coordinates(model)]
+        start = np.zeros(2 * model.unknowns)
+        start[3:6], start[-4:] = (0.4, -0.3, 0.2), (0.5, 1.0, -1.0, 0.7)
+        data.qpos[order], data.qvel[order] = start[: model.unknowns], world_rates(start)
+        states, _ = integrated(model, start, 0.0005, 2.0)
+        for _ in range(4000):
+            mujoco.mj_step(theirs, data)
+        np.testing.assert_allclose(states[-1, : model.unknowns], data.qpos[order], atol=1e-11)
+        np.testing.assert_allclose(world_rates(states[-1]), data.qvel[order], atol=1e-10)
+
+
+def _coordinates(model: Assembly) -> list[str]:
+    return ["x", "y", "theta", *(axis.joint.name for axis in model.passive)]
+
+
+# ------------------------------------------------------------ elements against closed forms
+
+
+class TestElements:
+    @pytest.mark.parametrize("chord_deg", [0.0, 30.0, -75.0])
+    def test_foil_in_all_quadrants(self, chord_deg: float) -> None:
+        """Eq 9 with C_l = cl sin 2a and C_d = cd0 + cd1 (1 - cos 2a); the force opposes the motion."""
+        area, cl, cd0, cd1 = 0.01, 1.2, 0.05, 0.9
+        foil = one_link(
+            {"kind": "foil", "area_m2": area, "at_m": 0.3, "chord_deg": chord_deg, "lift_coefficient": cl,
+             "drag_coefficient_0": cd0, "drag_coefficient_1": cd1}
+        )  # fmt: skip
+        for attack_deg in range(-175, 180, 10):
+            attack = math.radians(attack_deg)
+            course = attack + math.radians(chord_deg)
+            speed = 0.7
+            u, v = speed * math.cos(course), speed * math.sin(course)
+            fx, fy, moment = wrench(foil, u, v)
+            pressure = 0.5 * WATER * area * speed**2
+            along = (fx * u + fy * v) / speed
+            right = (fx * v - fy * u) / speed
+            assert along == pytest.approx(-pressure * (cd0 + cd1 * (1 - math.cos(2 * attack))), rel=1e-12)
+            assert right == pytest.approx(pressure * cl * math.sin(2 * attack), rel=1e-9, abs=1e-12)
+            assert moment == pytest.approx(-0.3 * fy, rel=1e-12)
+            # across the chord the water pushes back, whichever way the fin moves
+            c, s = math.cos(math.radians(chord_deg)), math.sin(math.radians(chord_deg))
+            assert (fy * c - fx * s) * (v * c - u * s) < 0
+
+    def test_foil_at_rest(self) -> None:
+        foil = one_link({"kind": "foil", "area_m2": 0.01, "at_m": 0.3, "lift_coefficient": 1.0})
+        assert (wrench(foil) == 0.0).all()
+
+    def test_hydrostatics_right_the_body(self) -> None:
+        """A centre of mass 12 mm below the centre of buoyancy: -m g d sin(pitch) about the former."""
+        body = one_link(
+            {"kind": "hydrostatics", "volume_m3": 2.0 / WATER, "buoyancy_at_m": 0.1},
+            plane="vertical", com_m=0.1, com_offset_m=-0.012,
+        )  # fmt: skip
+        for pitch in np.radians([-170.0, -60.0, -5.0, 0.0, 5.0, 60.0, 180.0]):
+            acceleration = accelerations(body, np.array([0.0, 0.0, pitch, 0.0, 0.0, 0.0]))
+            assert acceleration[2] == pytest.approx(-2.0 * 9.81 * 0.012 * math.sin(pitch) / 0.03, abs=1e-12)
+
+    def test_weight_less_buoyancy(self) -> None:
+        body = one_link({"kind": "hydrostatics", "volume_m3": 0.0005}, plane="vertical")
+        heading = 0.8
+        fx, fy, moment = wrench(body, heading=heading)
+        net = 9.81 * (WATER * 0.0005 - 2.0)
+        np.testing.assert_allclose(
+            [fx, fy, moment], [net * math.sin(heading), net * math.cos(heading), 0.0], atol=1e-12
+        )
+
+    def test_slender_body_of_linear_taper(self) -> None:
+        """Added mass c rho pi h^2 / 4 with its moments, and drag, integrated by hand."""
+        length, h0, h1, p0, p1 = 0.4, 0.12, 0.04, 0.36, 0.13
+        c_m, c_f, c_d = 0.3, 0.04, 2.5
+        sections = [
+            {"station_m": 0.0, "height_m": h0, "perimeter_m": p0},
+            {"station_m": length, "height_m": h1, "perimeter_m": p1},
+        ]
+        element = {
+            "kind": "slender-body", "sections": sections, "added_mass_coefficient": c_m,
+            "friction_coefficient": c_f, "drag_coefficient": c_d,
+        }  # fmt: skip
+        slope = (h1 - h0) / length
+        # integral of x^k (h0 + slope x)^2 over the length
+        moments = [
+            h0**2 * length ** (k + 1) / (k + 1)
+            + 2 * h0 * slope * length ** (k + 2) / (k + 2)
+            + slope**2 * length ** (k + 3) / (k + 3)
+            for k in range(3)
+        ]
+        gain = c_m * WATER * math.pi / 4
+        both = one_link(element)
+        sideways = one_link({**element, "added_mass_direction": "normal"})
+        (inertia,) = both.tables(np.zeros(0))[2]  # type: ignore[misc]
+        (normal,) = sideways.tables(np.zeros(0))[2]  # type: ignore[misc]
+        expected = [
+            2.0 + gain * moments[0],
+            0.0,
+            0.0,
+            2.0 + gain * moments[0],
+            -gain * moments[1],
+            0.03 + gain * moments[2],
+        ]
+        np.testing.assert_allclose(inertia, expected, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(normal, [2.0, *expected[1:]], rtol=1e-12, atol=1e-15)
+        ahead, across = wrench_of(both, 0.5, 0.0)[0], wrench_of(both, 0.0, -0.4)[1]
+        assert ahead == pytest.approx(-0.5 * WATER * c_f * 0.5 * (p0 + p1) * length * 0.5**2, rel=1e-12)
+        assert across == pytest.approx(0.5 * WATER * c_d * 0.5 * (h0 + h1) * length * 0.4**2, rel=1e-12)
+
+    def test_strips_of_a_turning_link(self) -> None:
+        """About its front end at rate r: moment rho/2 c S r^2 L^2 / 4, force rho/2 c S r^2 L / 3."""
+        body = one_link(
+            {"kind": "drag", "normal_area_m2": 0.02, "normal_coefficient": 1.5, "strips": 3},
+        )
+        for r in (2.0, -3.0):
+            _, fy, moment = wrench(body, r=r)
+            pressure = 0.5 * WATER * 1.5 * 0.02 * abs(r) * r
+            assert moment == pytest.approx(-pressure * 0.4**3 / 4, rel=1e-12)
+            assert fy == pytest.approx(pressure * 0.4**2 / 3, rel=1e-12)
+
+    def test_part_of_a_link(self) -> None:
+        body = one_link(
+            {
+                "kind": "drag",
+                "normal_area_m2": 0.02,
+                "normal_coefficient": 1.5,
+                "from_m": 0.1,
+                "to_m": 0.3,
+                "strips": 2,
+            }
+        )
+        _, fy, moment = wrench(body, v=0.5)
+        assert fy == pytest.approx(-0.5 * WATER * 1.5 * 0.02 * 0.25, rel=1e-12)
+        assert moment == pytest.approx(-0.2 * fy, rel=1e-12)
+
+    def test_linear_drag_decays_exponentially(self) -> None:
+        body = one_link(
+            {"kind": "drag", "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": 1.5, "normal_linear_N_s_m": 3.0}
+        )
+        states, _ = integrated(body, np.array([0.0, 0.0, 0.0, 0.8, -0.5, 0.0]), 0.005, 2.0)
+        assert states[-1, 3] == pytest.approx(0.8 * math.exp(-1.5 * 2.0 / 2.0), rel=1e-10)
+        assert states[-1, 4] == pytest.approx(-0.5 * math.exp(-3.0 * 2.0 / 2.0), rel=1e-10)
+
+    def test_damping_of_a_turn(self) -> None:
+        linear = one_link({"kind": "damping", "linear_N_m_s_rad": 0.02})
+        states, _ = integrated(linear, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 3.0]), 0.005, 2.0)
+        assert states[-1, 5] == pytest.approx(3.0 * math.exp(-0.02 * 2.0 / 0.03), rel=1e-10)
+        quadratic = one_link({"kind": "damping", "quadratic_N_m_s2_rad2": 0.01})
+        states, _ = integrated(quadratic, np.array([0.0, 0.0, 0.0, 0.0, 0.0, -3.0]), 0.005, 2.0)
+        assert states[-1, 5] == pytest.approx(-3.0 / (1.0 + 3.0 * 0.01 * 2.0 / 0.03), rel=1e-9)
+
+    def test_constant_forces(self) -> None:
+        fixed = one_link({"kind": "force", "at_m": 0.2, "forward_N": 1.5, "port_N": -0.7})
+        np.testing.assert_allclose(wrench(fixed, heading=1.1), [1.5, -0.7, 0.14], atol=1e-12)
+        world = one_link(
+            {
+                "kind": "force",
+                "at_m": 0.2,
+                "offset_m": 0.05,
+                "forward_N": 1.5,
+                "port_N": -0.7,
+                "frame": "world",
+            }
+        )
+        c, s = math.cos(1.1), math.sin(1.1)
+        fx, fy = 1.5 * c - 0.7 * s, -0.7 * c - 1.5 * s
+        np.testing.assert_allclose(wrench(world, heading=1.1), [fx, fy, -0.2 * fy - 0.05 * fx], atol=1e-12)
+
+    def test_munk_moment(self) -> None:
+        """A body with more added mass sideways turns broadside: N = -(m_sway - m_surge) u v."""
+        body = one_link({"kind": "added-mass", "surge_kg": 0.2, "sway_kg": 1.7, "at_m": 0.0})
+        assert 0.03 * accelerations(body, np.array([0.0, 0.0, 0.0, 0.6, 0.1, 0.0]))[2] == pytest.approx(
+            -1.5 * 0.6 * 0.1, rel=1e-12
+        )
+
+    def test_tendon_is_the_slope_of_its_energy(self) -> None:
+        """Eqs 3 and 4; the small-angle stiffness is K_t d_p l_3 l_cr / (l_3 - l_cr)."""
+        spring, pretension, arm, crank = 85.0, 0.03, 0.032, 0.02
+
+        def energy(angle: float) -> float:
+            length = math.hypot(arm - crank * math.cos(angle), crank * math.sin(angle))
+            return 0.5 * spring * (pretension + length - (arm - crank)) ** 2
+
+        for angle in np.linspace(-2.5, 2.5, 21):
+            slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
+            found = engine.tendon_torque(angle, spring, pretension, arm, crank)
+            assert found == pytest.approx(-slope, rel=1e-7, abs=1e-9)
+        stiffness = -engine.tendon_torque(1e-6, spring, pretension, arm, crank) / 1e-6
+        assert stiffness == pytest.approx(spring * pretension * arm * crank / (arm - crank), rel=1e-6)
+
+
+def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:
+    """Force on a single link with added mass, at a velocity without rotation."""
+    a, b, c, d, e, f = model.tables(defaults(model))[2][0]  # type: ignore[index]
+    matrix = np.array([[a, b, c], [b, d, e], [c, e, f]])
+    momentum = matrix @ [u, v, 0.0]
+    turning = np.array([0.0, 0.0, u * momentum[1] - v * momentum[0]])
+    return matrix @ accelerations(model, np.array([0.0, 0.0, 0.0, u, v, 0.0])) + turning
+
+
+def test_double_pendulum() -> None:
+    """Two equal rods hung from a wall swing at omega^2 = (3 -+ 6 / sqrt 7) g / l, each mode by itself."""
+    length, mass, gravity = 0.3, 0.5, 9.81
+    rod = {
+        "length_m": length,
+        "mass_kg": mass,
+        "com_m": 0.15,
+        "inertia_kg_m2": mass * length**2 / 12,
+        "inertia_about": "com",
+    }
+    body = {
+        "plane": "vertical", "base": "fixed", "heading_deg": 90.0,
+        "links": [{**rod, "name": "wall"}, {**rod, "name": "upper"}, {**rod, "name": "lower"}],
+        "joints": [
+            {"name": "hinge", "parent": "wall", "child": "upper", "at_m": 0.0, "passive": {}},
+            {"name": "knee", "parent": "upper", "child": "lower", "passive": {}},
+        ],
+        "elements": [{"kind": "hydrostatics", "link": n} for n in ("wall", "upper", "lower")],
+    }  # fmt: skip
+    robot = Robot.model_validate({"format": "swimid-robot/1", "name": "pendulum", "multilink": body})
+    model = MultilinkModel(robot, max_step=0.0025)
+    at = {p.name: i for i, p in enumerate(model.parameters)}
+    times = np.linspace(0.0, 10.0, 2001)
+    for sign in (-1, 1):
+        omega = math.sqrt((3 + sign * 6 / math.sqrt(7)) * gravity / length)
+        # the lower rod's angle in the world for an upper one of 1, from the equation of the hinge
+        lower = (3 / 2 * gravity / length - 4 / 3 * omega**2) / (omega**2 / 2)
+        bend = 1e-4 * np.array([1.0, lower - 1.0])
+        values = np.array([p.start for p in model.parameters])
+        values[at["initial_angle_hinge"]], values[at["initial_angle_knee"]] = bend
+        found = model.simulate(values, Trial(f"mode {sign}", "fit", times, {}))
+        angles = np.column_stack([found["joint1_rad"], found["joint2_rad"]])
+        np.testing.assert_allclose(
+            angles, np.outer(np.cos(omega * times), bend), atol=3e-5 * np.abs(bend).max()
+        )
