@@ -267,7 +267,7 @@ def _solve(matrix, right, first):  # type: ignore[no-untyped-def]
             right[i] -= matrix[m, i] * right[m]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def derivative(  # type: ignore[no-untyped-def]
     state,
     row,
