@@ -6,6 +6,7 @@ import click
 
 import swimid
 from swimid.cli import (
+    compare,
     doctor,
     export,
     fit_drag,
@@ -22,7 +23,7 @@ from swimid.cli import (
 SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track"]),
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
-    ("Simulate and compare", ["simulate"]),
+    ("Simulate and compare", ["simulate", "compare"]),
     ("Publish", ["report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
@@ -63,6 +64,7 @@ for command in (
     rwls.command,
     fit_graybox.command,
     simulate.command,
+    compare.command,
     report.command,
     export.command,
     schema.command,

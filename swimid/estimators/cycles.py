@@ -9,7 +9,7 @@ import numpy as np
 from swimid.models.base import Array
 
 #: A stroke counts with at least so many samples, and this share of what a full one has.
-FEWEST, SHARE = 4, 0.8
+FEWEST, SHARE = 4, 0.95
 #: Bins of the stroke's phase.
 BINS = 12
 
@@ -63,11 +63,7 @@ def cycles(time_s: Array, measured: Array, simulated: Array, *, frequency_hz: fl
     number = np.floor(time_s * frequency_hz + 1e-9).astype(int)
     step = float(np.median(np.diff(time_s)))
     needed = max(FEWEST, SHARE / (frequency_hz * step))
-    first, last = number[0], number[-1]
-    # a stroke that the record cuts is none
-    if time_s[0] * frequency_hz - first > 1 - SHARE:
-        first += 1
-    which = np.arange(first, last + 1)
+    which = np.arange(number[0], number[-1] + 1)
     rows = np.full((4, len(which)), np.nan)
     for j, k in enumerate(which):
         mine = both & (number == k)
@@ -75,7 +71,9 @@ def cycles(time_s: Array, measured: Array, simulated: Array, *, frequency_hz: fl
             continue
         y, z = measured[mine], simulated[mine]
         rows[:, j] = y.mean(), z.mean(), np.abs(y).max(), np.abs(z).max()
-    kept = np.isfinite(rows).all(axis=0) | (which < last)
+    # a stroke that an end of the record cuts is none; one with a gap stays, as NaN
+    whole = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    kept = slice(whole[0], whole[-1] + 1) if len(whole) else slice(0, 0)
     return Cycles((which[kept] + 0.5) / frequency_hz, *rows[:, kept])
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from swimid.errors import InputError, UsageError, nearest
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Array, Model
+from swimid.models.multilink.model import MultilinkModel
 from swimid.notices import warn
 
 #: Derivatives are taken over this share of a standard error, and of a parameter's size at most.
@@ -57,6 +58,9 @@ class Applied:
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.model.parameters]
+        body = self.model.robot.multilink if isinstance(self.model, MultilinkModel) else None
+        #: What a robot file says of its coefficients; a fit starts elsewhere.
+        self.stated = {name: c.value for name, c in body.coefficients.items()} if body else {}
         for name, value in self.chosen.items():
             if name not in names:
                 close = nearest(name, names)
@@ -107,7 +111,7 @@ class Applied:
         label = f"{name}[{trial}]" if per_trial else name
         if self.file is not None and label in self.file.parameters:
             return self.file.parameters[label].value
-        return start
+        return self.stated.get(name, start)
 
     def knows(self, name: str, trial: str) -> bool:
         """Whether the file holds this trial's own value of a parameter."""

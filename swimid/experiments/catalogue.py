@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,10 +79,10 @@ def load(
     """
     trials_path, path = Path(trials_file), Path(parameters)
     file = read_parameters(path)
-    entries = trials_format.read(trials_path)
-    if entries.experiment not in EXPERIMENTS[file.model]:  # type: ignore[attr-defined]
+    entries: Any = trials_format.read(trials_path)
+    if entries.experiment not in EXPERIMENTS[file.model]:
         raise InputError(
-            f"holds trials of the experiment '{entries.experiment}'; parameters of the model "  # type: ignore[attr-defined]
+            f"holds trials of the experiment '{entries.experiment}'; parameters of the model "
             f"'{file.model}' describe: {', '.join(EXPERIMENTS[file.model])}",
             file=trials_path,
             column="experiment",
@@ -117,9 +116,7 @@ def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = Non
     return file.robot, path.parent
 
 
-def _check_robot(
-    name: str, trials_path: Path, file: ParameterFile, path: Path, accepted: str | None
-) -> None:
+def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path, accepted: str | None) -> None:
     """Refuse the parameters of one robot for the trials of another."""
     mine = robot_format.read(name, trials_path.parent).name
     if file.robot is None or accepted is not None:
@@ -150,27 +147,42 @@ def _rig(trials_path: Path, file: ParameterFile) -> Experiment:
     return experiment
 
 
+def drag_file(file: ParameterFile, path: Path) -> Path:
+    """The drag file that the parameters of the recoil law were estimated with.
+
+    Raises
+    ------
+    InputError
+        When it is not there: neither where the fit named it nor beside the parameter file.
+    """
+    named = file.settings.get("drag_file")
+    if named is None:
+        raise InputError("this key is missing", file=path, column="settings.drag_file")
+    # as the fit named it, relative to where it ran; else beside the parameter file
+    places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
+    found = next((p for p in places if p.is_file()), None)
+    if found is None:
+        raise InputError(
+            f"the drag file {named} it was made with is not there",
+            file=path,
+            column="settings.drag_file",
+            hint="put it beside this file",
+        )
+    return found
+
+
+def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
+    """Give a surge model the amplitude and frequency its parameters refer to."""
+    for key in ("reference_amplitude_rad", "reference_frequency_hz"):
+        if key not in file.settings:
+            raise InputError("this key is missing", file=path, column=f"settings.{key}")
+        setattr(model, key, float(file.settings[key]))
+
+
 def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experiment:
-    drag = file.settings.get("drag_file")
-    given = trials_format.read(trials_path)
-    named: Any = getattr(given, "drag", None)
-    if file.model == RecoilModel.name and drag is not None and named is None:
-        # as the fit named it, relative to where it ran; else beside the parameter file
-        places = [Path(str(drag)), path.parent / Path(str(drag)).name]
-        found = next((p for p in places if p.is_file()), None)
-        if found is None:
-            raise InputError(
-                f"the drag file {drag} it was made with is not there",
-                file=path,
-                column="settings.drag_file",
-                hint="name it as 'drag' in the trials file",
-            )
-        return propulsion.load(trials_path, drag=os.fspath(found))
+    if file.model == RecoilModel.name:
+        return propulsion.load(trials_path, drag=drag_file(file, path))
     experiment = propulsion.load(trials_path)
-    model = experiment.model
-    if isinstance(model, SurgeModel):
-        for key in ("reference_amplitude_rad", "reference_frequency_hz"):
-            if key not in file.settings:
-                raise InputError("this key is missing", file=path, column=f"settings.{key}")
-            setattr(model, key, float(file.settings[key]))
+    assert isinstance(experiment.model, SurgeModel)
+    set_references(experiment.model, file, path)
     return experiment

@@ -28,6 +28,13 @@ from swimid.signals.beat import find_beat
 MOVING, CERTAIN = 0.05, 4.0
 #: Length of that stretch, s.
 OPENING_S = 0.3
+#: Fewest samples in it from which anything is said, and the F ratio from which a more pliant curve counts.
+MIN_OPENING = 7
+BETTER = 6.0
+#: Share of the drive's ramp after which a log that begins there begins in motion.
+UNDER_WAY = 0.3
+#: The beat is looked for up to this multiple of the stated frequency.
+BEAT_RANGE = 8.0
 
 
 def robot_model(
@@ -185,19 +192,31 @@ def _default_channels(model: MultilinkModel, log: Log) -> list[str]:
 
 
 def _motion(model: MultilinkModel, number: int, log: Log) -> Any:
-    """A driven joint's motion from its measured angle, or from its commanded one."""
+    """A driven joint's motion from its measured angle, or from its commanded one.
+
+    A joint no drive moves (gain 0) stays straight where the log has neither.
+    """
     axis = model.assembly.driven[number]
-    joint, name = axis.joint, axis.column
-    servo = joint.driven is not None and joint.driven.servo is not None
-    order = [name.replace("joint", "cmd"), name] if servo else [name, name.replace("joint", "cmd")]
-    for candidate in order:
+    joint, name, law = axis.joint, axis.column, axis.joint.driven
+    assert law is not None
+    command = name.replace("joint", "cmd")
+    for candidate in (command, name) if law.servo is not None else (name, command):
         if candidate in log and np.isfinite(log[candidate]).sum() >= 5:
             return drive.spline_motion(drive.measured(log.time_s, log[candidate]))
+    if law.gain == 0.0 and not law.bias_gain:
+        return _straight
     raise InputError(
-        f"the driven joint '{joint.name}' needs the column '{name}' or '{name.replace('joint', 'cmd')}'",
+        f"the driven joint '{joint.name}' needs this column, or '{command}'",
         file=log.path,
+        line=log.first_line - 1 if log.first_line else None,
+        column=name,
         hint="or give the trial a 'drive' in the trials file",
     )
+
+
+def _straight(time_s: Array) -> drive.Motion:
+    zero = np.zeros_like(time_s)
+    return zero, zero, zero
 
 
 def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, Any] | None:
@@ -207,47 +226,65 @@ def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, An
     for name in (model.plane.pose[2], model.plane.velocity[2]):
         if name in log and np.isfinite(log[name]).sum() > 16:
             seen = np.isfinite(log[name])
-            return beats.facts(
-                entry, find_beat(log.time_s[seen], _unwrapped(name, log[name])[seen]), used="stated"
-            )
+            time = log.time_s[seen]
+            highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
+            found = find_beat(time, _unwrapped(name, log[name])[seen], highest_hz=highest)
+            return beats.facts(entry, found, used="stated")
     return None
 
 
 def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
-    """Whether the log's first stretch shows the body, or a passive joint, in motion."""
-    columns = [*model.plane.pose, *model.plane.velocity] if model.assembly.free_base else []
-    columns += [a.column for a in model.assembly.passive]
-    first = log.time_s <= log.time_s[0] + max(OPENING_S, 6 * float(np.median(np.diff(log.time_s))))
-    for name in columns:
-        if name not in log:
-            continue
+    """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
+    beat = trial.settings.get("beat")
+    begun = 0.0 if beat is None or beat.amplitude_rad == 0 else trial.time_s[0]
+    if beat is not None and begun > max(UNDER_WAY * beat.ramp_s, OPENING_S):
+        return True
+    body = (*model.plane.pose, *model.plane.velocity) if model.assembly.free_base else ()
+    joints = tuple(a.column for a in model.assembly.passive)
+    first = log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
+    for name in (n for n in (*body, *joints) if n in log):
         values = _unwrapped(name, log[name])
-        there = first & np.isfinite(values)
-        if there.sum() < 5:
+        seen = np.isfinite(values)
+        there = first & seen
+        if there.sum() < MIN_OPENING:
             continue
-        t = log.time_s[there] - log.time_s[0]
-        is_rate = name.endswith("_s")
-        order = 1 if is_rate else 2
-        design = np.vander(t, order + 1, increasing=True)
-        weights, *_ = np.linalg.lstsq(design, values[there], rcond=None)
-        left = values[there] - design @ weights
-        sd = float(np.sqrt(np.sum(left**2) / max(len(t) - order - 1, 1)))
-        spread = np.linalg.inv(design.T @ design)
-        which = 0 if is_rate else 1
-        error = sd * math.sqrt(spread[which, which])
-        everything = values[np.isfinite(values)]
-        if is_rate:
-            top = float(np.max(np.abs(everything)))
+        time = log.time_s[there] - log.time_s[there][0]
+        sizes = np.abs(values[seen])
+        if name.endswith("_s"):
+            tops = {0: float(np.max(sizes))}
         else:
-            times = log.time_s[np.isfinite(values)]
-            top = float(np.max(np.abs(everything - everything[0])) / max(times[-1] - times[0], 1e-9))
-        if abs(weights[which]) > CERTAIN * error and abs(weights[which]) > MOVING * top:
+            k = int(there.sum()) - 1
+            rates = (values[seen][k:] - values[seen][:-k]) / (log.time_s[seen][k:] - log.time_s[seen][:-k])
+            tops = {1: float(np.max(np.abs(rates)))}
+            if name in joints:
+                tops[0] = float(np.max(sizes))
+        if any(_off_zero(time, values[there], power, top) for power, top in tops.items()):
             return True
-        if name in {a.column for a in model.assembly.passive}:
-            off = abs(weights[0]) > CERTAIN * sd * math.sqrt(spread[0, 0])
-            if off and abs(weights[0]) > MOVING * float(np.max(np.abs(everything))):
-                return True
     return False
+
+
+def _off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
+    """Whether a value (0) or its rate (1) at time zero is surely not zero, and not small against ``top``.
+
+    By a polynomial; by one two orders higher where that fits much better: one that is too stiff
+    takes a quick start from rest for motion.
+    """
+    order = 1 + derivative
+    stiff, pliant = (_at_zero(time_s, values, derivative, n) for n in (order, order + 2))
+    free = len(time_s) - order - 3
+    better = stiff[2] - pliant[2] > 2 * BETTER * pliant[2] / free
+    value, error, _ = pliant if better else stiff
+    return abs(value) > max(CERTAIN * error, MOVING * top)
+
+
+def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
+    """Coefficient of a fitted polynomial, its standard error, and the sum of squares left."""
+    design = np.vander(time_s, order + 1, increasing=True)
+    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
+    left = values - design @ weights
+    squares = float(left @ left)
+    spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
+    return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
 
 
 def _start_parameters(model: MultilinkModel, trials: Sequence[Trial]) -> list[str]:

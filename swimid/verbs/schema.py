@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from swimid.errors import UsageError, nearest
-from swimid.formats import atomic, evidence, parameters, robot, setup, trials
+from swimid.formats import atomic, comparison, evidence, parameters, robot, setup, trials
 from swimid.verbs.outcome import Outcome
 
 
@@ -20,6 +20,7 @@ def schemas() -> dict[str, dict[str, Any]]:
         "robot": robot.Robot,
         "parameters": parameters.ParameterFile,
         "setup": setup.Setup,
+        "comparison": comparison.ComparisonFile,
         "evidence": evidence.Evidence,
     }
     return {

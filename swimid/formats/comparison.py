@@ -1,0 +1,132 @@
+"""The comparison file (``swimid-comparison/1``): measured against simulated, as ``compare`` writes it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from swimid.errors import InputError
+from swimid.formats import yamlio
+
+FORMAT: Literal["swimid-comparison/1"] = "swimid-comparison/1"
+
+
+def _known(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list):
+        return [_known(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+#: A number, or nothing where none can be had.
+Number = Annotated[float | None, BeforeValidator(_known)]
+Numbers = Annotated[list[float | None], BeforeValidator(_known)]
+
+
+class ChannelScore(yamlio.Document):
+    """Errors of one channel, in its unit; measured minus simulated."""
+
+    unit: str
+    #: ``logged``, or ``pose``: derived from the logged pose and the simulated one alike.
+    source: Literal["logged", "pose"] = "logged"
+    rmse: Number = None
+    #: Over the measured range (tendon fish, Eq 13).
+    nrmse: Number = None
+    vaf: Number = None
+    fit_percent: Number = None
+    bias: Number = None
+    samples: int
+    #: Difference of the largest magnitudes, and that over the measured one (tendon fish, Eq 14).
+    peak_error: Number = None
+    peak_error_normalised: Number = None
+    #: Of the simulation ahead of the measurement, at the beat.
+    phase_error_rad: Number = None
+    #: Error per sample left when time may be stretched within a quarter of a beat.
+    dtw_distance: Number = None
+
+
+class CycleTable(yamlio.Document):
+    """Means and largest magnitudes of every whole stroke."""
+
+    time_s: Numbers
+    mean_measured: Numbers
+    mean_simulated: Numbers
+    peak_measured: Numbers
+    peak_simulated: Numbers
+
+
+class PhaseTable(yamlio.Document):
+    """Mean residual over the phase of the stroke."""
+
+    phase_rad: Numbers
+    residual: Numbers
+    stderr: Numbers
+
+
+class Speed(yamlio.Document):
+    """Mean speed over the last whole beats, m/s."""
+
+    measured: Number = None
+    simulated: Number = None
+    beats: int
+
+
+class TrialComparison(yamlio.Document):
+    """One trial."""
+
+    id: str
+    role: Literal["fit", "validate"]
+    #: Start state: from the parameter file, estimated from this trial, or at rest at the first pose.
+    start: Literal["file", "estimated", "neutral"]
+    start_values: dict[str, float] = {}
+    frequency_hz: Number = None
+    #: What drove it.
+    drive: dict[str, Any] = {}
+    channels: dict[str, ChannelScore]
+    cycles: dict[str, CycleTable] = {}
+    phases: dict[str, PhaseTable] = {}
+    mean_speed: Speed | None = None
+
+
+class ComparisonFile(yamlio.Document):
+    """A comparison file."""
+
+    format: Literal["swimid-comparison/1"] = FORMAT
+    verdict: Literal["good", "caution", "bad"]
+    model: str
+    robot: str
+    experiment: str
+    params: str
+    #: All trials together, by channel.
+    channels: dict[str, ChannelScore]
+    trials: list[TrialComparison]
+    #: Root-mean-square error of the mean speeds of all trials, m/s.
+    mean_speed_rmse_m_s: Number = None
+    settings: dict[str, Any] = {}
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+def write(path: str | Path, comparison: ComparisonFile) -> None:
+    """Write a comparison file, whole or not at all."""
+    yamlio.write(path, comparison.model_dump(mode="python", exclude_none=True))
+
+
+def read(path: str | Path) -> ComparisonFile:
+    """Read a comparison file.
+
+    Raises
+    ------
+    InputError
+        When it is none.
+    """
+    path = Path(path)
+    data = yamlio.load(path)
+    if data.get("format") != FORMAT:
+        raise InputError(
+            f"is no comparison file: its 'format' must be {FORMAT}", file=path, line=1, column="format"
+        )
+    return yamlio.validate(data, ComparisonFile, path)

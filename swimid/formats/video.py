@@ -1,0 +1,136 @@
+"""Videos written frame by frame: H.264 where PyAV is there, else MPEG-4; GIF."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError
+
+Frame = NDArray[np.uint8]
+#: Ticks a second of the time stamps.
+CLOCK = 90_000
+#: By this a later run knows the file for its own.
+MADE_BY = "made by swimid"
+#: What to say where browsers will not play the result.
+REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
+
+
+class Writer(Protocol):
+    """Takes frames of one size with their times."""
+
+    def write(self, time_s: float, frame: Frame) -> None:
+        """Add a frame, shape (height, width, 3), blue first."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class H264:
+    """H.264 through PyAV: plays in browsers, keeps the frames' own times.
+
+    Raises
+    ------
+    ImportError
+        Without PyAV.
+    """
+
+    def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
+        import av
+
+        self._av = av
+        self._container = av.open(str(path), "w")
+        self._container.metadata["comment"] = MADE_BY
+        self._stream = self._container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
+        self._stream.width, self._stream.height = width, height
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.codec_context.time_base = Fraction(1, CLOCK)
+        self._stream.options = {"preset": "veryfast", "crf": "23"}
+
+    def write(self, time_s: float, frame: Frame) -> None:
+        """Add a frame."""
+        picture = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="bgr24")
+        picture.pts = round(time_s * CLOCK)
+        picture.time_base = Fraction(1, CLOCK)
+        for packet in self._stream.encode(picture):
+            self._container.mux(packet)
+
+    def close(self) -> None:
+        """Finish the file."""
+        for packet in self._stream.encode():
+            self._container.mux(packet)
+        self._container.close()
+
+
+class Mpeg4:
+    """MPEG-4 through OpenCV: the fallback; most players show it, browsers do not."""
+
+    def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
+        if not self._writer.isOpened():
+            raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
+
+    def write(self, time_s: float, frame: Frame) -> None:
+        """Add a frame; its time follows from the rate."""
+        self._writer.write(frame)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.release()
+
+
+class Gif:
+    """An animated GIF with one palette for all frames."""
+
+    def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
+        self._path, self._rate = path, rate
+        self._frames: list[Frame] = []
+
+    def write(self, time_s: float, frame: Frame) -> None:
+        """Add a frame; its time follows from the rate."""
+        self._frames.append(np.ascontiguousarray(frame[:, :, ::-1]))
+
+    def close(self) -> None:
+        """Write the file."""
+        from PIL import Image
+
+        if not self._frames:
+            return
+        # the last frame shows all there is to show
+        palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
+        first, *rest = (
+            Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
+        )
+        first.save(
+            self._path,
+            format="GIF",
+            save_all=True,
+            append_images=rest,
+            duration=round(1000 / self._rate),
+            loop=0,
+            comment=MADE_BY.encode(),
+        )
+
+
+def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
+    """A writer for the ending of ``path``; :class:`Mpeg4` where PyAV is missing.
+
+    Parameters
+    ----------
+    rate : float, Hz
+    width, height : int
+        Even numbers.
+    """
+    if path.suffix.lower() == ".gif":
+        return Gif(path, rate, width, height)
+    try:
+        return H264(path, rate, width, height)
+    except ImportError:
+        return Mpeg4(path, rate, width, height)

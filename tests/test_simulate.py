@@ -1,0 +1,316 @@
+"""``swimid simulate``: every model, against other code and closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from swimid.formats import log as log_format
+from swimid.formats import parameters as parameters_format
+from swimid.formats.parameters import Correlation, Estimate, ParameterFile
+from tests.conftest import Ran
+from tests.generators import swimmer
+
+Run = Callable[..., Ran]
+pytestmark = pytest.mark.kernels
+
+
+def tfish_file(path: Path, **stderr: float) -> Path:
+    """Table III as a parameter file, with standard errors where they are given."""
+    estimates = {
+        name: Estimate(value=value, stderr=stderr.get(name), unit="1", status="estimated")
+        for name, value in swimmer.TFISH.items()
+    }
+    estimates["d_p"] = Estimate(value=0.03, unit="m", status="fixed")
+    names = list(stderr)
+    correlation = Correlation(names=names, matrix=np.eye(len(names)).tolist()) if len(names) > 1 else None
+    parameters_format.write(
+        path, ParameterFile(model="multilink", robot="tfish", parameters=estimates, correlation=correlation)
+    )
+    return path
+
+
+BEAT = ("--frequency-hz", "1", "--amplitude-deg", "20")
+
+
+def test_a_tendon_fish_swims_as_other_code_says(swimid: Run, tmp_path: Path) -> None:
+    """The command of the manual; the log against the generator's own equations."""
+    params, out = tfish_file(tmp_path / "tfish.yaml"), tmp_path / "sim.csv"
+    ran = swimid("simulate", "--params", params, *BEAT, "--duration-s", "6", "-o", out)
+    assert ran.status == 0, ran.err
+    truth = swimmer.simulate("tfish", None, {"frequency_hz": 1.0, "amplitude_deg": 20.0}, 6.0)
+    log = log_format.read(out)
+    assert log.metadata["made_by"] == "swimid simulate"
+    assert log.metadata["drive"]["frequency_hz"] == 1.0
+    assert list(log.columns)[:7] == ["t_s", "x_m", "y_m", "yaw_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s"]
+    for name in ("x_m", "y_m", "yaw_rad", "u_m_s", "yaw_rate_rad_s", "joint1_rad", "joint4_rad"):
+        # fixed steps of fourth order against an adaptive method at 1e-8
+        assert np.max(np.abs(log[name] - truth[name])) < 1e-5 * np.ptp(truth[name]), name
+    # a third of the command at each joint; no servo, so the joint is where it is told to be
+    assert np.allclose(log["cmd1_rad"], log["joint1_rad"], atol=1e-9)
+    assert np.max(np.abs(log["cmd1_rad"])) == pytest.approx(math.radians(20.0) / 3, rel=0.02)
+
+
+def test_drag_in_strips_is_the_generators_slices(swimid: Run, tmp_path: Path) -> None:
+    params = tfish_file(tmp_path / "tfish.yaml")
+    out = tmp_path / "sim.csv"
+    swimid(
+        "simulate",
+        "--params",
+        params,
+        *BEAT,
+        "--duration-s",
+        "6",
+        "-o",
+        out,
+        "--reading",
+        "drag_point=strips",
+    )
+    beat = {"frequency_hz": 1.0, "amplitude_deg": 20.0}
+    truth = swimmer.simulate("tfish", None, beat, 6.0, drag_at="slices")
+    log = log_format.read(out)
+    assert log.metadata["readings"] == {"drag_point": "strips"}
+    for name in ("x_m", "yaw_rad", "u_m_s", "joint4_rad"):
+        # four Gauss points a link here, forty slices there
+        assert np.max(np.abs(log[name] - truth[name])) < 0.02 * np.ptp(truth[name]), name
+
+
+def test_uncertainty_is_that_of_repeated_draws(swimid: Run, tmp_path: Path) -> None:
+    """The delta method against runs with parameters drawn from their errors."""
+    errors = {"c_d4": 0.05, "c_f0": 0.0004}
+    params = tfish_file(tmp_path / "tfish.yaml", **errors)
+    args = ("simulate", "--params", params, *BEAT, "--duration-s", "8", "--json")
+    quantity = swimid(*args).json["result"]["runs"][0]["quantities"]["mean_speed_m_s"]
+    rng = np.random.default_rng(7)
+    speeds = []
+    for _ in range(60):
+        drawn = [f"{n}={swimmer.TFISH[n] + e * rng.standard_normal()}" for n, e in errors.items()]
+        words = [w for d in drawn for w in ("--set", d)]
+        result = swimid(*args, *words).json["result"]["runs"][0]["quantities"]
+        speeds.append(result["mean_speed_m_s"]["value"])
+    # the spread of 60 draws is known to 9 %
+    assert quantity["stderr"] == pytest.approx(np.std(speeds), rel=0.3)
+    assert abs(quantity["value"] - np.mean(speeds)) < 4 * quantity["stderr"] / math.sqrt(60)
+
+
+def test_a_robot_alone_has_no_uncertainty(swimid: Run) -> None:
+    ran = swimid("simulate", "--robot", "dolphin", "--frequency-hz", "2.53", "--amplitude-deg", "27")
+    assert ran.status == 0
+    assert "no uncertainty known" in ran.out
+    assert "strouhal" in ran.out
+
+
+def test_quantities_of_a_turn(swimid: Run) -> None:
+    args = ("simulate", "--robot", "tfish", "--frequency-hz", "1", "--amplitude-deg", "30", "--json")
+    found = swimid(*args, "--bias-deg", "20", "--duration-s", "25").json["result"]["runs"][0]["quantities"]
+    speed, rate = found["mean_speed_m_s"]["value"], found["mean_yaw_rate_rad_s"]["value"]
+    assert found["turning_radius_m"]["value"] == pytest.approx(speed / abs(rate))
+    mirrored = swimid(*args, "--bias-deg", "-20", "--duration-s", "25").json["result"]["runs"][0][
+        "quantities"
+    ]
+    # the beat begins to the same side, so the two turns are not mirror images of each other
+    assert mirrored["mean_yaw_rate_rad_s"]["value"] == pytest.approx(-rate, rel=0.05)
+    straight = swimid(*args).json["result"]["runs"][0]["quantities"]
+    assert "turning_radius_m" not in straight
+
+
+def test_halving_the_step_is_told_and_warned_of(swimid: Run) -> None:
+    fine = swimid("simulate", "--robot", "tfish", *BEAT, "--duration-s", "4", "--json").json
+    coarse = swimid(
+        "simulate",
+        "--robot",
+        "tfish",
+        *BEAT,
+        "--duration-s",
+        "4",
+        "--dt",
+        "0.05",
+        "--sample-rate-hz",
+        "20",
+        "--json",
+    ).json
+    change = [d["result"]["runs"][0]["step_check"]["u_m_s"]["largest_change"] for d in (fine, coarse)]
+    assert change[0] < 1e-5 < change[1]
+    assert "SWM016" not in {w["code"] for w in fine["warnings"]}
+    assert "SWM016" in {w["code"] for w in coarse["warnings"]}
+
+
+def test_a_log_drives_the_joints(swimid: Run, tmp_path: Path) -> None:
+    """Joint angles taken from a simulated log give the same run again."""
+    first, again = tmp_path / "first.csv", tmp_path / "again.csv"
+    swimid("simulate", "--robot", "tfish", *BEAT, "--duration-s", "6", "-o", first)
+    ran = swimid("simulate", "--robot", "tfish", "--input", first, "-o", again)
+    assert ran.status == 0, ran.err
+    a, b = log_format.read(first), log_format.read(again)
+    for name in ("x_m", "yaw_rad", "joint4_rad"):
+        assert np.max(np.abs(a[name] - b[name])) < 0.01 * np.ptp(a[name]), name
+
+
+def test_recorded_trials_start_and_beat_as_they_did(swimid: Run, tmp_path: Path) -> None:
+    drive = {"frequency_hz": 1.2, "amplitude_deg": 25.0}
+    columns = swimmer.simulate("tfish", None, drive, 5.0)
+    columns["x_m"] = columns["x_m"] + 1.5
+    runs = [swimmer.Run("a", drive, columns), swimmer.Run("b", {**drive, "bias_deg": 10}, columns)]
+    trials = swimmer.write_trials(tmp_path, "tfish", runs, {}, 1, columns=("x_m", "y_m", "yaw_rad"))
+    params = tfish_file(tmp_path / "tfish.yaml")
+    ran = swimid("simulate", "--params", params, "--trials", trials, "-o", tmp_path / "sim")
+    assert ran.status == 0, ran.err
+    made = log_format.read(tmp_path / "sim" / "a.csv")
+    assert made["x_m"][0] == pytest.approx(1.5)
+    assert made.metadata["drive"]["amplitude_deg"] == 25.0
+    assert log_format.read(tmp_path / "sim" / "b.csv").metadata["drive"]["bias_deg"] == 10.0
+    ran = swimid(
+        "simulate", "--params", params, "--trials", trials, "--trial", "b", "-o", tmp_path / "sim_b.csv"
+    )
+    assert ran.status == 0
+    assert (tmp_path / "sim_b.csv").exists()
+
+
+def test_a_falling_weight_reaches_its_terminal_speed(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    drag, out = tmp_path / "drag.yaml", tmp_path / "drop.csv"
+    swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", drag)
+    ran = swimid(
+        "simulate", "--params", drag, "--pulling-mass-kg", "0.02", "--duration-s", "60", "-o", out, "--json"
+    )
+    found = ran.json["result"]["runs"][0]["quantities"]
+    values = parameters_format.read(drag)
+    net = 0.02 * 9.8 - values.value("pulley_friction")
+    top = math.sqrt(net / (0.5 * 997 * values.value("drag_coefficient") * 69.8e-4))
+    # gravity and area of the built-in robot, to their printed digits
+    assert found["terminal_speed_m_s"]["value"] == pytest.approx(top, rel=5e-3)
+    assert found["last_speed_m_s"]["value"] == pytest.approx(found["terminal_speed_m_s"]["value"], rel=1e-6)
+    log = log_format.read(out)
+    assert np.allclose(np.gradient(log["x_m"], log.time_s)[1:-1], log["u_m_s"][1:-1], atol=2e-4)
+
+
+def test_every_kind_of_parameter_file_simulates_its_trials(
+    swimid: Run, samples: Path, tmp_path: Path
+) -> None:
+    drag, propulsion = tmp_path / "drag.yaml", tmp_path / "propulsion.yaml"
+    swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", drag)
+    swimid("fit-propulsion", samples / "cruise" / "trials.yaml", "--drag", drag, "-o", propulsion)
+    ran = swimid(
+        "simulate", "--params", drag, "--trials", samples / "rig" / "trials.yaml", "-o", tmp_path / "rig"
+    )
+    assert ran.status == 0, ran.err
+    recorded = log_format.read(samples / "rig" / "w20.csv")
+    made = log_format.read(tmp_path / "rig" / "w20.csv")
+    there = np.interp(made.time_s, recorded.time_s, recorded["x_m"])
+    # half an encoder step either way
+    assert np.max(np.abs(there - made["x_m"])) < 0.008
+    cruise = samples / "cruise" / "trials.yaml"
+    ran = swimid("simulate", "--params", propulsion, "--trials", cruise, "-o", tmp_path / "cruise")
+    assert ran.status == 0, ran.err
+    one = ("--frequency-hz", "3", "--amplitude-deg", "20", "--fin", "3825Rect", "--distance-m", "1.15")
+    found = swimid("simulate", "--params", propulsion, *one, "--json").json["result"]["runs"][0]["quantities"]
+    assert found["mean_speed_m_s"]["value"] < found["terminal_speed_m_s"]["value"]
+    assert found["mean_speed_m_s"]["stderr"] > 0
+
+
+def test_a_black_box_runs_free(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    arma, log, out = (
+        tmp_path / "arma.yaml",
+        samples / "longfin" / "longfin_marching.csv",
+        tmp_path / "free.csv",
+    )
+    swimid("rwls", log, "--input", "cmd1_rad", "--output", "u_m_s", "--na", "4", "--nb", "3", "-o", arma)
+    ran = swimid("simulate", "--params", arma, "--input", log, "-o", out)
+    assert ran.status == 0, ran.err
+    file = parameters_format.read(arma)
+    a, b = ([file.value(f"{k}{i}") for i in range(1, n + 1)] for k, n in (("a", 4), ("b", 3)))
+    u = log_format.read(log)["cmd1_rad"] - file.settings["input_level"]
+    y = list(log_format.read(log)["u_m_s"][:4] - file.settings["output_level"])
+    for k in range(4, 400):
+        y.append(sum(-a[i] * y[k - 1 - i] for i in range(4)) + sum(b[i] * u[k - 1 - i] for i in range(3)))
+    made = log_format.read(out)["u_m_s"][:400] - file.settings["output_level"]
+    assert np.allclose(made, y, atol=1e-9)
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".gif"])
+def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -> None:
+    film = tmp_path / f"swim{ending}"
+    args = ("simulate", "--robot", "tfish", "--frequency-hz", "2", "--amplitude-deg", "30")
+    for _ in range(2):  # a second run may replace it
+        ran = swimid(*args, "--duration-s", "2", "--animate", film)
+        assert ran.status == 0, ran.err
+    if ending == ".gif":
+        from PIL import Image
+
+        picture = Image.open(film)
+        assert picture.n_frames == 51
+        picture.seek(50)
+        last = np.asarray(picture.convert("RGB")).astype(int)[:, :, ::-1]
+    else:
+        capture = cv2.VideoCapture(str(film))
+        frames = []
+        while (read := capture.read())[0]:
+            frames.append(read[1])
+        assert len(frames) == 51
+        last = frames[-1].astype(int)
+    water = np.median(last.reshape(-1, 3), axis=0)
+    share = np.mean(np.abs(last - water).sum(axis=2) > 150)
+    # a body a sixth as wide as long, in a picture about two lengths wide and one high
+    assert 0.02 < share < 0.3
+
+
+@pytest.mark.parametrize(
+    "words, status, text",
+    [
+        ((), 2, "name a parameter file"),
+        (("--robot", "tfihs", *BEAT), 3, "did you mean 'tfish'"),
+        (("--robot", "boxfish", *BEAT), 3, "no 'multilink' part"),
+        (("--robot", "tfish"), 2, "needs --frequency-hz"),
+        (("--robot", "tfish", "--frequency-hz", "1"), 2, "needs --amplitude-deg"),
+        (("--robot", "tfish", "--frequency-hz", "150", "--amplitude-deg", "9"), 2, "cannot be integrated"),
+        (("--robot", "tfish", *BEAT, "--set", "c_m=1"), 2, "did you mean 'c_ma'"),
+        (("--robot", "tfish", *BEAT, "--reading", "areas=both"), 2, "no option 'both'"),
+        (("--robot", "tfish", *BEAT, "--trial", "a"), 2, "--trial belongs to --trials"),
+        (("--robot", "tfish", *BEAT, "--animate", "film.avi"), 2, "can be no animation"),
+        (("--robot", "tfish", *BEAT, "-o", "sim.txt"), 2, "can be no log"),
+        (("--robot", "tfish", *BEAT, "-o", "nowhere/sim.csv"), 3, "does not exist"),
+        (("--robot", "tfish", *BEAT, "--set", "c_ma=-1.5"), 3, "not positive definite"),
+        (("--robot", "tfish", *BEAT, "--trials", "t.yaml"), 2, "no place beside --trials"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said(
+    swimid: Run, words: tuple[str, ...], status: int, text: str
+) -> None:
+    ran = swimid("simulate", *words)
+    assert ran.status == status, ran.err
+    assert text in ran.err
+    assert "Traceback" not in ran.err
+
+
+def test_a_simulation_that_breaks_down_says_when(swimid: Run) -> None:
+    ran = swimid("simulate", "--robot", "tfish", *BEAT, "--dt", "0.2", "--sample-rate-hz", "5")
+    assert ran.status == 4
+    assert "breaks down at t = " in ran.err
+    assert "--dt" in ran.err
+
+
+def test_parameters_of_another_robot(swimid: Run, tmp_path: Path) -> None:
+    params = tfish_file(tmp_path / "tfish.yaml")
+    ran = swimid("simulate", "--params", params, "--robot", "dolphin", *BEAT)
+    assert ran.status == 3
+    assert "another robot" in ran.err
+
+
+def test_values_out_of_bounds_and_wild_beats_are_warned_of(swimid: Run) -> None:
+    args = ("simulate", "--robot", "tfish", "--duration-s", "2", "--json")
+    ran = swimid(*args, "--frequency-hz", "1", "--amplitude-deg", "20", "--set", "c_d4=7")
+    assert "SWM053" in {w["code"] for w in ran.json["warnings"]}
+    ran = swimid(*args, "--frequency-hz", "1", "--amplitude-deg", "280")
+    assert "SWM054" in {w["code"] for w in ran.json["warnings"]}
+
+
+def test_a_simulated_log_can_be_reported(swimid: Run, tmp_path: Path) -> None:
+    out = tmp_path / "sim.csv"
+    swimid("simulate", "--robot", "tfish", *BEAT, "--duration-s", "4", "-o", out)
+    ran = swimid("report", out, "-o", tmp_path / "report.html")
+    assert ran.status == 0, ran.err
+    assert "swimid simulate" in (tmp_path / "report.html").read_text()
