@@ -5,7 +5,7 @@ OUT ?= demo_out
 BIN := $(VENV)/bin
 SAMPLES := sample_logs
 
-.PHONY: demo test check-all lint types bench samples clean
+.PHONY: demo test check-all lint types bench samples reproduction clean
 
 demo: $(VENV)/.ready
 	mkdir -p $(OUT)
@@ -43,6 +43,13 @@ bench: $(VENV)/.ready-bench
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.generators.make_samples
+
+# The published figures of the built-in multi-link robots, and the twin of the dolphin: one page.
+reproduction: $(VENV)/.ready-dev
+	$(BIN)/python docs/reproduction.py > docs/reproduction.md.part
+	echo >> docs/reproduction.md.part
+	PYTHONPATH=. $(BIN)/python benchmarks/bench_tuning.py >> docs/reproduction.md.part
+	mv docs/reproduction.md.part docs/reproduction.md
 
 $(VENV)/.ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

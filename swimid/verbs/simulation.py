@@ -13,8 +13,7 @@ import swimid
 from swimid.errors import NoTrustworthyResult
 from swimid.experiments.applied import Applied, Quantity
 from swimid.formats import log as log_format
-from swimid.models.base import Array, Model, Trial
-from swimid.models.multilink.model import MultilinkModel, grid
+from swimid.models.base import Array, Trial
 from swimid.notices import warn
 
 #: Halving the step may change a channel by this share of its range at most.
@@ -130,7 +129,7 @@ def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
-    finer = _finer(case.applied.model, case.trial)
+    finer = case.applied.model.refined()
     if finer is None:
         return {}
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -151,16 +150,6 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
             "its range; take a smaller step with --dt",
         )
     return found
-
-
-def _finer(model: Model, trial: Trial) -> Model | None:
-    """The model with half the step, where the samples do not make that short already."""
-    finer = model.refined()
-    if isinstance(model, MultilinkModel):
-        step = grid(trial.time_s, model.max_step)[1]
-        while isinstance(finer, MultilinkModel) and grid(trial.time_s, finer.max_step)[1] > 0.75 * step:
-            finer = finer.refined()
-    return finer
 
 
 def write(path: Path, done: Simulated) -> None:

@@ -403,17 +403,23 @@ VIEW = ("clock_offset", "camera_rotation")
 def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
     """Begin, step and number of steps of the integration of a trial.
 
-    The step divides the median sampling interval, so that samples of an even record lie on it.
+    The step divides the median sampling interval, so that samples of an even record lie on it, or is
+    a whole multiple of it where samples come faster than steps.
 
     >>> grid(np.array([0.0, 0.02, 0.04]), 0.005)
     (0.0, 0.005, 8)
+    >>> grid(np.arange(9) / 1000, 0.005)
+    (0.0, 0.005, 2)
     """
     begin, end = float(time_s[0]), float(time_s[-1])
     if end <= begin:
         return begin, max_step, 1
     typical = float(np.median(np.diff(time_s)))
     even = (end - begin) / max(round((end - begin) / typical), 1)
-    step = even / max(1, math.ceil(even / max_step - 1e-9))
+    if even > max_step:
+        step = even / math.ceil(even / max_step - 1e-9)
+    else:
+        step = even * math.floor(max_step / even + 1e-9)
     return begin, step, max(1, math.ceil((end - begin) / step - 1e-6))
 
 

@@ -1,0 +1,238 @@
+"""Recordings made by others, as swimid logs with a trials file.
+
+The tail-actuated fish of Michigan State University (DerivativeBasedKoopman, MIT licence) and the
+single and double pendulum of MultiArm-Pendulum (dynamicslab, MIT licence). As a program it writes all
+of them: ``python -m tests.generators.real_logs DATA FOLDER``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+
+Array = NDArray[np.float64]
+
+AMPLITUDES_DEG = (15, 20, 30)
+BIASES_DEG = (-50, -40, -30, -20, 0, 20, 30, 40, 50)
+#: The fish's trials that are held out.
+HELD_OUT_DEG = 20
+#: Beat frequencies among which each trial's own is sought, Hz.
+BEATS_HZ = np.linspace(1.5, 2.6, 1101)
+#: The tail is about this far ahead of the yaw rate, which starts the search for each trial's phase.
+LAG_RAD = 1.65
+#: Sample numbers between the rows kept of a pendulum's 1 kHz record.
+EVERY = 10
+
+
+@dataclass(frozen=True)
+class FishRun:
+    """One run of the fish.
+
+    Attributes
+    ----------
+    amplitude_deg, bias_deg : int
+        As commanded.
+    frequency_hz, phase_rad : float
+        Of the beat in its own yaw rate, which goes as ``sin(2 pi f t + phase)``.
+    rows : ndarray, shape (n, 7)
+        Time, surge, sway, yaw rate, yaw, x, y in SI.
+    """
+
+    name: str
+    amplitude_deg: int
+    bias_deg: int
+    frequency_hz: float
+    phase_rad: float
+    rows: Array
+
+
+def read_fish(data: Path) -> list[FishRun]:
+    """All runs of the fish.
+
+    Parameters
+    ----------
+    data : path
+        The folder of real recordings.
+    """
+    runs = []
+    for amplitude in AMPLITUDES_DEG:
+        for bias in BIASES_DEG:
+            for number in (1, 2):
+                rows = np.loadtxt(
+                    data / "msu_tail_fish" / f"Amp{amplitude}Bias{bias}" / f"STATES{number}.txt"
+                )
+                frequency, phase = beat(rows[:, 0], rows[:, 3])
+                runs.append(
+                    FishRun(f"a{amplitude}b{bias:+d}-{number}", amplitude, bias, frequency, phase, rows)
+                )
+    return runs
+
+
+def beat(time_s: Array, yaw_rate: Array) -> tuple[float, float]:
+    """Frequency and phase of a beat: least squares of a cubic trend and two harmonics.
+
+    Parameters
+    ----------
+    time_s, yaw_rate : ndarray, shape (n,)
+
+    Returns
+    -------
+    frequency : float, Hz
+    phase : float, rad
+        The first harmonic is ``sin(2 pi f t + phase)``.
+    """
+    trend = np.vander((time_s - time_s[0]) / (time_s[-1] - time_s[0]), 4)
+
+    def solve(frequency: float) -> tuple[float, Array]:
+        angle = 2 * np.pi * frequency * time_s
+        waves = [np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+        design = np.column_stack([trend, *waves])
+        weights, *_ = np.linalg.lstsq(design, yaw_rate, rcond=None)
+        return float(np.sum((yaw_rate - design @ weights) ** 2)), weights
+
+    best = float(min(BEATS_HZ, key=lambda f: solve(f)[0]))
+    weights = solve(best)[1]
+    return best, float(np.arctan2(weights[4], weights[5]))
+
+
+def write_fish(folder: Path, runs: list[FishRun], robot: Path, *, lag_rad: float) -> Path:
+    """Logs and trials file of the fish.
+
+    When the tail passed its middle is not recorded. Each log's clock is therefore shifted, so that
+    the tail beats as ``sin(2 pi f t)`` if it is ``lag_rad`` ahead of the yaw rate: what is left of
+    the phase is the fit's ``drive_phase``.
+
+    Parameters
+    ----------
+    folder : path
+    runs : list of FishRun
+    robot : path
+        The robot file, named in the trials file.
+    lag_rad : float
+
+    Returns
+    -------
+    Path
+        The trials file.
+    """
+    lines = ["format: swimid-trials/1", "experiment: free-swim", f"robot: {robot}", "trials:"]
+    for run in runs:
+        time = run.rows[:, 0] + (run.phase_rad + lag_rad) / (2 * np.pi * run.frequency_hz)
+        # by whole beats to after the start of the drive
+        time = time - np.floor(time[0] * run.frequency_hz) / run.frequency_hz
+        np.savetxt(
+            folder / f"{run.name}.csv",
+            np.column_stack([time, run.rows[:, [5, 6]], np.unwrap(run.rows[:, 4]), run.rows[:, 1:4]]),
+            delimiter=",",
+            header="t_s,x_m,y_m,yaw_rad,u_m_s,v_m_s,yaw_rate_rad_s",
+            comments="",
+        )
+        role = "validate" if run.amplitude_deg == HELD_OUT_DEG else "fit"
+        drive = (
+            f"frequency_hz: {run.frequency_hz:.4f}, amplitude_deg: {run.amplitude_deg}, "
+            f"bias_deg: {run.bias_deg}, ramp_s: 0"
+        )
+        lines.append(f"  - {{id: {run.name}, log: {run.name}.csv, role: {role}, drive: {{{drive}}}}}")
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    return folder / "trials.yaml"
+
+
+@dataclass(frozen=True)
+class Swing:
+    """One window of a pendulum's record.
+
+    Attributes
+    ----------
+    role : str
+        ``fit`` or ``validate``.
+    rows : ndarray, shape (n, 1 + arms)
+        Time and joint angles: zero hanging, the second against the first arm.
+    rates : ndarray, shape (arms,)
+        Joint rates at the first row.
+    """
+
+    name: str
+    role: str
+    rows: Array
+    rates: Array
+
+
+def read_pendulum(data: Path, arms: int, *, every: int = EVERY) -> tuple[list[Swing], Array]:
+    """Windows of the single or double pendulum, and the published parameters.
+
+    The record's angles are absolute, zero upright.
+
+    Parameters
+    ----------
+    data : path
+        The folder of real recordings.
+    arms : int
+        1 or 2.
+    every : int
+        Keep every so many-th sample.
+
+    Returns
+    -------
+    windows : list of Swing
+    published : ndarray
+        ``a1, m1, I1, k1, g`` or ``m1, m2, a1, a2, L1, I1, I2, k1, k2, g``, SI.
+    """
+    word = {1: "Single", 2: "Double"}[arms]
+    folder = data / "multiarm_pendulum"
+    record = loadmat(folder / f"{word}PendulumDataForParameterEstimation.mat")
+    published = loadmat(folder / f"EstimatedParameters_{word}Pendulum.mat")["EstimatedParameters"].ravel()
+    step = float(record["dt"][0, 0])
+    windows = []
+    for key, role in (("Y_id", "fit"), ("Y_vad", "validate")):
+        for number, values in enumerate(record[key].ravel()):
+            angles, rates = values[:arms].copy(), values[arms:]
+            angles[0] -= np.pi
+            joints = np.vstack([angles[:1], np.diff(values[:arms], axis=0)])[:, ::every]
+            first = np.concatenate([rates[:1, 0], np.diff(rates[:, 0])])
+            time = step * every * np.arange(joints.shape[1])
+            windows.append(Swing(f"{role}{number:02d}", role, np.column_stack([time, *joints]), first))
+    return windows, published
+
+
+def write_pendulum(folder: Path, windows: list[Swing], robot: Path) -> Path:
+    """Logs and trials file of a pendulum.
+
+    Returns
+    -------
+    Path
+        The trials file.
+    """
+    lines = ["format: swimid-trials/1", "experiment: multibody", f"robot: {robot}", "trials:"]
+    for window in windows:
+        arms = window.rows.shape[1] - 1
+        np.savetxt(
+            folder / f"{window.name}.csv",
+            window.rows,
+            delimiter=",",
+            header=",".join(["t_s", *(f"joint{k + 1}_rad" for k in range(arms))]),
+            comments="",
+        )
+        lines.append(f"  - {{id: {window.name}, log: {window.name}.csv, role: {window.role}}}")
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    return folder / "trials.yaml"
+
+
+def main(data: Path, folder: Path) -> None:
+    """Write the logs, robots and trials files of all recordings below a folder."""
+    examples = Path(__file__).parents[2] / "docs" / "examples"
+    for name in ("fish", "pendulum"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    robot = os.path.relpath(examples / "msu-fish.yaml", folder / "fish")
+    print(write_fish(folder / "fish", read_fish(data), Path(robot), lag_rad=LAG_RAD))
+    robot = os.path.relpath(examples / "double-pendulum.yaml", folder / "pendulum")
+    print(write_pendulum(folder / "pendulum", read_pendulum(data, 2)[0], Path(robot)))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
