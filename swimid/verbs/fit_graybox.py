@@ -21,7 +21,8 @@ from swimid.formats import provenance
 from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Model, Parameter
-from swimid.models.multilink.model import DEFAULT_STEP, PLANES
+from swimid.models.multilink.drive import Beat as Drive
+from swimid.models.multilink.model import DEFAULT_STEP, PLANES, prepare
 from swimid.models.tied import Tied, groups_by_prefix
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
@@ -29,6 +30,9 @@ from swimid.reporting import numbers
 from swimid.signals.beat import find_beat
 from swimid.verbs import fit_common
 from swimid.verbs.outcome import Outcome
+
+#: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
+BEAT_HARMONICS = 3.5
 
 
 def fit_graybox(
@@ -91,6 +95,7 @@ def fit_graybox(
         experiment = multilink_experiment.load(
             trials_file, readings=readings, channels=channels, start_state=start_state, max_step=max_step
         )
+        prepare(progress)
         model = _tied(experiment.model, share)
         parameters = model.parameters if begin is None else _begun(model.parameters, begin, share)
         choices = fit_common.prepare(
@@ -120,6 +125,7 @@ def fit_graybox(
             ends = []
         left_out: list[str] = []
         if subset:
+            result = _starting_here(result)
             result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
         result = start_states.with_held_out(result)
         origin = provenance.collect(
@@ -181,6 +187,15 @@ def fit_graybox(
 def _tied(model: Model, share: Sequence[str]) -> Model:
     groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
     return Tied(model, groups) if groups else model
+
+
+def _starting_here(result: FitResult) -> FitResult:
+    """The same with the estimates as start values: what a subset leaves out is held at them.
+
+    Held at the middle of its bounds it would pull all others off.
+    """
+    moved = tuple(replace(p, start=result.value(p.name)) for p in result.parameters)
+    return replace(result, parameters=moved)
 
 
 def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) -> tuple[Parameter, ...]:
@@ -324,6 +339,7 @@ def _tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart
 def _metrics_table(result: FitResult) -> ev.Table:
     rows: list[list[Any]] = []
     units = {c.name: c.unit for c in result.model.channels}
+    drives = {t.id: t.settings.get("beat") for t in result.trials}
     for s in result.series:
         score = metrics.score(s.measured, s.simulated)
         _, relative = metrics.peak_error(s.measured, s.simulated)
@@ -337,7 +353,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
                 numbers.number(100 * score.vaf, 4, "%"),
                 numbers.number(100 * relative, 3, "%"),
                 numbers.number(_dtw(s), 3, units[s.channel]),
-                _phase(s),
+                _phase(s, drives[s.trial]),
             ]
         )
     return ev.Table(
@@ -365,9 +381,13 @@ def _dtw(s: Series) -> float:
     return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
 
 
-def _phase(s: Series) -> str:
+def _phase(s: Series, drive: Drive | None) -> str:
     there = np.isfinite(s.measured)
-    beat = find_beat(s.time_s[there], s.measured[there])
+    highest = None
+    if drive is not None and there.sum() > 1:
+        rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
+        highest = min(BEAT_HARMONICS * drive.frequency_hz, 0.45 * rate)
+    beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
     if beat is None:
         return ""
     error = metrics.phase_error(s.measured, s.simulated, s.time_s, frequency_hz=beat.frequency_hz)
@@ -399,7 +419,7 @@ def _methods(
             "reported minimum."
         )
     if left_out:
-        said.append(f"{', '.join(left_out)} could not be identified and were held at their start values.")
+        said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")
     if any("[" in label for label in result.labels):
         kinds = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
         said.append(

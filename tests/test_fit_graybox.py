@@ -1,0 +1,721 @@
+"""``swimid fit-graybox`` on swimmers whose truth comes from an independent simulator."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from swimid.errors import NoTrustworthyResult
+from swimid.estimators import identifiability, output_error
+from swimid.experiments import multilink
+from swimid.formats import evidence, parameters
+from swimid.formats.parameters import ParameterFile
+from swimid.models.base import Parameter
+from swimid.progress import Step
+from swimid.verbs.fit_graybox import fit_graybox
+from tests.conftest import Ran
+from tests.generators import swimmer
+
+Swimid = Callable[..., Ran]
+Table = dict[str, np.ndarray]
+
+RATES = {"u_m_s": 0.01, "yaw_rate_rad_s": float(np.radians(1.0))}
+POSE = {"x_m": 0.002, "y_m": 0.002, "yaw_rad": float(np.radians(0.5))}
+TRUTH = {**swimmer.TFISH, "c_ma": 1.0, "c_Ia": 1.45, "c_d0": 4.1, "c_d13": 0.5, "c_f0": 0.02}
+FRICTIONS = ("c_f0", "c_f13", "c_f4")
+#: One coefficient for all friction, all else as above.
+SHARED = {**TRUTH, **dict.fromkeys(FRICTIONS, 0.02)}
+
+
+def _drive(frequency: float, amplitude: float, bias: float = 0.0) -> dict[str, float]:
+    return {"frequency_hz": frequency, "amplitude_deg": amplitude, "bias_deg": bias}
+
+
+@cache
+def _runs(shared: bool = False) -> tuple[swimmer.Run, ...]:
+    """Three short runs to fit and one held out."""
+    truth = SHARED if shared else TRUTH
+    found = []
+    for name, drive in (
+        ("slow", _drive(1.0, 30, 10)),
+        ("fast", _drive(1.8, 20, -10)),
+        ("wide", _drive(1.4, 30)),
+        ("held", _drive(1.2, 25, 8)),
+    ):
+        columns = swimmer.simulate("tfish", truth, drive, 6.0)
+        found.append(swimmer.Run(name, drive, columns, "validate" if name == "held" else "fit"))
+    return tuple(found)
+
+
+@cache
+def _published(drag_at: str) -> tuple[swimmer.Run, ...]:
+    """Six runs of 20 s with the published coefficients."""
+    drives = [(1.0, 20, 0), (1.0, 30, 10), (1.4, 20, 0), (1.4, 30, -15), (1.8, 20, 10), (2.0, 30, 0)]
+    found = []
+    for k, numbers in enumerate(drives):
+        drive = _drive(*numbers)
+        found.append(
+            swimmer.Run(f"r{k}", drive, swimmer.simulate("tfish", None, drive, 20.0, drag_at=drag_at))
+        )
+    return tuple(found)
+
+
+def _write(
+    folder: Path, runs: Sequence[swimmer.Run], noise: dict[str, float], seed: int = 1, **options: Any
+) -> Path:
+    return swimmer.write_trials(folder, "tfish", runs, noise, seed, **{"columns": list(noise), **options})
+
+
+def _fit(swimid: Swimid, trials: Path, *options: str) -> ParameterFile:
+    out = trials.parent / "fit.yaml"
+    ran = swimid("fit-graybox", trials, "-o", out, *options)
+    assert ran.status == 0, ran.err
+    return parameters.read(out)
+
+
+def _deviations(file: ParameterFile, truth: dict[str, float]) -> dict[str, float]:
+    """Error of each estimated coefficient in its standard errors."""
+    return {
+        name: (e.value - truth[name]) / e.stderr
+        for name, e in file.parameters.items()
+        if name in truth and e.status == "estimated" and e.stderr
+    }
+
+
+def _sums(file: ParameterFile, truth: dict[str, float]) -> dict[str, float]:
+    """Error of each known sum of coefficients in its standard errors."""
+    found = {}
+    for text, estimate in file.derived.items():
+        total = 0.0
+        for term in text.replace(" - ", " + -").split(" + "):
+            *factor, name = term.split()
+            total += (float(factor[0]) if factor else 1.0) * truth[name]
+        assert estimate.stderr
+        found[text] = (estimate.value - total) / estimate.stderr
+    return found
+
+
+def _log(path: Path) -> tuple[list[str], Table]:
+    lines = path.read_text().splitlines()
+    header = next(i for i, line in enumerate(lines) if not line.startswith("#"))
+    names = lines[header].split(",")
+    values = np.array([[float(c) for c in line.split(",")] for line in lines[header + 1 :]])
+    return names, dict(zip(names, values.T, strict=True))
+
+
+def _rewrite(path: Path, change: Callable[[Table], Table]) -> None:
+    """Change a log's columns; NaN becomes an empty cell."""
+    _, table = _log(path)
+    table = change(dict(table))
+    rows = zip(*table.values(), strict=True)
+    text = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    path.write_text("\n".join([",".join(table), *text]) + "\n")
+
+
+class TestRecovery:
+    def test_speed_and_yaw_rate(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _runs(), RATES))
+        off = _deviations(file, TRUTH)
+        assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
+        assert max(map(abs, off.values())) < 3, off
+        assert not set(FRICTIONS) & set(off)
+        assert file.fit is not None
+        assert file.fit.converged
+        for channel, sd in RATES.items():
+            # 3 x 301 samples: the noise's size is known to 1 / sqrt(2 n)
+            assert file.fit.noise[channel]["value_sd"] == pytest.approx(sd, rel=4 / np.sqrt(2 * 903))
+            assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.2)
+
+    def test_the_known_sum_of_the_frictions(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _runs(), RATES, seed=2))
+        assert [n for n in FRICTIONS if file.parameters[n].status != "unidentifiable"] == []
+        (named,) = [line for line in file.identifiability if "cannot be told apart" in line]
+        assert all(name in named for name in FRICTIONS)
+        (off,) = _sums(file, TRUTH).values()
+        assert abs(off) < 3
+        (total,) = file.derived.values()
+        assert total.stderr
+        assert total.stderr < 0.5 * total.value
+
+    def test_pose(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _runs(), POSE))
+        off = _deviations(file, TRUTH)
+        assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
+        assert max(map(abs, off.values())) < 3, off
+        assert file.parameters["start_yaw[slow]"].status in ("estimated", "unidentifiable")
+
+    def test_another_integration_of_the_drag(self, swimid: Swimid, tmp_path: Path) -> None:
+        runs = [
+            swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", TRUTH, r.drive, 4.0, drag_at="slices"))
+            for r in _runs()[:2]
+        ]
+        trials = _write(tmp_path, runs, RATES)
+        right = _fit(swimid, trials, "--reading", "drag_point=strips")
+        wrong = _fit(swimid, trials)
+        assert right.settings["readings"] == {"drag_point": "strips"}
+        off = _deviations(right, TRUTH)
+        assert len(off) >= 3
+        assert max(map(abs, off.values())) < 3, off
+        assert max(map(abs, _deviations(wrong, TRUTH).values())) > 3
+
+    def test_read_back_to_the_last_bit(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(), RATES)
+        out = tmp_path / "fit.yaml"
+        ran = swimid("fit-graybox", trials, "-o", out, "--json")
+        assert ran.status == 0, ran.err
+        told = ran.json["result"]["parameters"]
+        file = parameters.read(out)
+        assert list(told) == list(file.parameters)
+        for name, e in file.parameters.items():
+            assert (told[name]["value"], told[name]["stderr"]) == (e.value, e.stderr)
+        experiment = multilink.load(trials)
+        values = np.array(
+            [
+                file.value(p.name) if p.name in file.parameters else p.start
+                for p in experiment.model.parameters
+            ]
+        )
+        errors = [
+            t.measured["u_m_s"] - experiment.model.simulate(values, t)["u_m_s"]
+            for t in experiment.trials
+            if t.role == "fit"
+        ]
+        assert file.fit is not None
+        assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) == file.fit.channels["u_m_s"]["rmse"]
+        beside = evidence.read(evidence.sidecar(out))
+        assert {"metrics", "ranking", "readings"} <= {t.id for t in beside.tables}
+
+
+class TestChoices:
+    def test_one_friction(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _runs(shared=True), RATES), "--share", "c_f")
+        first, *others = [file.parameters[name] for name in FRICTIONS]
+        assert all(e == first for e in others)
+        assert first.status == "estimated"
+        assert first.stderr
+        assert first.stderr < 0.2 * first.value
+        assert file.settings["shared"] == {"c_f": list(FRICTIONS)}
+        assert "c_f" not in file.parameters
+        off = _deviations(file, SHARED)
+        assert len(off) == 8
+        assert max(map(abs, off.values())) < 3, off
+
+    def test_subset(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(), RATES)
+        whole = _fit(swimid, trials)
+        file = _fit(swimid, trials, "--subset")
+        held = file.settings["fixed_as_unidentifiable"]
+        assert held
+        assert set(held) <= set(FRICTIONS)
+        assert all(file.parameters[name].status == "fixed" for name in held)
+        assert all(e.status != "unidentifiable" for e in file.parameters.values())
+        assert all(file.value(name) == whole.value(name) for name in held)
+        # held where they were, they cost nothing
+        assert file.fit is not None
+        assert whole.fit is not None
+        for channel in RATES:
+            assert file.fit.channels[channel]["rmse"] < 1.01 * whole.fit.channels[channel]["rmse"]
+        off = _deviations(file, TRUTH)
+        assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
+
+    def test_bounds_and_fixed(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), RATES)
+        file = _fit(
+            swimid, trials, "--share", "c_f", "--fix", "c_d13=0.5", "--bounds", "c_d4=0,5", "--free", "d_p"
+        )
+        assert file.parameters["c_d13"].value == 0.5
+        assert file.parameters["c_d13"].status == "fixed"
+        assert file.parameters["c_d4"].bounds == (0, 5)
+        assert file.parameters["c_d4"].status == "at-bound"
+        assert file.parameters["d_p"].status != "fixed"
+
+    def test_few_outliers(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), RATES)
+        rng = np.random.default_rng(7)
+
+        def spoil(table: Table) -> Table:
+            for name, sd in RATES.items():
+                hit = rng.random(len(table[name])) < 0.02
+                table[name] = table[name] + hit * rng.normal(0, 30 * sd, len(hit))
+            return table
+
+        for run in _runs():
+            _rewrite(trials.parent / f"{run.id}.csv", spoil)
+        linear = _fit(swimid, trials, "--share", "c_f")
+        robust = _fit(swimid, trials, "--share", "c_f", "--loss", "huber")
+        off = _deviations(robust, SHARED)
+        assert len(off) >= 7
+        assert max(map(abs, off.values())) < 3, off
+        for name in ("c_ma", "c_Ia", "c_d4"):
+            e, f = robust.parameters[name].stderr, linear.parameters[name].stderr
+            assert e
+            assert f
+            # the noise with the outliers is sqrt(1 + 0.02 900) = 4 times as large
+            assert e < 0.5 * f
+
+
+class TestTrialsThatDisagree:
+    @pytest.mark.parametrize("noise", [RATES, POSE], ids=["rates", "pose"])
+    def test_standard_errors_grow(self, swimid: Swimid, tmp_path: Path, noise: dict[str, float]) -> None:
+        """One trial's tail beat is a twentieth wider than stated."""
+        runs = list(_runs(shared=True))
+        wide = runs[0].drive["amplitude_deg"] / 1.05
+        runs[0] = replace(runs[0], drive={**runs[0].drive, "amplitude_deg": wide})
+        file = _fit(swimid, _write(tmp_path, runs, noise), "--share", "c_f")
+        assert file.fit is not None
+        assert (file.fit.model_extra or {})["scatter"] > 1
+        checks = evidence.read(evidence.sidecar(tmp_path / "fit.yaml")).checks
+        (check,) = [c for c in checks if c.name == "trials agree"]
+        assert check.verdict == "warn"
+
+    def test_with_none_they_stay(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _runs(shared=True), POSE), "--share", "c_f")
+        assert file.fit is not None
+        assert (file.fit.model_extra or {})["scatter"] == 1
+
+
+class TestLogs:
+    def test_measured_joints_move_the_fish(self, swimid: Swimid, tmp_path: Path) -> None:
+        joints = {f"joint{k}_rad": float(np.radians(0.1)) for k in (1, 2, 3)}
+        trials = _write(tmp_path, _runs(shared=True), {**RATES, **joints}, with_drive=False)
+        file = _fit(swimid, trials, "--share", "c_f", "--channels", ",".join(RATES))
+        off = _deviations(file, SHARED)
+        assert len(off) >= 6
+        assert max(map(abs, off.values())) < 4, off
+
+    def test_commanded_joints_where_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
+        runs = []
+        for run in _runs(shared=True):
+            names = {f"joint{k}_rad": f"cmd{k}_rad" for k in (1, 2, 3)}
+            columns = {names.get(n, n): v for n, v in run.columns.items()}
+            runs.append(replace(run, columns=columns))
+        columns = [*RATES, "cmd1_rad", "cmd2_rad", "cmd3_rad"]
+        trials = _write(tmp_path, runs, RATES, columns=columns, with_drive=False)
+        file = _fit(swimid, trials, "--share", "c_f")
+        off = _deviations(file, SHARED)
+        assert len(off) >= 7
+        assert max(map(abs, off.values())) < 3, off
+
+    def test_a_driven_joint_without_a_column(self, swimid: Swimid, tmp_path: Path) -> None:
+        columns = [*RATES, "joint1_rad", "joint3_rad"]
+        trials = _write(tmp_path, _runs(), RATES, columns=columns, with_drive=False)
+        ran = swimid("fit-graybox", trials)
+        assert ran.status == 3
+        assert "slow.csv" in ran.err
+        assert "'joint2_rad'" in ran.err
+        assert "cmd2_rad" in ran.err
+        assert ran.err.count("Error") == 1
+
+    def test_a_joint_no_drive_moves_needs_no_column(self, tmp_path: Path) -> None:
+        drive = _drive(2.0, 20)
+        run = swimmer.Run("d", drive, swimmer.simulate("dolphin", None, drive, 2.0))
+        columns = ["x_m", "z_m", "pitch_rad", "joint2_rad"]
+        path = swimmer.write_trials(tmp_path, "dolphin", [run], {}, 0, columns=columns, with_drive=False)
+        experiment = multilink.load(path, start_state="rest")
+        (trial,) = experiment.trials
+        still, moved = (motion(trial.time_s)[0] for motion in trial.settings["joints"])
+        assert not still.any()
+        assert moved == pytest.approx(run.columns["joint2_rad"], abs=1e-6)
+
+    def test_a_start_in_motion(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), RATES)
+        text = trials.read_text()
+        for name in ("fast", "held"):
+            text = text.replace(f"log: {name}.csv", f"log: {name}.csv\n    start_s: 2.5")
+        trials.write_text(text)
+        file = _fit(swimid, trials, "--share", "c_f")
+        assert file.parameters["initial_surge[fast]"].status == "estimated"
+        assert not [n for n in file.parameters if n.startswith("initial") and "fast" not in n]
+        columns = next(r for r in _runs(shared=True) if r.id == "fast").columns
+        for name, column in (("initial_surge", "u_m_s"), ("initial_yaw_rate", "yaw_rate_rad_s")):
+            e = file.parameters[f"{name}[fast]"]
+            assert e.stderr
+            assert abs(e.value - columns[column][125]) < 3 * e.stderr
+        off = _deviations(file, SHARED)
+        assert len(off) >= 6
+        assert max(map(abs, off.values())) < 3, off
+        # the held-out one starts in motion too: its own start state is found before it is scored
+        assert file.fit is not None
+        for channel, sd in RATES.items():
+            assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.25)
+        still = _fit(swimid, trials, "--share", "c_f", "--start-state", "rest")
+        assert not [n for n in still.parameters if n.startswith("initial")]
+        assert still.fit is not None
+        assert still.fit.channels["u_m_s"]["rmse"] > 2 * RATES["u_m_s"]
+
+    def test_rest_is_rest_without_noise(self, tmp_path: Path) -> None:
+        for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
+            assert multilink.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
+
+    def test_a_held_out_run_elsewhere(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), POSE)
+
+        def moved(table: Table) -> Table:
+            place = (table["x_m"] + 1j * table["y_m"]) * np.exp(2j) + 5.0 - 3.0j
+            return {**table, "x_m": place.real, "y_m": place.imag, "yaw_rad": table["yaw_rad"] + 2.0}
+
+        _rewrite(tmp_path / "held.csv", moved)
+        trials.write_text(trials.read_text().replace("log: held.csv", "log: held.csv\n    start_s: 2.0"))
+        file = _fit(swimid, trials, "--share", "c_f")
+        assert file.fit is not None
+        for channel, sd in POSE.items():
+            # 200 samples, 8 numbers of its own
+            assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.25)
+
+    @pytest.mark.parametrize("late_s", [0.037, -0.037])
+    def test_a_clock_that_is_off(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
+        trials = _write(tmp_path, _runs(shared=True), POSE)
+        _rewrite(tmp_path / "wide.csv", lambda table: {**table, "t_s": table["t_s"] + late_s})
+        file = _fit(swimid, trials, "--share", "c_f", "--free", "clock_offset")
+        for name, true in (("slow", 0.0), ("wide", late_s), ("fast", 0.0)):
+            e = file.parameters[f"clock_offset[{name}]"]
+            assert e.stderr
+            assert e.stderr < 2e-3
+            assert abs(e.value - true) < 3 * e.stderr
+        off = _deviations(file, SHARED)
+        assert max(map(abs, off.values())) < 3, off
+
+    def test_a_turned_camera(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), POSE)
+
+        def turned(table: Table) -> Table:
+            place = (table["x_m"] + 1j * table["y_m"]) * np.exp(0.05j)
+            return {**table, "x_m": place.real, "y_m": place.imag}
+
+        for name in ("slow", "fast"):
+            _rewrite(tmp_path / f"{name}.csv", turned)
+        file = _fit(swimid, trials, "--share", "c_f", "--free", "camera_rotation")
+        for name, true in (("slow", 0.05), ("fast", 0.05), ("wide", 0.0)):
+            e = file.parameters[f"camera_rotation[{name}]"]
+            assert e.stderr
+            assert e.stderr < 0.02
+            assert abs(e.value - true) < 3 * e.stderr
+        off = _deviations(file, SHARED)
+        assert max(map(abs, off.values())) < 3, off
+
+    def test_a_drive_that_starts_at_another_phase(self, swimid: Swimid, tmp_path: Path) -> None:
+        early = replace(swimmer.tfish(SHARED), lag=np.full(4, -0.4))
+        runs = list(_runs(shared=True)[:2])
+        runs[1] = replace(runs[1], columns=swimmer.swim(early, runs[1].drive, 6.0))
+        file = _fit(swimid, _write(tmp_path, runs, RATES), "--share", "c_f", "--free", "drive_phase")
+        for name, true in (("slow", 0.0), ("fast", 0.4)):
+            e = file.parameters[f"drive_phase[{name}]"]
+            assert e.stderr
+            assert e.stderr < 0.05
+            assert abs(e.value - true) < 3 * e.stderr
+
+    def test_a_rough_log(self, swimid: Swimid, tmp_path: Path) -> None:
+        """30 Hz, a second of rest before the start, gaps, uneven stamps, a heading within half a turn."""
+        rng = np.random.default_rng(3)
+        runs = [
+            swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", SHARED, r.drive, 8.0, 30.0))
+            for r in _runs()[:2]
+        ]
+        before = np.arange(-30, 0) / 30.0
+        for run in runs:
+            run.columns = {
+                n: np.concatenate([before if n == "t_s" else np.zeros(30), v])
+                for n, v in run.columns.items()
+                if n in ("t_s", *POSE)
+            }
+        trials = _write(tmp_path, runs, POSE)
+
+        def roughen(table: Table) -> Table:
+            table["yaw_rad"] = np.angle(np.exp(1j * (table["yaw_rad"] + 3.0)))
+            place = (table["x_m"] + 1j * table["y_m"]) * np.exp(3j)
+            table["x_m"], table["y_m"] = place.real, place.imag
+            lost = (table["t_s"] > 3.0) & (table["t_s"] < 3.7)
+            for name in POSE:
+                table[name] = np.where(lost | (rng.random(len(lost)) < 0.05), np.nan, table[name])
+            kept = rng.random(len(lost)) < 0.85
+            return {n: v[kept] for n, v in table.items()}
+
+        for run in runs:
+            _rewrite(tmp_path / f"{run.id}.csv", roughen)
+        assert max(np.abs(np.diff(_wrapped(tmp_path / "fast.csv")))) > 6
+        file = _fit(swimid, trials, "--share", "c_f")
+        assert not [n for n in file.parameters if n.startswith("initial")]
+        off = _deviations(file, SHARED)
+        assert len(off) >= 6
+        assert max(map(abs, off.values())) < 3, off
+
+
+def _wrapped(path: Path) -> np.ndarray:
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    column = rows[0].index("yaw_rad")
+    return np.array([float(row[column]) for row in rows[1:] if row[column]])
+
+
+def _stopping(at: int) -> Callable[..., Any]:
+    """Progress under which the user presses Ctrl-C at the given iteration."""
+
+    class Bar:
+        def __call__(self, amount: int = 1) -> None:
+            pass
+
+        def note(self, text: str) -> None:
+            if text.startswith(f"iteration {at},"):
+                raise KeyboardInterrupt
+
+    @contextmanager
+    def progress(description: str, total: int | None = None) -> Iterator[Step]:
+        yield Bar()
+
+    return progress
+
+
+class TestInterrupted:
+    def test_goes_on_from_the_best_so_far(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), RATES)
+        whole = _fit(swimid, trials, "--share", "c_f")
+        kept = tmp_path / "kept.yaml"
+        with pytest.raises(NoTrustworthyResult, match="--start-from") as raised:
+            fit_graybox(trials, output=kept, share=["c_f"], progress=_stopping(3))
+        assert raised.value.exit_status == 4
+        assert "kept.yaml" in str(raised.value)
+        assert "interrupted after 3 iterations" in str(raised.value)
+        halfway = parameters.read(kept)
+        assert halfway.fit is not None
+        assert halfway.fit.converged is False
+        assert halfway.value("c_ma") not in (1.5, whole.value("c_ma"))
+        file = _fit(swimid, trials, "--share", "c_f", "--start-from", str(kept))
+        assert file.fit is not None
+        assert file.fit.converged
+        for name, e in whole.parameters.items():
+            if e.stderr:
+                assert file.value(name) == pytest.approx(e.value, abs=0.02 * e.stderr)
+
+    def test_by_a_signal(self, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True), RATES)
+        kept = tmp_path / "kept.yaml"
+        program = """
+import time
+from contextlib import contextmanager
+from swimid.cli import common
+
+@contextmanager
+def progress(description, total=None):
+    def step(amount=1):
+        pass
+    def note(text):
+        print(text, flush=True)
+        time.sleep(0.3)
+    step.note = note
+    yield step
+
+common.Run.progress = property(lambda self: progress)
+from swimid.cli.main import entry
+entry()
+"""
+        words = [sys.executable, "-c", program, "fit-graybox", str(trials), "-o", str(kept), "--share", "c_f"]
+        with subprocess.Popen(
+            [*words, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.startswith("iteration 2"):
+                    process.send_signal(signal.SIGINT)
+                    break
+            _, err = process.communicate(timeout=120)
+        assert process.returncode == 4, err
+        assert "--start-from" in err
+        assert "Traceback" not in err
+        file = parameters.read(kept)
+        assert file.fit is not None
+        assert file.fit.converged is False
+
+
+class TestBrokenSimulations:
+    def test_cost_and_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
+        """Within these bounds links may have no mass, and drag may drive instead of braking."""
+        trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
+        wide = ["--share", "c_f", "--bounds", "c_ma=-2,1e4", "--bounds", "c_Ia=-2,1e4"]
+        wide += ["--bounds", "c_d4=-100,1e4", "--bounds", "c_d0=-100,1e4"]
+        file = _fit(swimid, trials, *wide, "--starts", "4", "--seed", "5")
+        off = _deviations(file, SHARED)
+        assert len(off) >= 5
+        assert max(map(abs, off.values())) < 3, off
+        (starts,) = [
+            t for t in evidence.read(evidence.sidecar(trials.parent / "fit.yaml")).tables if t.id == "starts"
+        ]
+        assert len(starts.rows) == 4
+
+    def test_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
+        file = _fit(swimid, trials, "--share", "c_f")
+        absurd = file.model_copy(
+            update={
+                "parameters": {
+                    n: e.model_copy(update={"value": -1.5 if n in ("c_ma", "c_Ia") else e.value})
+                    for n, e in file.parameters.items()
+                }
+            }
+        )
+        parameters.write(tmp_path / "absurd.yaml", absurd)
+        wide = ["--share", "c_f", "--bounds", "c_ma=-2,3", "--bounds", "c_Ia=-2,3"]
+        ran = swimid("fit-graybox", trials, *wide, "--start-from", tmp_path / "absurd.yaml")
+        assert ran.status in (0, 4)
+        assert "Traceback" not in ran.err
+        assert "bug" not in ran.err
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        "status, said, options",
+        [
+            (2, "no channel 'yaw_rate'", ["--channels", "yaw_rate"]),
+            (2, "did you mean 'yaw_rate_rad_s'", ["--channels", "yaw_rate_rad"]),
+            (2, "'c_x'", ["--share", "c_x"]),
+            (2, "no parameter 'c_m'", ["--fix", "c_m=1"]),
+            (2, "wrong way round", ["--bounds", "c_ma=2,1"]),
+            (2, "no reading 'drag_points'", ["--reading", "drag_points=strips"]),
+            (2, "no option 'strip'", ["--reading", "drag_point=strip"]),
+            (3, "v_m_s", ["--channels", "v_m_s"]),
+            (3, "nothing.yaml", ["--start-from", "nothing.yaml"]),
+        ],
+    )
+    def test_options(
+        self, swimid: Swimid, tmp_path: Path, status: int, said: str, options: list[str]
+    ) -> None:
+        trials = _write(tmp_path, _runs()[:1], RATES)
+        ran = swimid("fit-graybox", trials, *options, "-o", tmp_path / "fit.yaml")
+        assert ran.status == status, ran.err
+        assert said in ran.err
+        assert ran.err.count("Error:") == 1
+        assert not (tmp_path / "fit.yaml").exists()
+
+    @pytest.mark.parametrize(
+        "old, new, said",
+        [
+            ("robot: tfish", "robot: tfisch", "did you mean 'tfish'"),
+            ("robot: tfish", "robot: boxfish", "has no 'multilink' part"),
+            ("experiment: free-swim", "experiment: falling-weight", "'falling-weight' is not allowed"),
+            ("experiment: free-swim", "experiment: freeswim", "did you mean 'free-swim'"),
+            ("log: slow.csv", "log: sloe.csv", "sloe.csv"),
+            ("amplitude_deg: 30", "amplitude_degree: 30", "amplitude_degree"),
+        ],
+    )
+    def test_trials_files(self, swimid: Swimid, tmp_path: Path, old: str, new: str, said: str) -> None:
+        trials = _write(tmp_path, _runs()[:1], RATES)
+        assert old in trials.read_text()
+        trials.write_text(trials.read_text().replace(old, new))
+        ran = swimid("fit-graybox", trials, "--json")
+        assert ran.status == 3, ran.err
+        document = json.loads(ran.out)
+        assert document["ok"] is False
+        assert document["error"]["exit_status"] == 3
+        assert said in ran.err
+        assert ran.err.count("Error:") == 1
+
+
+class TestDolphin:
+    def test_nine_coefficients(self, swimid: Swimid, tmp_path: Path) -> None:
+        truth = {"c_m0": 0.4, "c_m1": 0.3, "c_m2": 0.2, "c_d0": 2.0, "c_d1": 3.2, "c_d2": 5.0, "c_f1": 0.05}
+        noise = {"x_m": 0.005, "z_m": 0.005, "pitch_rad": np.radians(1.0), "joint3_rad": np.radians(1.0)}
+        runs = []
+        for k, (frequency, amplitude) in enumerate(((1.2, 30), (2.0, 25), (2.9, 25))):
+            drive = _drive(frequency, amplitude)
+            runs.append(swimmer.Run(f"r{k}", drive, swimmer.simulate("dolphin", truth, drive, 6.0)))
+        trials = swimmer.write_trials(tmp_path, "dolphin", runs, noise, 1, columns=list(noise))
+        file = _fit(swimid, trials)
+        whole = {**swimmer.DOLPHIN, **truth}
+        off = _deviations(file, whole)
+        unknown = [n for n in whole if n in file.parameters and file.parameters[n].status == "unidentifiable"]
+        assert len(off) + len(unknown) == 9
+        assert len(off) >= 5
+        assert max(map(abs, off.values())) < 3, off
+        assert all(any(n in line for line in file.identifiability) for n in unknown)
+        assert max(map(abs, _sums(file, whole).values()), default=0.0) < 3
+        assert file.fit is not None
+        assert set(file.fit.channels) == set(noise)
+
+
+def _starting_at(model_parameters: Sequence[Parameter], truth: dict[str, float]) -> tuple[Parameter, ...]:
+    return tuple(replace(p, start=truth.get(p.name, p.start)) for p in model_parameters)
+
+
+@pytest.mark.slow
+class TestPublishedFish:
+    """Six runs of 20 s with the coefficients of Table III."""
+
+    def test_within_three_standard_errors(self, swimid: Swimid, tmp_path: Path) -> None:
+        for drag_at, reading in (("mid-link", "mid-link"), ("slices", "strips")):
+            trials = _write(tmp_path / drag_at, _published(drag_at), RATES)
+            file = _fit(swimid, trials, "--reading", f"drag_point={reading}")
+            off = _deviations(file, swimmer.TFISH)
+            assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
+            assert max(map(abs, off.values())) < 3, off
+            (sum_off,) = _sums(file, swimmer.TFISH).values()
+            assert abs(sum_off) < 3
+
+    def test_one_friction_to_a_few_percent(self, swimid: Swimid, tmp_path: Path) -> None:
+        file = _fit(swimid, _write(tmp_path, _published("mid-link"), RATES), "--share", "c_f")
+        e = file.parameters["c_f0"]
+        assert e.stderr
+        assert e.stderr < 0.03 * e.value
+
+    def test_every_start_ends_in_one_minimum(self, swimid: Swimid, tmp_path: Path) -> None:
+        """Starts over the whole box of Table III."""
+        trials = _write(tmp_path, _published("mid-link"), RATES)
+        _fit(swimid, trials, "--starts", "8", "--seed", "1")
+        found = evidence.read(evidence.sidecar(tmp_path / "fit.yaml"))
+        (starts,) = [t for t in found.tables if t.id == "starts"]
+        costs = np.array([row[2] for row in starts.rows], dtype=float)
+        assert len(costs) == 8
+        assert np.ptp(costs) < 1e-4 * costs.min()
+        (check,) = [c for c in found.checks if c.name == "one minimum"]
+        assert check.verdict == "pass"
+
+    @pytest.mark.parametrize("noise", [RATES, POSE], ids=["rates", "pose"])
+    def test_coverage(self, tmp_path: Path, noise: dict[str, float]) -> None:
+        """95 % intervals over 50 seeds of noise; starts at the truth, the minimum is the same."""
+        repeats = 50
+        trials = _write(tmp_path, _published("mid-link"), dict.fromkeys(noise, 0.0))
+        experiment = multilink.load(trials, start_state="rest", max_step=0.01)
+        begin = _starting_at(experiment.model.parameters, swimmer.TFISH)
+        inside = dict.fromkeys(swimmer.TFISH, 0)
+        sums = []
+        for seed in range(repeats):
+            rng = np.random.default_rng(1000 + seed)
+            noisy = [
+                replace(
+                    trial,
+                    measured={
+                        c: trial.measured[c] + rng.normal(0, sd, trial.time_s.size) for c, sd in noise.items()
+                    },
+                    # the first sample, from which the start offsets count, has its noise too
+                    settings={**trial.settings, "pose": tuple(rng.normal(0, list(POSE.values())))},
+                )
+                for trial in experiment.trials
+            ]
+            result = output_error.fit(experiment.model, noisy, parameters=begin)
+            for name, true in swimmer.TFISH.items():
+                stderr = result.stderr(name)
+                # at its bound a coefficient claims no interval
+                inside[name] += stderr is None or abs(result.value(name) - true) < 1.96 * stderr
+            for known in identifiability.combinations(result):
+                total = sum(w * swimmer.TFISH[m] for m, w in known.weights.items() if m in swimmer.TFISH)
+                sums.append(abs(known.value - total) < 1.96 * known.stderr)
+        print(f"95 % intervals that hold the truth, of {repeats}: {inside}; sums {sum(sums)} of {len(sums)}")
+        # one in 1000 honest runs has a coefficient below the first limit
+        fewest = stats.binom.ppf(1e-3 / len(inside), repeats, 0.95)
+        assert min(inside.values()) >= fewest, inside
+        # errors of one fit are correlated: as if only a quarter of the intervals were independent
+        count = repeats * len(inside)
+        spread = np.sqrt(0.95 * 0.05 / (count / 4))
+        pooled = sum(inside.values()) / count
+        assert abs(pooled - 0.95) < 3 * spread, inside
+        if sums:
+            assert sum(sums) >= stats.binom.ppf(1e-3, len(sums), 0.95)
