@@ -135,7 +135,11 @@ def sentences(result: FitResult) -> list[str]:
         else:
             said.append(f"{names} cannot be told apart from these trials, and no sum of them is known")
     alone = [label for label in unidentifiable(result) if label not in grouped]
-    return said + [f"{label} is not identifiable from these trials" for label in alone]
+    own = [label.partition("[") for label in alone if "[" in label]
+    for name in dict.fromkeys(name for name, _, _ in own):
+        trials = [trial.rstrip("]") for other, _, trial in own if other == name]
+        said.append(f"{name} is not identifiable in {', '.join(trials)}")
+    return said + [f"{label} is not identifiable from these trials" for label in alone if "[" not in label]
 
 
 def ranked(result: FitResult) -> list[tuple[str, float]]:

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import noise as noise_model
@@ -98,7 +99,9 @@ def fit(
     """
     parameters = tuple(parameters or model.parameters)
     for _ in range(MAX_REFINEMENTS):
-        result = _fit_once(model, trials, parameters, progress, jobs or os.cpu_count() or 1, loss, begin)
+        # the matrices here are small: BLAS threads would only take the cores from the simulations
+        with threadpool_limits(limits=1, user_api="blas"):
+            result = _fit_once(model, trials, parameters, progress, jobs or os.cpu_count() or 1, loss, begin)
         finer = model.refined()
         if finer is None or result.interrupted:
             return result

@@ -84,7 +84,7 @@ class Problem:
         self.lower = np.array([self.parameters[i].lower for i, _ in self.slots])
         self.upper = np.array([self.parameters[i].upper for i, _ in self.slots])
         self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
-        starts = np.array([self.parameters[i].start for i, _ in self.slots])
+        starts = np.array([self._start_of(i, owner) for i, owner in self.slots])
         self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self._stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
@@ -97,6 +97,12 @@ class Problem:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
+
+    def _start_of(self, index: int, owner: int | None) -> float:
+        """Where the search for a number begins: as the trial's log suggests, else as the parameter says."""
+        parameter = self.parameters[index]
+        known = {} if owner is None else self.trials[owner].settings.get("starts", {})
+        return float(known.get(parameter.name, parameter.start))
 
     def vector(self, theta: Array, trial: int) -> Array:
         """Full parameter vector of one trial."""

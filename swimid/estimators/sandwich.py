@@ -169,7 +169,10 @@ def _scatter(
     if len(jacobians) < 3:
         return 1.0, 1.0
     statistic = 0.0
-    for a, b, r in zip(jacobians, correlated, residuals, strict=True):
+    for whole, whole_b, r in zip(jacobians, correlated, residuals, strict=True):
+        # numbers of other trials have nothing to say here, and their rounding errors would
+        own = np.linalg.norm(whole, axis=0) > 0
+        a, b = whole[:, own], whole_b[:, own]
         score = a.T @ r
         spread = (a.T @ b) * variance
         scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, nearest
 from swimid.experiments import beats
@@ -97,12 +98,12 @@ def load(
     assert isinstance(entries, FreeSwim | Multibody)
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
     _check_channels(model, channels)
-    trials, logs, moving = [], [], []
+    trials, read, moving = [], [], []
     found: dict[str, Any] = {}
     for entry in entries.trials:
         trial, log = _trial(entry, path, model, channels)
         trials.append(trial)
-        logs.append(log.path)
+        read.append(log)
         found[entry.id] = _beat(entry, log, model)
         if _moving(trial, log, model):
             moving.append(entry.id)
@@ -114,11 +115,19 @@ def load(
         for t in trials
         if start_state == "auto" and t.id not in moving
     }
-    trials = [replace(t, settings={**t.settings, "held": held.get(t.id, ())}) for t in trials]
+    trials = [
+        replace(t, settings={**t.settings, "held": held.get(t.id, ()), "starts": _starts(log, model)})
+        for t, log in zip(trials, read, strict=True)
+    ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
     facts = {"beats": found, "moving": moving, "start_state": start_state}
     return Experiment(
-        entries.experiment, robot, model, trials, input_files(path, entries.robot, logs), facts=facts
+        entries.experiment,
+        robot,
+        model,
+        trials,
+        input_files(path, entries.robot, [log.path for log in read]),
+        facts=facts,
     )
 
 
@@ -241,11 +250,10 @@ def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
         return True
     body = (*model.plane.pose, *model.plane.velocity) if model.assembly.free_base else ()
     joints = tuple(a.column for a in model.assembly.passive)
-    first = log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
     for name in (n for n in (*body, *joints) if n in log):
         values = _unwrapped(name, log[name])
         seen = np.isfinite(values)
-        there = first & seen
+        there = _opening(log) & seen
         if there.sum() < MIN_OPENING:
             continue
         time = log.time_s[there] - log.time_s[there][0]
@@ -263,18 +271,58 @@ def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
     return False
 
 
+def _opening(log: Log) -> NDArray[np.bool_]:
+    """The samples of a log's first stretch."""
+    return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
+
+
+def _starts(log: Log, model: MultilinkModel) -> dict[str, float]:
+    """Where a search for the start state begins: what the log's first stretch shows of it."""
+
+    def at_start(name: str, derivative: int) -> float | None:
+        if name not in log:
+            return None
+        values = _unwrapped(name, log[name])
+        there = _opening(log) & np.isfinite(values)
+        if there.sum() < MIN_OPENING:
+            return None
+        return _fitted(log.time_s[there] - log.time_s[0], values[there], derivative)[0]
+
+    found: dict[str, float | None] = {}
+    if model.assembly.free_base:
+        names = [p.name for p in model.parameters if p.name.startswith("initial_")][:3]
+        found = {name: at_start(column, 0) for name, column in zip(names, model.plane.velocity, strict=True)}
+        heading = at_start(model.plane.pose[2], 0)
+        along, across, turn = (at_start(column, 1) for column in model.plane.pose)
+        if heading is not None and along is not None and across is not None:
+            c, s = math.cos(heading), math.sin(heading)
+            moved = (c * along + s * across, c * across - s * along, turn)
+            found = {n: v if found[n] is None else found[n] for n, v in zip(names, moved, strict=True)}
+    for axis in model.assembly.passive:
+        joint, rate = axis.joint.name, axis.column.replace("_rad", "_rate_rad_s")
+        found[f"initial_angle_{joint}"] = at_start(axis.column, 0)
+        found[f"initial_rate_{joint}"] = at_start(rate if rate in log else axis.column, int(rate not in log))
+    return {name: value for name, value in found.items() if value is not None}
+
+
 def _off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
     """Whether a value (0) or its rate (1) at time zero is surely not zero, and not small against ``top``.
 
     By a polynomial; by one two orders higher where that fits much better: one that is too stiff
     takes a quick start from rest for motion.
     """
+    value, error = _fitted(time_s, values, derivative)
+    return abs(value) > max(CERTAIN * error, MOVING * top)
+
+
+def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
+    """A value (0) or its rate (1) at time zero, with its standard error."""
     order = 1 + derivative
     stiff, pliant = (_at_zero(time_s, values, derivative, n) for n in (order, order + 2))
     free = len(time_s) - order - 3
     better = stiff[2] - pliant[2] > 2 * BETTER * pliant[2] / free
     value, error, _ = pliant if better else stiff
-    return abs(value) > max(CERTAIN * error, MOVING * top)
+    return value, error
 
 
 def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:

@@ -11,6 +11,10 @@ from scipy import optimize, signal
 Array = NDArray[np.float64]
 
 
+#: Steps that differ by less than this share of their mean are even.
+EVEN = 1e-3
+
+
 @dataclass(frozen=True)
 class Beat:
     """A periodic component.
@@ -71,7 +75,7 @@ def find_beat(
     if len(grid) < 4:
         return None
     tapered = x * signal.windows.tukey(len(x), 0.2)
-    power = signal.lombscargle(t, tapered - tapered.mean(), 2 * np.pi * grid)
+    power = _power(t, tapered - tapered.mean(), grid)
     guess = float(grid[np.argmax(power)])
 
     def left(frequency: float) -> float:
@@ -92,6 +96,16 @@ def find_beat(
         return None
     stderr = 2.0 * np.sqrt(6.0 * residual / (len(t) * amplitude**2)) / (np.pi * duration)
     return Beat(frequency, float(stderr), amplitude, share)
+
+
+def _power(t: Array, x: Array, grid: Array) -> Array:
+    """Periodogram of a record at given frequencies, by FFT where its steps are even."""
+    steps = np.diff(t)
+    step = float(np.mean(steps))
+    if np.ptp(steps) > EVEN * step:
+        return np.asarray(signal.lombscargle(t, x, 2 * np.pi * grid))
+    count = 1 << int(np.ceil(np.log2(20 * len(x))))
+    return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)
 
 
 def _sine(t: Array, x: Array, frequency: float) -> tuple[Array, float]:

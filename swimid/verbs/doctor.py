@@ -30,6 +30,7 @@ REQUIRED = (
     "ruamel.yaml",
     "jinja2",
     "pyarrow",
+    "threadpoolctl",
     "click",
     "rich",
 )

@@ -125,7 +125,7 @@ def fit_graybox(
             ends = []
         left_out: list[str] = []
         if subset:
-            result = _starting_here(result)
+            result = _starting_here(result, experiment)
             result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
         result = start_states.with_held_out(result)
         origin = provenance.collect(
@@ -189,13 +189,25 @@ def _tied(model: Model, share: Sequence[str]) -> Model:
     return Tied(model, groups) if groups else model
 
 
-def _starting_here(result: FitResult) -> FitResult:
+def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
     """The same with the estimates as start values: what a subset leaves out is held at them.
 
-    Held at the middle of its bounds it would pull all others off.
+    Held where a search starts, often the middle of the bounds, it would pull all others off. An
+    estimate that ran into a bound is no value to hold either: the robot file's is taken then.
     """
-    moved = tuple(replace(p, start=result.value(p.name)) for p in result.parameters)
-    return replace(result, parameters=moved)
+    body = experiment.robot.multilink
+    assert body is not None
+
+    def moved(p: Parameter) -> Parameter:
+        if p.per_trial:
+            return p
+        value = result.value(p.name)
+        margin = 1e-3 * p.scale
+        if p.name in body.coefficients and (value - p.lower < margin or p.upper - value < margin):
+            value = body.coefficients[p.name].value
+        return replace(p, start=value)
+
+    return replace(result, parameters=tuple(moved(p) for p in result.parameters))
 
 
 def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) -> tuple[Parameter, ...]:

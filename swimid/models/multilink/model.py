@@ -167,7 +167,7 @@ class MultilinkModel(Model):
             )
         found.append(
             Parameter(
-                "drive_phase", "rad", -inf, inf, 0.0, 0.1, False, True, "phase of the beat at time zero"
+                "drive_phase", "rad", -inf, inf, 0.0, 1.0, False, True, "phase of the beat at time zero"
             )
         )
         return found
