@@ -21,6 +21,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.estimators import identifiability, output_error
 from swimid.experiments import multilink
 from swimid.formats import evidence, parameters
+from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Parameter
 from swimid.progress import Step
@@ -719,3 +720,31 @@ class TestPublishedFish:
         assert abs(pooled - 0.95) < 3 * spread, inside
         if sums:
             assert sum(sums) >= stats.binom.ppf(1e-3, len(sums), 0.95)
+
+
+def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path) -> None:
+    """Two stiffnesses in one fit of the dolphin: each trial is simulated with its own."""
+    drive = {"frequency_hz": 2.5, "amplitude_deg": 27}
+    runs = [
+        swimmer.Run(f"k{k}", drive, swimmer.simulate("dolphin", {"K_s": k}, drive, 4.0)) for k in (0.31, 0.8)
+    ]
+    path = swimmer.write_trials(tmp_path, "dolphin", runs, {"u_m_s": 0.005}, 3, columns=["u_m_s"])
+    lines = path.read_text().splitlines()
+    own = [f"    coefficients: {{K_s: {k}}}" for k in (0.31, 0.8)]
+    at = [i for i, line in enumerate(lines) if line.startswith("    drive:")]
+    for extra, i in zip(reversed(own), reversed(at), strict=True):
+        lines.insert(i + 1, extra)
+    path.write_text("\n".join(lines) + "\n")
+    fixed = [f"{n}{k}" for n in ("c_m", "c_d", "c_f") for k in (0, 1, 2) if n + str(k) != "c_f1"]
+    file = robot_format.read("dolphin").multilink
+    assert file is not None
+    held = [word for n in fixed for word in ("--fix", f"{n}={file.coefficients[n].value}")]
+    result = json.loads(swimid("fit-graybox", path, *held, "--json").out)["result"]
+    estimate = result["parameters"]["c_f1"]
+    assert abs(estimate["value"] - 0.034) < 3 * estimate["stderr"] + 0.01 * 0.034
+    assert result["fit"]["channels"]["u_m_s"]["rmse"] < 0.0055
+
+    path.write_text(path.read_text().replace("K_s: 0.8", "Ks: 0.8"))
+    ran = swimid("fit-graybox", path)
+    assert ran.status == 3
+    assert "did you mean 'K_s'" in ran.err

@@ -140,6 +140,7 @@ def beat_of(command: Drive) -> drive.Beat:
         math.radians(command.bias_deg),
         command.asymmetry,
         command.ramp_s,
+        math.radians(command.phase_deg),
     )
 
 
@@ -158,7 +159,7 @@ def _trial(
     known = [c.name for c in model.channels]
     commands = [a.column.replace("joint", "cmd") for a in model.assembly.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
-    settings: dict[str, Any] = {}
+    settings: dict[str, Any] = {"coefficients": _own_coefficients(entry, path, model)}
     if entry.drive is not None:
         settings["beat"] = beat_of(entry.drive)
     elif model.assembly.driven:
@@ -172,6 +173,20 @@ def _trial(
         )
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, settings=settings), log
+
+
+def _own_coefficients(entry: FreeSwimTrial, path: Path, model: MultilinkModel) -> dict[str, float]:
+    """The coefficients a trial sets for itself."""
+    for name in entry.coefficients:
+        if name not in model.assembly.names:
+            close = nearest(name, model.assembly.names)
+            raise InputError(
+                f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
+                file=path,
+                column="coefficients",
+                hint=f"did you mean '{close}'?" if close else f"it has: {', '.join(model.assembly.names)}",
+            )
+    return dict(entry.coefficients)
 
 
 def _unwrapped(name: str, values: Array) -> Array:

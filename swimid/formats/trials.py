@@ -23,6 +23,8 @@ class Drive(yamlio.Document):
     bias_deg: float = 0.0
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
+    #: Phase of the beat at t = 0.
+    phase_deg: float = 0.0
 
 
 class Trial(yamlio.Document):
@@ -68,6 +70,8 @@ class FreeSwimTrial(Trial):
     """A free-swimming trial; without ``drive`` the log's joint columns are the input."""
 
     drive: Drive | None = None
+    #: Coefficients that were set otherwise in this trial (a spring's stiffness, say).
+    coefficients: dict[str, float] = {}
 
 
 class _Trials(yamlio.Document):

@@ -29,6 +29,8 @@ class Beat:
         h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
     ramp_s : float
         The whole command is eased in by a quintic smoothstep over this time.
+    phase_rad : float
+        Phase at time zero.
     """
 
     waveform: str
@@ -37,6 +39,7 @@ class Beat:
     bias_rad: float = 0.0
     asymmetry: float = 0.0
     ramp_s: float = 1.0
+    phase_rad: float = 0.0
 
     def motion(
         self, time_s: Array, *, gain: float = 1.0, bias_gain: float = 1.0, phase_rad: float = 0.0
@@ -57,7 +60,7 @@ class Beat:
         tuple of ndarray, each shape (n,)
             rad, rad/s, rad/s2.
         """
-        value, rate, bend = self._wave(time_s, phase_rad)
+        value, rate, bend = self._wave(time_s, self.phase_rad + phase_rad)
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
         value, rate, bend = a * value + b, a * rate, a * bend
         ease, slope, curve = smoothstep(time_s, self.ramp_s)

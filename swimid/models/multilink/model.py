@@ -72,8 +72,8 @@ class MultilinkModel(Model):
     """A planar multi-link robot (:mod:`swimid.models.multilink.engine`).
 
     A trial's settings give ``beat`` (a :class:`drive.Beat`) or ``joints`` (a motion for each
-    driven joint), and ``pose``, the reference point's pose at the first sample, from which the
-    start offsets count.
+    driven joint), ``pose``, the reference point's pose at the first sample, from which the
+    start offsets count, and ``coefficients``, those that were set otherwise in this trial.
 
     Parameters
     ----------
@@ -248,6 +248,16 @@ class MultilinkModel(Model):
 
     # -------------------------------------------------------- simulation
 
+    def of_trial(self, values: Array, trial: Trial) -> Array:
+        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
+        own = trial.settings.get("coefficients")
+        if not own:
+            return values
+        values = values.copy()
+        for name, value in own.items():
+            values[self._at[name]] = value
+        return values
+
     def _value(self, values: Array, name: str) -> float:
         return float(values[self._at[name]]) if name in self._at else 0.0
 
@@ -259,6 +269,7 @@ class MultilinkModel(Model):
         values : ndarray, shape (len(self.parameters),)
         trial : Trial
         """
+        values = self.of_trial(values, trial)
         dynamic = self._dynamic if not self._heading_matters() else [*self._dynamic, *self._heading()]
         key = values[dynamic].tobytes()
         key = key + np.array(self._grid(values, trial)).tobytes()
