@@ -118,13 +118,6 @@ def test_whitened_marks_what_it_cannot_know():
     assert np.isnan(rt.whitened(x, np.array([-0.5]))).tolist() == [True, False, True, True, False, False]
 
 
-def test_effective_samples_of_an_autoregression():
-    x = lfilter([1.0], [1.0, -0.9], np.random.default_rng(10).normal(size=100_000))
-    # n (1 - a) / (1 + a) for the mean of an AR(1) series.
-    assert rt.effective_samples(x) == pytest.approx(100_000 * 0.1 / 1.9, rel=0.1)
-    assert rt.effective_samples(np.random.default_rng(11).normal(size=1000)) == pytest.approx(1000, rel=0.01)
-
-
 def test_long_run_covariance_gives_the_variance_of_a_mean():
     """Repeated sums of an AR(1) series against the estimate from each."""
     rng = np.random.default_rng(12)

@@ -73,26 +73,6 @@ def score(measured: Array, simulated: Array) -> Score:
     )
 
 
-def rms_error(measured: Array, simulated: Array) -> tuple[float, float]:
-    """Root-mean-square error, and that over the measured range (Eq 13 of the T-Fish paper).
-
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n,)
-        Samples missing in either are left out.
-
-    Returns
-    -------
-    (absolute, normalised)
-        In the channel's unit, and without one.
-
-    >>> rms_error(np.array([0.0, 1.0, 4.0, 1.0]), np.array([1.0, 2.0, 3.0, 0.0]))
-    (1.0, 0.25)
-    """
-    whole = score(measured, simulated)
-    return whole.rmse, whole.nrmse
-
-
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
     """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
 

@@ -444,23 +444,6 @@ def whitened(x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     return result
 
 
-def effective_samples(x: np.ndarray) -> float:
-    """How many independent samples the mean of a correlated series is worth.
-
-    ``n variance / long-run variance`` with the long-run variance of an autoregression
-    (:func:`fit_autoregression`); between 1 and n.
-    """
-    values, there = _centred(x)
-    n = int(np.count_nonzero(there))
-    if n < 3:
-        return float(n)
-    fit = fit_autoregression(x)
-    power = float(np.mean(values[there] ** 2))
-    if power == 0:
-        return float(n)
-    return float(np.clip(n * power / fit.long_run_variance, 1.0, n))
-
-
 def long_run_covariance(scores: np.ndarray, *, lags: int | None = None) -> np.ndarray:
     """Covariance of a sum of correlated vectors (Newey and West): the meat of a sandwich.
 

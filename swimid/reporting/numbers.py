@@ -126,16 +126,6 @@ def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
     return scale, scale - last
 
 
-def value_text(value: float | None, stderr: float | None, digits: int = 2) -> str:
-    """The value alone, with the digits its standard error supports."""
-    return _parts(value, stderr, digits)[0]
-
-
-def stderr_text(value: float | None, stderr: float | None, digits: int = 2) -> str:
-    """The standard error alone, to ``digits`` significant digits, in the value's power of ten."""
-    return _parts(value, stderr, digits)[1]
-
-
 def _parts(value: float | None, stderr: float | None, digits: int) -> tuple[str, str]:
     if not _is_number(value):
         return NOTHING, NOTHING
