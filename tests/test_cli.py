@@ -126,7 +126,8 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
 
 
 def test_schema_lists_formats(swimid: Run) -> None:
-    assert swimid("schema").out.split() == ["trials", "robot", "parameters", "setup", "comparison", "evidence"]
+    names = ["trials", "robot", "parameters", "setup", "comparison", "evidence"]
+    assert swimid("schema").out.split() == names
 
 
 def test_doctor(swimid: Run, tmp_path: Path) -> None:
