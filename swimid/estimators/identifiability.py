@@ -69,13 +69,13 @@ def unidentifiable(result: FitResult) -> list[str]:
 
 
 def confounded(result: FitResult) -> list[tuple[str, ...]]:
-    """Groups of parameters that the trials cannot tell apart.
+    """Groups of shared parameters that the trials cannot tell apart.
 
     Each has an unidentifiable member; others belong to it when they share its uncertainty and
     are themselves not known to :data:`VAGUE` of their size. A parameter the trials do not see
     at all is in no group.
     """
-    index = _usable(result)
+    index = [i for i in _usable(result) if "[" not in result.labels[i]]
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
     if len(vague) < 2:
         return []
