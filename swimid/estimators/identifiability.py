@@ -69,13 +69,13 @@ def unidentifiable(result: FitResult) -> list[str]:
 
 
 def confounded(result: FitResult) -> list[tuple[str, ...]]:
-    """Groups of shared parameters that the trials cannot tell apart.
+    """Groups of parameters that the trials cannot tell apart.
 
-    Each has an unidentifiable member; others belong to it when they share its uncertainty and
+    Each has an unidentifiable member and one that all trials share; others belong to it when they share its uncertainty and
     are themselves not known to :data:`VAGUE` of their size. A parameter the trials do not see
     at all is in no group.
     """
-    index = [i for i in _usable(result) if "[" not in result.labels[i]]
+    index = _usable(result)
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
     if len(vague) < 2:
         return []
@@ -87,7 +87,7 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
         tuple(result.labels[i] for i, g in zip(vague, numbers, strict=True) if g == n) for n in set(numbers)
     ]
     unknown = set(unidentifiable(result))
-    groups = [g for g in groups if len(g) > 1 and unknown & set(g)]
+    groups = [g for g in groups if len(g) > 1 and unknown & set(g) and any("[" not in label for label in g)]
     return sorted(groups, key=lambda g: result.labels.index(g[0]))
 
 
