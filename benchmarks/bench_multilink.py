@@ -162,7 +162,7 @@ def mujoco_xml(plant: Engine, *, prescribed: bool, integrator: str, step_s: floa
     areas = {
         e.link: (float(e.axial_area_m2), float(e.normal_area_m2)) for e in body.elements if e.kind == "drag"
     }
-    stiffness = -engine.tendon_torque(1e-6, *passive[0, 5:]) / 1e-6
+    stiffness = -engine.tendon_torque(1e-6, *passive[0, 5:9]) / 1e-6
     driven = {axis.link: k for k, axis in enumerate(plant.assembly.driven)}
     opened, actuators = [], []
     for i, link in enumerate(plant.assembly.links):
@@ -289,7 +289,7 @@ class Peer:
         assert np.array_equal(topology[1:, 0], np.arange(links - 1))
         assert np.allclose(inertia[:, 0], inertia[:, 3])
         self.beat, self.gains = beat, np.array([a.joint.driven.gain for a in plant.assembly.driven])
-        self.tendon = [float(v) for v in passive[0, 5:]]
+        self.tendon = [float(v) for v in passive[0, 5:9]]
         self.mass = inertia[:, 0].copy()
         com = -inertia[:, 4] / self.mass
         self.turning = inertia[:, 5] - self.mass * com**2

@@ -101,6 +101,7 @@ WATER = """
     - {kind: force, link: right, at_m: 0.03, forward_N: 0.2, port_N: -0.1}
     - {kind: force, link: plate, at_m: 0.02, forward_N: -0.1, port_N: 0.3, frame: world}
     - {kind: hydrostatics, link: trunk, volume_m3: 0.0011, buoyancy_at_m: 0.08}
+    - {kind: trailing-edge, link: tip, added_mass_kg_m: 2.5, offset_m: 0.003}
 """
 
 
@@ -644,3 +645,30 @@ def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., 
         parameters.write(path, ParameterFile(model="multilink", robot=name, parameters=coefficients))
         for target in ("mjcf", "gazebo", "stonefish", "json"):
             assert swimid("export", path, "--to", target).status == 0, (name, target)
+
+
+@pytest.mark.parametrize("target", ["mjcf", "gazebo", "stonefish", "json"])
+def test_dry_friction_and_trailing_edges(target: str, tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+    """Friction is carried by all, as Coulomb's; trailing edges by MuJoCo's callback and JSON only."""
+    tree = _tree("horizontal", WATER).replace("rest_deg: 5", "friction_N_m: 0.0125")
+    ran = swimid("export", _write(tmp_path, tree), "--to", target)
+    assert ran.status == 0
+    if target == "json":
+        data = json.loads(ran.out)
+        (j2,) = (j["passive"] for j in data["joints"] if j["name"] == "j2")
+        assert (j2["friction"], j2["friction_below"]) == (0.0125, 0.02)
+        assert data["trailing_edges"] == [{"link": "tip", "x": -0.08, "y": 0.003, "half_mass": 1.25}]
+        return
+    assert "SWM060" in ran.err
+    assert "trailing edges" in ran.err
+    assert "dry friction of 0.0125 N m" in ran.err
+    joint = ET.fromstring(ran.out).find(".//joint[@name='j2']")
+    assert joint is not None
+    if target == "mjcf":
+        assert joint.get("frictionloss") == "0.0125"
+    elif target == "gazebo":
+        assert _number(joint.find("axis/dynamics/friction")) == 0.0125
+    else:
+        damping = joint.find("damping")
+        assert damping is not None
+        assert damping.get("constant") == "0.0125"

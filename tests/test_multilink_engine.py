@@ -16,7 +16,7 @@ from swimid.formats import robot as robot_format
 from swimid.formats.multilink import Multilink
 from swimid.formats.robot import Fluid, Robot
 from swimid.models.base import Trial
-from swimid.models.multilink import drive, engine
+from swimid.models.multilink import drive, engine, geometry
 from swimid.models.multilink.assembly import Assembly
 from swimid.models.multilink.model import MultilinkModel
 
@@ -612,6 +612,30 @@ class TestElements:
         states, _ = integrated(quadratic, np.array([0.0, 0.0, 0.0, 0.0, 0.0, -3.0]), 0.005, 2.0)
         assert states[-1, 5] == pytest.approx(-3.0 / (1.0 + 3.0 * 0.01 * 2.0 / 0.03), rel=1e-9)
 
+    def test_dry_friction_stops_a_joint(self) -> None:
+        """I w' = -f w / sqrt(w^2 + e^2): the time to any rate in closed form, and no turning back."""
+        friction, below, moment = 0.02, 0.1, 0.003
+        law = {"friction_N_m": friction, "friction_below_rad_s": below}
+        rod = {
+            "length_m": 0.1, "mass_kg": 0.5, "com_m": 0.0, "inertia_kg_m2": moment, "inertia_about": "com",
+        }  # fmt: skip
+        model = assembly(
+            {"plane": "horizontal", "base": "fixed",
+             "links": [{"name": "wall", **rod}, {"name": "rotor", **rod}],
+             "joints": [{"name": "hub", "parent": "wall", "child": "rotor", "passive": law}]}
+        )  # fmt: skip
+        for sign in (1.0, -1.0):
+            start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, sign * 3.0])
+            rate = sign * integrated(model, start, 0.001, 1.0)[0][:, -1]
+
+            def elapsed(w: Any) -> Any:
+                whole = np.sqrt(w**2 + below**2)
+                return -moment / friction * (whole + below * np.log(w / (below + whole)))
+
+            times = np.linspace(0.0, 1.0, len(rate))
+            np.testing.assert_allclose(elapsed(rate) - elapsed(3.0), times, atol=1e-6)
+            assert 0.0 < rate[-1] < below
+
     def test_constant_forces(self) -> None:
         fixed = one_link({"kind": "force", "at_m": 0.2, "forward_N": 1.5, "port_N": -0.7})
         np.testing.assert_allclose(wrench(fixed, heading=1.1), [1.5, -0.7, 0.14], atol=1e-12)
@@ -650,6 +674,122 @@ class TestElements:
             assert found == pytest.approx(-slope, rel=1e-7, abs=1e-9)
         stiffness = -engine.tendon_torque(1e-6, spring, pretension, arm, crank) / 1e-6
         assert stiffness == pytest.approx(spring * pretension * arm * crank / (arm - crank), rel=1e-6)
+
+
+# ------------------------------------------------------------ trailing edges
+
+
+#: A slender body of 1 m in 20 links: its mass, added mass per length, and the wave's frequency and speed.
+#: (As heavy as the water it carries along it would keep any turn: no force of the edge opposes it.)
+JOINTED, MASS_KG, ADDED_KG_M, BEAT_HZ, WAVE_M_S = 20, 1.0, 2.0, 1.0, 0.8
+
+
+def slender(drag_N_s_m: float) -> MultilinkModel:
+    """A bending wave running down a slender body that has lateral added mass and a trailing edge only."""
+    long = 1.0 / JOINTED
+    names = [f"s{i}" for i in range(JOINTED)]
+    water = {"sway_kg": ADDED_KG_M * long, "inertia_kg_m2": ADDED_KG_M * long**3 / 12}
+    body = {
+        "plane": "horizontal",
+        "links": [
+            {"name": n, "length_m": long, "mass_kg": MASS_KG * long, "com_m": 0.5 * long,
+             "inertia_kg_m2": MASS_KG * long**3 / 12, "inertia_about": "com"}
+            for n in names
+        ],
+        # the wave's amplitude grows towards the tail
+        "joints": [
+            {"name": f"j{i}", "parent": names[i - 1], "child": names[i],
+             "driven": {"gain": (i * long) ** 2, "phase_lag_deg": 360.0 * BEAT_HZ * i * long / WAVE_M_S}}
+            for i in range(1, JOINTED)
+        ],
+        "elements": [
+            *({"kind": "added-mass", "link": n, "at_m": 0.5 * long, **water} for n in names),
+            {"kind": "trailing-edge", "link": names[-1], "added_mass_kg_m": ADDED_KG_M},
+            {"kind": "drag", "link": names[0], "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": drag_N_s_m},
+        ],
+    }  # fmt: skip
+    return MultilinkModel(Robot.model_validate({"format": "swimid-robot/1", "name": "s", "multilink": body}))
+
+
+def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
+    """The wave with joint angles of up to 4 degrees, from a given speed."""
+    values = np.array([speed if p.name == "initial_surge" else p.start for p in model.parameters])
+    beat = drive.Beat("sine", BEAT_HZ, math.radians(4.0))
+    return model.simulate(values, Trial("run", "fit", times, {}, settings={"beat": beat}))
+
+
+class TestTrailingEdge:
+    def test_force(self) -> None:
+        """(m w^2 / 2, -m u w) at the edge, by default the link's rear end; m |u| w^2 / 2 is lost."""
+        m = 3.0
+        for place, station in (({}, 0.4), ({"at_m": 0.3}, 0.3)):
+            edge = one_link({"kind": "trailing-edge", "added_mass_kg_m": m, **place})
+            for u, v, r in ((0.7, 0.2, 0.0), (0.5, -0.3, 1.1), (0.0, 0.4, -2.0), (-0.6, 0.3, 0.4)):
+                w = v - station * r
+                fx, fy, moment = wrench(edge, u, v, r)
+                assert fx == pytest.approx(0.5 * m * w**2, rel=1e-12)
+                assert fy == pytest.approx(-m * max(u, 0.0) * w, rel=1e-12, abs=1e-15)
+                assert moment == pytest.approx(-station * fy, rel=1e-9, abs=1e-15)
+                assert fx * u + fy * w == pytest.approx(-0.5 * m * abs(u) * w**2, rel=1e-12, abs=1e-15)
+
+    @needs_casadi
+    def test_energy_goes_into_the_wake(self) -> None:
+        """Springs' energy goes into motion, drag and the wake, m u w^2 / 2 per time, and nowhere else."""
+        from tests.generators import lagrange
+
+        body = chain(4, water=True)
+        drag = {"kind": "drag", "link": "link0", "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": 0.1}
+        body["elements"] += [drag, {"kind": "trailing-edge", "link": "link3", "added_mass_kg_m": 4.0}]
+        oracle, model = lagrange.Lagrange(body), assembly(body)
+        n = model.unknowns
+        start = np.r_[0.0, 0.0, 0.3, 0.4, -0.3, 0.5, 0.4, 0.1, 0.2, -1.0, 1.0, 2.0]
+        step = 0.001
+        states, _ = integrated(model, start, step, 4.0)
+        energy = np.array([oracle.conserved(s[:n], world_rates(s))[0] for s in states[::10]])
+        # velocity of the last link's rear end, by differences of where it is
+        heading = states[:, 2, None] + np.c_[np.zeros(len(states)), np.cumsum(states[:, 3:n], axis=1)]
+        rear = states[:, :2] - 0.1 * np.stack([np.cos(heading), np.sin(heading)]).sum(axis=2).T
+        velocity = np.gradient(rear, step, axis=0, edge_order=2)
+        c, s = np.cos(heading[:, -1]), np.sin(heading[:, -1])
+        u, w = c * velocity[:, 0] + s * velocity[:, 1], c * velocity[:, 1] - s * velocity[:, 0]
+        wake, lost = 0.5 * 4.0 * np.abs(u) * w**2, 0.1 * states[:, n] ** 2
+        spent = np.r_[0.0, np.cumsum(0.5 * step * ((wake + lost)[1:] + (wake + lost)[:-1]))][::10]
+        assert np.sum(wake) * step > 0.3 * (energy[0] - energy[-1])
+        # differences and sums err by a few (omega h)^2 of what is spent, omega up to 20 rad/s
+        np.testing.assert_allclose(energy + spent, energy[0], atol=1e-4 * energy[0])
+
+    @pytest.mark.parametrize("drag", [0.0, 0.05, 0.2])
+    def test_thrust_of_a_travelling_wave(self, drag: float) -> None:
+        """Lighthill 1960: mean thrust m (h_t^2 - U^2 h_x^2) / 2 from the tail's motion.
+
+        It is the drag and what gains speed; the theory is of second order in the tail's slope, which
+        is 0.18 at most.
+        """
+        model = slender(drag)
+        times = np.arange(0.0, 40.0, 0.01)
+        run = undulate(model, 0.4, times)
+        frames = geometry.link_frames(model, np.array([p.start for p in model.parameters]), run)
+        x, y = (ends[-1] for ends in geometry.rear_ends(model, frames))
+        # the last ten beats
+        late, last = slice(-1000, None), len(times) - 1
+        way = np.array([x[last] - x[last - 1000], y[last] - y[last - 1000]])
+        speed, course = np.hypot(*way) / 10.0, math.atan2(way[1], way[0])
+        aside = (math.cos(course) * np.gradient(y, 0.01) - math.sin(course) * np.gradient(x, 0.01))[late]
+        slope = (frames[2][-1] - course)[late]
+        largest = 0.5 * ADDED_KG_M * np.mean(aside**2)
+        thrust = largest - 0.5 * ADDED_KG_M * speed**2 * np.mean(slope**2)
+        u = run["u_m_s"]
+        found = np.mean(drag * u[late]) + MASS_KG * (u[-100:].mean() - u[-1000:-900].mean()) / 9.0
+        assert 0.1 < np.abs(slope).max() < 0.2
+        assert found == pytest.approx(thrust, abs=0.5 * np.abs(slope).max() ** 2 * largest)
+        assert 0.0 < speed < WAVE_M_S
+
+    def test_thrust_turns_where_the_body_outruns_the_wave(self) -> None:
+        """Without drag a body at rest gains speed, and one faster than its wave loses it."""
+        times = np.arange(0.0, 10.0 + 1e-9, 0.01)
+        for speed, sign in ((0.0, 1.0), (0.5, 1.0), (1.6, -1.0)):
+            u = undulate(slender(0.0), speed, times)["u_m_s"]
+            assert sign * (np.mean(u[-100:]) - np.mean(u[:100])) > 0.0, speed
 
 
 def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:

@@ -45,14 +45,13 @@ multilink:
 @pytest.mark.parametrize("name", ["msu-fish", "double-pendulum"])
 def test_the_example_robots_move(name: str) -> None:
     _, model = multilink.robot_model(str(EXAMPLES / f"{name}.yaml"))
-    # the fish under way: a rigid tail gives it no thrust at rest
-    starts = {"initial_surge": 0.05, "initial_angle_hinge1": 0.2, "initial_angle_hinge2": 0.2}
+    starts = {"initial_angle_hinge1": 0.2, "initial_angle_hinge2": 0.2}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
     trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, settings={"beat": Beat("sine", 2.0, 0.3)})
     simulated = model.simulate(values, trial)
     assert all(np.isfinite(v).all() for v in simulated.values())
     if name == "msu-fish":
-        assert simulated["u_m_s"][-30:].mean() > 0.065  # it gains speed
+        assert simulated["u_m_s"][-30:].mean() > 0.025  # it starts from rest
     else:
         assert np.ptp(simulated["joint2_rad"]) > 0.1
 
@@ -93,6 +92,8 @@ class TestSinglePendulum:
         assert ran.json["result"]["fit"]["channels"]["joint1_rad"]["rmse"] < 0.005
 
 
+#: The coefficients of the double pendulum's robot file.
+COEFFICIENTS = ("a_1", "L_1", "I_1", "I_2", "k_1", "k_2", "f_1", "f_2")
 #: What the robot file of the double pendulum holds: masses, the second arm's centre of mass, gravity.
 M1, M2, A2, G = 0.09384, 0.13760, 0.11678, 9.81
 
@@ -134,6 +135,8 @@ def with_masses_of_the_file(published: Array) -> dict[str, float]:
         "I_2": told["second inertia"] * weight - M2 * A2**2,
         "k_1": told["first damping"] * weight,
         "k_2": told["second damping"] * weight,
+        "f_1": 0.0,
+        "f_2": 0.0,
     }
 
 
@@ -147,10 +150,20 @@ def pendulum(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     return output_error.fit(experiment.model, experiment.trials), published
 
 
+@pytest.fixture(scope="class")
+def viscous(pendulum: tuple[FitResult, Array]) -> FitResult:
+    """The same without dry friction."""
+    result, _ = pendulum
+    parameters = tuple(
+        replace(p, start=0.0, free=False) if p.name in ("f_1", "f_2") else p for p in result.parameters
+    )
+    return output_error.fit(result.model, result.trials, parameters=parameters)
+
+
 @pytest.mark.slow
 class TestDoublePendulum:
     def test_what_free_swings_tell_agrees_with_the_published(self, pendulum: tuple[FitResult, Array]) -> None:
-        """Within 1 %; the 3 % asked of them leave room for the dry friction neither model has."""
+        """Within 1 %; the 3 % asked of them leave room for the dry friction the published model has not."""
         result, published = pendulum
         value = result.value
         found = groups(
@@ -165,16 +178,29 @@ class TestDoublePendulum:
     ) -> None:
         """In the windows both were fitted to and in those held out."""
         result, published = pendulum
-        ours = {name: result.value(name) for name in ("a_1", "L_1", "I_1", "I_2", "k_1", "k_2")}
+        ours = {name: result.value(name) for name in COEFFICIENTS}
         theirs = with_masses_of_the_file(published)
         for role in ("fit", "validate"):
             assert rms(result, role, ours) < rms(result, role, theirs), role
         each = [np.sqrt(np.nanmean(s.residual**2)) for s in result.series if s.role == "fit"]
         assert max(each) < 0.036  # the largest with the published parameters from the first sample
 
-    def test_damping_grows_as_the_swing_dies(self, pendulum: tuple[FitResult, Array]) -> None:
-        """What a viscous hinge cannot do: dry friction, and why no damping agrees with any other."""
+    def test_dry_friction_is_seen_and_lowers_the_errors(
+        self, pendulum: tuple[FitResult, Array], viscous: FitResult
+    ) -> None:
+        """Both hinges have some, and errors fall by a fifth and more, in the windows held out too."""
         result, _ = pendulum
+        for name in ("f_1", "f_2"):
+            assert result.value(name) > 3 * (result.stderr(name) or np.inf), name
+        for role in ("fit", "validate"):
+            with_it, without = (
+                rms(r, role, {name: r.value(name) for name in COEFFICIENTS}) for r in (result, viscous)
+            )
+            assert with_it < 0.8 * without, role
+
+    def test_damping_alone_grows_as_the_swing_dies(self, viscous: FitResult) -> None:
+        """What a viscous hinge cannot do, and why no damping agrees with any other."""
+        result = viscous
         parameters = tuple(
             replace(p, start=result.value(p.name), free=p.name in ("k_1", "k_2")) if not p.per_trial else p
             for p in result.parameters
@@ -209,11 +235,7 @@ def fish(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> FitResult
     experiment = multilink.load(
         file, channels=("u_m_s", "yaw_rate_rad_s"), start_state="estimate", max_step=0.012
     )
-    # from rest a fish with its tail hard over may turn either way: the search starts under way
-    parameters = tuple(
-        replace(p, start=0.05) if p.name == "initial_surge" else p
-        for p in chosen(experiment.model.parameters, freed=("drive_phase",))
-    )
+    parameters = chosen(experiment.model.parameters, freed=("drive_phase",))
     return start_states.with_held_out(
         output_error.fit(experiment.model, experiment.trials, parameters=parameters)
     )
@@ -249,9 +271,12 @@ def beside_trend_and_beat(time_s: Array, values: Array, frequency_hz: float) -> 
 class TestFish:
     def test_every_coefficient_is_identified(self, fish: FitResult) -> None:
         shared = [label for label in fish.labels if "[" not in label]
-        assert shared == ["c_v", "J", "c_f", "c_d", "c_l", "m_t"]
+        assert shared == ["c_v", "J", "c_f", "c_d", "m_e", "m_t"]
         assert all(fish.status[name] == "estimated" for name in shared)
-        assert all((fish.stderr(name) or np.inf) < 0.25 * fish.value(name) for name in shared)
+        for name in shared:
+            # axial drag is the smallest force on a fish that gains speed to the end of its run
+            share = 0.4 if name == "c_f" else 0.2
+            assert (fish.stderr(name) or np.inf) < share * fish.value(name), name
 
     def test_surge_of_runs_held_out(self, fish: FitResult) -> None:
         """At most 12 % of the range over all of them, and little above what no model can have."""
@@ -264,7 +289,17 @@ class TestFish:
         rest = [beside_trend_and_beat(s.time_s, s.residual, beats[s.trial]) for s in held_out]
         assert whole.rmse < 1.25 * np.sqrt(np.mean(np.square(rest)))
         each = [metrics.score(s.measured, s.simulated).nrmse for s in held_out]
-        assert np.mean(each) < 0.13
+        assert np.mean(each) < 0.12
+
+    def test_it_starts_from_rest(self, fish: FitResult) -> None:
+        """No speed and no turn are told; larger beats swim faster."""
+        values = np.array([fish.value(p.name) if not p.per_trial else 0.0 for p in fish.parameters])
+        speeds = []
+        for degrees in real_logs.AMPLITUDES_DEG:
+            beat = Beat("sine", 2.0, np.radians(degrees))
+            trial = Trial(f"rest{degrees}", "fit", np.linspace(0.0, 10.0, 301), {}, settings={"beat": beat})
+            speeds.append(fish.model.simulate(values, trial)["u_m_s"][-30:].mean())
+        assert 0.05 < speeds[0] < speeds[1] < speeds[2] < 0.4
 
     @pytest.mark.parametrize("role", ["fit", "validate"])
     def test_yaw_rate_against_bias(self, fish: FitResult, role: str) -> None:

@@ -71,9 +71,9 @@ def unidentifiable(result: FitResult) -> list[str]:
 def confounded(result: FitResult) -> list[tuple[str, ...]]:
     """Groups of parameters that the trials cannot tell apart.
 
-    Each has an unidentifiable member and one that all trials share; others belong to it when they share its uncertainty and
-    are themselves not known to :data:`VAGUE` of their size. A parameter the trials do not see
-    at all is in no group.
+    Each has an unidentifiable member and one that all trials share; others belong to it when they
+    share its uncertainty and are themselves not known to :data:`VAGUE` of their size. A parameter
+    the trials do not see at all is in no group.
     """
     index = _usable(result)
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]

@@ -116,7 +116,7 @@ def load(
         if start_state == "auto" and t.id not in moving
     }
     trials = [
-        replace(t, settings={**t.settings, "held": held.get(t.id, ()), "starts": _starts(log, model)})
+        replace(t, settings={**t.settings, "held": held.get(t.id, ()), "starts": _starts(t, log, model)})
         for t, log in zip(trials, read, strict=True)
     ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
@@ -291,13 +291,13 @@ def _opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
 
 
-def _starts(log: Log, model: MultilinkModel) -> dict[str, float]:
-    """Where a search for the start state begins: what the log's first stretch shows of it."""
+def _starts(trial: Trial, log: Log, model: MultilinkModel) -> dict[str, float]:
+    """Where a search for the start state begins: what the fitted channels show of it at first."""
 
     def at_start(name: str, derivative: int) -> float | None:
-        if name not in log:
+        if name not in trial.measured:
             return None
-        values = _unwrapped(name, log[name])
+        values = trial.measured[name]
         there = _opening(log) & np.isfinite(values)
         if there.sum() < MIN_OPENING:
             return None
@@ -316,7 +316,9 @@ def _starts(log: Log, model: MultilinkModel) -> dict[str, float]:
     for axis in model.assembly.passive:
         joint, rate = axis.joint.name, axis.column.replace("_rad", "_rate_rad_s")
         found[f"initial_angle_{joint}"] = at_start(axis.column, 0)
-        found[f"initial_rate_{joint}"] = at_start(rate if rate in log else axis.column, int(rate not in log))
+        found[f"initial_rate_{joint}"] = (
+            at_start(rate, 0) if rate in trial.measured else at_start(axis.column, 1)
+        )
     return {name: value for name, value in found.items() if value is not None}
 
 

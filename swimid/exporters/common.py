@@ -85,6 +85,30 @@ def added_mass_limits(source: Source, choice: str) -> list[str]:
     return limits
 
 
+def element_limits(source: Source) -> list[str]:
+    """Limits of a target that knows drag only."""
+    limits = []
+    for kind, what in (
+        ("foil", "lift and drag of foils"),
+        ("wake", "thrust and side force of trailing edges"),
+        ("force", "weight, buoyancy and constant forces"),
+    ):
+        left = [e for e in source.elements if e.kind == kind]
+        if left:
+            limits.append(f"{what} are left out: {named(left, source.links)}")
+    return limits
+
+
+def friction_limits(source: Source) -> list[str]:
+    """Limit of dry friction: swimid rounds it off where a joint nearly rests."""
+    return [
+        f"{name}: swimid rounds the dry friction of {law.friction:.4g} N m off below "
+        f"{law.friction_below:g} rad/s; the target holds the joint still there"
+        for name, law in source.laws.items()
+        if law.friction
+    ]
+
+
 def drive_limits(source: Source, servo_hz: float) -> list[str]:
     """Limit of driven joints: swimid prescribes their motion."""
     assumed = [

@@ -202,6 +202,7 @@ def _joints(source: Source, model: ET.Element, centres: list[tuple[float, float]
         if law is not None:
             dynamics = ET.SubElement(axis, "dynamics")
             _text(dynamics, "damping", common.number(law.damping))
+            _text(dynamics, "friction", common.number(law.friction))
             _text(dynamics, "spring_reference", common.number(law.rest))
             _text(dynamics, "spring_stiffness", common.number(law.stiffness + law.wire_stiffness))
 
@@ -230,10 +231,7 @@ def _limits(source: Source, options: Options) -> list[str]:
             "added mass in the plugin is deprecated since Gazebo Ionic, and its Coriolis force leaves out "
             "products between directions"
         )
-    for kind, what in (("foil", "lift and drag of foils"), ("force", "weight, buoyancy and constant forces")):
-        left = [e for e in source.elements if e.kind == kind]
-        if left:
-            limits.append(f"{what} are left out: {common.named(left, source.links)}")
+    limits += common.element_limits(source)
     for name, law in source.laws.items():
         if law.spring:
             limits.append(
@@ -243,6 +241,7 @@ def _limits(source: Source, options: Options) -> list[str]:
             limits.append(f"{name}: the cubic stiffness is left out")
         if law.quadratic_damping:
             limits.append(f"{name}: the quadratic damping is left out")
+    limits += common.friction_limits(source)
     return limits + common.drive_limits(source, options.servo_hz) + common.reading_limits(source)
 
 

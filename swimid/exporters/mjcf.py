@@ -20,8 +20,8 @@ from swimid.exporters.source import Law, Link, Source, behind_joint, central
 from swimid.models.multilink import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
-KINDS = ("drag", "foil", "force")
-USER = 1 + max(len(engine.DRAG), len(engine.FOIL), len(engine.FORCE)) - 2
+KINDS = ("drag", "foil", "force", "wake")
+USER = 1 + max(len(engine.DRAG), len(engine.FOIL), len(engine.FORCE), len(engine.WAKE)) - 2
 PREFIX = "water:"
 
 
@@ -102,6 +102,8 @@ def _hinge(source: Source, link: Link) -> dict[str, str]:
     if law.damping or law.quadratic_damping:
         square = (law.quadratic_damping,) if law.quadratic_damping else ()
         found["damping"] = common.number(law.damping, *square)
+    if law.friction:
+        found["frictionloss"] = common.number(law.friction)
     return found
 
 
@@ -177,6 +179,7 @@ def _limits(source: Source, options: Options) -> list[str]:
         "drag": "Morison drag at points",
         "foil": "lift and drag of foils",
         "force": "weight, buoyancy and forces",
+        "wake": "momentum shed at trailing edges",
     }
     if kinds:
         what = ", ".join(words[k] for k in KINDS if k in kinds)
@@ -184,13 +187,14 @@ def _limits(source: Source, options: Options) -> list[str]:
             f"{what}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
             "swimid.exporters.mjcf.water is installed as passive callback"
         )
+    limits += common.friction_limits(source)
     limits += common.drive_limits(source, options.servo_hz)
     limits.append(common.NO_ERRORS)
     return limits
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:
-    """A passive callback that lets the exported water act: drag, foils, weight, forces.
+    """A passive callback that lets the exported water act: drag, foils, weight, forces, trailing edges.
 
     Parameters
     ----------
@@ -207,7 +211,8 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     Install it after loading: MuJoCo compiles no model while a Python callback is set.
 
     The laws are those of :func:`swimid.models.multilink.engine.derivative`: Morison drag along each
-    axis (tendon fish, Eq 7) and a flat plate's lift and drag (dolphin, Eq 9).
+    axis (tendon fish, Eq 7), a flat plate's lift and drag (dolphin, Eq 9) and momentum shed at trailing
+    edges (Lighthill 1971).
     """
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -246,6 +251,8 @@ def _push(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, 
         return -(qx * abs(u) + lx) * u, -(qy * abs(v) + ly) * v, -(qr * abs(r) + lr) * r, False
     if kind == "force":
         return row[1], row[2], 0.0, bool(row[3])
+    if kind == "wake":
+        return row[1] * v * v, -2.0 * row[1] * max(u, 0.0) * v, 0.0, False
     gain, lift, drag0, drag1, cos, sin = row[1:7]
     speed = math.hypot(u, v)
     if speed == 0.0:

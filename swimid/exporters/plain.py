@@ -14,8 +14,10 @@ CONVENTIONS = (
     "SI units and radians. A link's frame sits at its front end, x forward, y to port (up in the vertical "
     "plane). Inertias are 3x3 over (u, v, r) at the link's origin. With momentum P = G nu the wrench on a "
     "link is G nu' + (-r P_y, r P_x, u P_y - v P_x). A drag point at (x, y) feels u - r y and v + r x and "
-    "answers -(quadratic |v| + linear) v along each axis and -(quadratic_r |r| + linear_r) r. A joint angle "
-    "is positive when the child is turned from x towards y."
+    "answers -(quadratic |v| + linear) v along each axis and -(quadratic_r |r| + linear_r) r. A trailing "
+    "edge that moves with u along and w across its link is pushed by half_mass (w^2, -2 max(u, 0) w). A "
+    "joint angle is positive when the child is turned from x towards y; dry friction is friction w / "
+    "sqrt(w^2 + friction_below^2) against the joint's rate w."
 )
 
 
@@ -67,7 +69,12 @@ def _multilink(source: Source) -> dict[str, Any]:
         ],
         **{
             plural: [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
-            for plural, kind in (("drag_points", "drag"), ("foils", "foil"), ("forces", "force"))
+            for plural, kind in (
+                ("drag_points", "drag"),
+                ("foils", "foil"),
+                ("forces", "force"),
+                ("trailing_edges", "wake"),
+            )
         },
     }
 

@@ -65,6 +65,8 @@ class Law:
     pretension: float
     arm: float
     crank: float
+    friction: float
+    friction_below: float
 
     @property
     def wire_stiffness(self) -> float:
@@ -80,13 +82,13 @@ class Element:
 
     Attributes
     ----------
-    kind : {"drag", "foil", "force"}
+    kind : {"drag", "foil", "force", "wake"}
     link : int
     numbers : dict of str to float
-        Columns of ``engine.DRAG``, ``engine.FOIL`` or ``engine.FORCE``.
+        Columns of ``engine.DRAG``, ``engine.FOIL``, ``engine.FORCE`` or ``engine.WAKE``.
     """
 
-    kind: Literal["drag", "foil", "force"]
+    kind: Literal["drag", "foil", "force", "wake"]
     link: int
     numbers: dict[str, float]
 
@@ -150,7 +152,7 @@ class Source:
         found = self.assembly.tables(self.values)
         names = (
             "topology", "joint", "inertia", "passive", "drag_link", "drag", "foil_link", "foil",
-            "force_link", "force",
+            "force_link", "force", "wake_link", "wake",
         )  # fmt: skip
         return dict(zip(names, (np.asarray(t) for t in found), strict=False))
 
@@ -184,9 +186,12 @@ class Source:
 
     @cached_property
     def elements(self) -> list[Element]:
-        """Drag points, foils and forces."""
+        """Drag points, foils, forces and trailing edges."""
         found = []
-        for kind, columns in (("drag", engine.DRAG), ("foil", engine.FOIL), ("force", engine.FORCE)):
+        tables = {
+            "drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE,
+        }  # fmt: skip
+        for kind, columns in tables.items():
             for owner, row in zip(self.tables[f"{kind}_link"], self.tables[kind], strict=True):
                 numbers = {c: float(v) for c, v in zip(columns, row, strict=True)}
                 found.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]

@@ -125,8 +125,9 @@ def _joint(source: Source, robot: ET.Element, link: Link) -> None:
     if moving:
         ET.SubElement(joint, "axis", xyz="0.0 1.0 0.0" if source.vertical else "0.0 0.0 -1.0")
         law = source.laws.get(link.joint.name)
-        if law is not None and law.damping:
-            ET.SubElement(joint, "damping", constant="0.0", viscous=common.number(law.damping))
+        if law is not None and (law.damping or law.friction):
+            constant, viscous = common.number(law.friction), common.number(law.damping)
+            ET.SubElement(joint, "damping", constant=constant, viscous=viscous)
 
 
 def _limits(source: Source, options: Options) -> list[str]:
@@ -148,10 +149,7 @@ def _limits(source: Source, options: Options) -> list[str]:
         )
     if any(e.numbers["quadratic_r"] or e.numbers["linear_r"] for e in drag):
         limits.append("moments against rotation are left out")
-    for kind, what in (("foil", "lift and drag of foils"), ("force", "constant forces, weight and buoyancy")):
-        left = [e for e in source.elements if e.kind == kind]
-        if left:
-            limits.append(f"{what} are left out: {common.named(left, source.links)}")
+    limits += common.element_limits(source)
     for name, law in source.laws.items():
         stiffness = law.stiffness + law.wire_stiffness
         if stiffness or law.cubic:
@@ -161,6 +159,7 @@ def _limits(source: Source, options: Options) -> list[str]:
             )
         if law.quadratic_damping:
             limits.append(f"{name}: the quadratic damping is left out")
+    limits += common.friction_limits(source)
     if source.assembly.driven:
         joints = ", ".join(a.joint.name for a in source.assembly.driven)
         limits.append(f"driven joints are moved by Stonefish's servo with the gains of its manual: {joints}")

@@ -145,6 +145,9 @@ class Passive(yamlio.Document):
     cubic_N_m_rad3: Quantity = 0.0
     damping_N_m_s_rad: Quantity = 0.0
     quadratic_damping_N_m_s2_rad2: Quantity = 0.0
+    #: Dry friction, rounded off below ``friction_below_rad_s``.
+    friction_N_m: Quantity = 0.0
+    friction_below_rad_s: PositiveFloat = 0.02
     rest_deg: float = 0.0
     tendon: Tendon | None = None
 
@@ -268,6 +271,21 @@ class Foil(_Element):
     drag_coefficient_1: Quantity = 0.0
 
 
+class TrailingEdge(_Element):
+    """Momentum shed into the wake where a slender body or its caudal fin ends (Lighthill 1971).
+
+    Belongs with lateral added mass of the links, whose impulse is the other part of Lighthill's force.
+    A fin that also has a foil's lift has its force counted twice.
+    """
+
+    kind: Literal["trailing-edge"]
+    #: Lateral added mass per length at the edge: rho pi h^2 / 4 for an edge h high.
+    added_mass_kg_m: Quantity
+    #: Default the link's rear end.
+    at_m: Quantity | None = None
+    offset_m: Quantity = 0.0
+
+
 class Hydrostatics(_Element):
     """Weight at the centre of mass and buoyancy of a volume, in the vertical plane."""
 
@@ -289,7 +307,8 @@ class Force(_Element):
 
 
 Element = Annotated[
-    AddedMass | Drag | Damping | SlenderBody | Foil | Hydrostatics | Force, Field(discriminator="kind")
+    AddedMass | Drag | Damping | SlenderBody | Foil | TrailingEdge | Hydrostatics | Force,
+    Field(discriminator="kind"),
 ]
 
 

@@ -8,8 +8,8 @@ equations are
 
 with every derivative taken by automatic differentiation, so that no velocity recursion, no Munk
 moment, no composite inertia and no torque law is ever written down. Only lift, which neither stores
-nor loses energy, and forces fixed to a link enter as generalised forces Q. An adaptive Runge-Kutta
-method of eighth order integrates them.
+nor loses energy, momentum shed at trailing edges and forces fixed to a link enter as generalised
+forces Q. An adaptive Runge-Kutta method of eighth order integrates them.
 """
 
 from __future__ import annotations
@@ -200,7 +200,11 @@ class Lagrange:
             gains = (
                 self.number(law.get(k, 0)) for k in ("quadratic_damping_N_m_s2_rad2", "damping_N_m_s_rad")
             )
-            total += lost(self._qd[self._angle[joint["name"]]], *gains)
+            rate = self._qd[self._angle[joint["name"]]]
+            total += lost(rate, *gains)
+            # the slope of this is dry friction, rounded off
+            dry, below = self.number(law.get("friction_N_m", 0)), law.get("friction_below_rad_s", 0.02)
+            total += dry * ca.sqrt(rate**2 + below**2)
         return total
 
     def _forces(self) -> Any:
@@ -222,6 +226,17 @@ class Lagrange:
             right = course - math.pi / 2
             push(place, pressure * lift * ca.vertcat(ca.cos(right), ca.sin(right)))
             push(place, -pressure * loss * ca.vertcat(ca.cos(course), ca.sin(course)))
+        for e in self._elements("trailing-edge"):
+            # Lighthill's own form: the shed momentum m w turned by a right angle to the velocity, less
+            # the pressure m w^2 / 2 along the link; backwards only the latter's opposite is left
+            station = e["at_m"] if e.get("at_m") is not None else self._link(e["link"])["length_m"]
+            place = self._at(e["link"], station, e.get("offset_m", 0))
+            velocity, psi = self._speed(place), self._pose[e["link"]][1]
+            ahead, across = self._split(e["link"], velocity)
+            m, axis = self.number(e["added_mass_kg_m"]), ca.vertcat(ca.cos(psi), ca.sin(psi))
+            shed = m * across * ca.vertcat(velocity[1], -velocity[0])
+            pressure = 0.5 * m * across**2 * axis
+            push(place, ca.if_else(ahead > 0, shed - pressure, pressure))
         for e in self._elements("force"):
             if e.get("frame", "link") == "link":
                 psi = self._pose[e["link"]][1]
@@ -336,6 +351,11 @@ def random_tree(rng: np.random.Generator, links: int, passive: int, *, fluid: bo
     def some(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
+    more = rng.spawn(1)[0]
+
+    def other(low: float, high: float) -> float:
+        return float(more.uniform(low, high))
+
     names = [f"link{i}" for i in range(links)]
     bodies, joints, elements = [], [], []
     for i, name in enumerate(names):
@@ -363,6 +383,7 @@ def random_tree(rng: np.random.Generator, links: int, passive: int, *, fluid: bo
             joint["passive"] = {
                 "stiffness_N_m_rad": some(0.1, 2), "cubic_N_m_rad3": some(0, 3), "rest_deg": some(-20, 20),
                 "damping_N_m_s_rad": some(0, 0.05), "quadratic_damping_N_m_s2_rad2": some(0, 0.05),
+                "friction_N_m": other(0, 0.1), "friction_below_rad_s": other(0.01, 1.0),
                 "tendon": {
                     "spring_N_m": some(10, 90), "pretension_m": some(0, 0.04), "arm_m": 0.03, "crank_m": 0.02,
                 },
@@ -391,6 +412,10 @@ def random_tree(rng: np.random.Generator, links: int, passive: int, *, fluid: bo
                 "kind": "foil", "link": name, "area_m2": some(0.001, 0.01), "at_m": some(0, length),
                 "offset_m": some(-0.02, 0.02), "chord_deg": some(-90, 90), "lift_coefficient": some(0.5, 3),
                 "drag_coefficient_0": some(0, 0.1), "drag_coefficient_1": some(0, 1.2),
+            },
+            {
+                "kind": "trailing-edge", "link": name, "added_mass_kg_m": other(0, 5),
+                "offset_m": other(-0.02, 0.02), **({"at_m": other(0, length)} if other(0, 1) < 0.5 else {}),
             },
             {
                 "kind": "hydrostatics", "link": name, "volume_m3": some(0, 0.002),

@@ -24,14 +24,15 @@ DENSEST = 5000.0
 #: A length may not exceed this times the robot's, an area this times its square.
 FAR = 3.0
 #: Keys that hold lengths, and keys of elements whose quantity has only one sign.
-LENGTH = re.compile(r"(?!.*_N_m$)(?!.*_N_s_m$).*_m")
-LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume")
+LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
+LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume|mass_kg_m")
 #: What of a passive joint's law has only one sign, and its column in the engine's table.
 ONE_SIGN = {
     "stiffness_N_m_rad": 0,
     "damping_N_m_s_rad": 2,
     "quadratic_damping_N_m_s2_rad2": 3,
     "tendon.spring_N_m": 5,
+    "friction_N_m": 9,
 }
 #: A number beyond this is a slip of the pen.
 HUGE = 1e15
@@ -118,6 +119,7 @@ class Assembly:
                 (tables.drag, engine.DRAG),
                 (tables.foil, engine.FOIL),
                 (tables.force, engine.FORCE),
+                (tables.wake, engine.WAKE),
             )
         ]
         self.check(np.array([c.value for c in body.coefficients.values()]))
@@ -360,6 +362,8 @@ def _law(joint: Joint) -> Row:
             law.quadratic_damping_N_m_s2_rad2,
             math.radians(law.rest_deg),
             *wire,
+            law.friction_N_m,
+            law.friction_below_rad_s,
         )
     ]
 

@@ -39,10 +39,13 @@ PASSIVE = (
     "pretension",
     "arm",
     "crank",
+    "friction",
+    "friction_below",
 )
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
+WAKE = ("x", "y", "half_mass")
 #: A state farther out than this has broken down.
 BROKEN = 1e6
 
@@ -179,6 +182,17 @@ def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
+    """Momentum shed at trailing edges; an edge that moves backwards sheds none."""
+    for e in range(wake.shape[0]):
+        i = wake_link[e]
+        r = work[i, 4]
+        x, y = wake[e, 0], wake[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        _push(work, i, x, y, wake[e, 2] * vy * vy, -2.0 * wake[e, 2] * max(vx, 0.0) * vy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
     hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
@@ -236,6 +250,8 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
             off = angle - passive[k, 4]
             torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
             torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
+            if passive[k, 9] != 0.0:
+                torque -= passive[k, 9] * w / math.sqrt(w * w + passive[k, 10] * passive[k, 10])
             if passive[k, 5] != 0.0:
                 torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
             right[3 + k] = torque - work[i, 10]
@@ -281,6 +297,8 @@ def derivative(  # type: ignore[no-untyped-def]
     foil,
     force_link,
     force,
+    wake_link,
+    wake,
     free_base,
     work,
     matrix,
@@ -296,9 +314,9 @@ def derivative(  # type: ignore[no-untyped-def]
         Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint.
     topology : ndarray of int, shape (links, 3); joint : ndarray, shape (links, 4)
     inertia : ndarray, shape (links, 6)
-    passive : ndarray, shape (passive joints, 9)
-    drag_link, drag, foil_link, foil, force_link, force : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`.
+    passive : ndarray, shape (passive joints, 11)
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
     free_base : bool
         Whether the base moves; else it holds its pose.
     work : ndarray, shape (links, 19)
@@ -310,6 +328,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _drag(drag_link, drag, work)
     _foils(foil_link, foil, work)
     _forces(force_link, force, work)
+    _wakes(wake_link, wake, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
     if free_base:
@@ -343,6 +362,8 @@ def integrate(  # type: ignore[no-untyped-def]
     foil,
     force_link,
     force,
+    wake_link,
+    wake,
     free_base,
 ):
     """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
@@ -376,7 +397,7 @@ def integrate(  # type: ignore[no-untyped-def]
         here, k1 = states[i], rates[i]
         derivative(
             here, table[2 * i], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, free_base, work, matrix, right, k1,
+            force_link, force, wake_link, wake, free_base, work, matrix, right, k1,
         )  # fmt: skip
         largest = 0.0
         for j in range(size):
@@ -393,19 +414,19 @@ def integrate(  # type: ignore[no-untyped-def]
             trial[j] = here[j] + 0.5 * step * k1[j]
         derivative(
             trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, free_base, work, matrix, right, k2,
+            force_link, force, wake_link, wake, free_base, work, matrix, right, k2,
         )  # fmt: skip
         for j in range(size):
             trial[j] = here[j] + 0.5 * step * k2[j]
         derivative(
             trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, free_base, work, matrix, right, k3,
+            force_link, force, wake_link, wake, free_base, work, matrix, right, k3,
         )  # fmt: skip
         for j in range(size):
             trial[j] = here[j] + step * k3[j]
         derivative(
             trial, table[2 * i + 2], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, free_base, work, matrix, right, k4,
+            force_link, force, wake_link, wake, free_base, work, matrix, right, k4,
         )  # fmt: skip
         for j in range(size):
             states[i + 1, j] = here[j] + step / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])

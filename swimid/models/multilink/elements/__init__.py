@@ -26,8 +26,8 @@ class Tables:
     index : dict of link name to int
     inertia : list of rows, one per link
         Apparent inertia over (u, v, r) at the link's origin; columns of ``engine.INERTIA``.
-    drag, foil, force : list of (link index, row)
-        Columns of ``engine.DRAG``, ``engine.FOIL``, ``engine.FORCE``.
+    drag, foil, force, wake : list of (link index, row)
+        Columns of ``engine.DRAG``, ``engine.FOIL``, ``engine.FORCE``, ``engine.WAKE``.
     """
 
     density_kg_m3: float
@@ -37,6 +37,7 @@ class Tables:
     drag: list[tuple[int, Row]] = field(default_factory=list)
     foil: list[tuple[int, Row]] = field(default_factory=list)
     force: list[tuple[int, Row]] = field(default_factory=list)
+    wake: list[tuple[int, Row]] = field(default_factory=list)
 
     def add_inertia(
         self,
@@ -75,6 +76,7 @@ def adders() -> dict[str, Adder]:
         force,
         hydrostatics,
         slender_body,
+        trailing_edge,
     )
 
     return {
@@ -85,4 +87,5 @@ def adders() -> dict[str, Adder]:
         "force": force.add,
         "hydrostatics": hydrostatics.add,
         "slender-body": slender_body.add,
+        "trailing-edge": trailing_edge.add,
     }
