@@ -151,3 +151,13 @@ def test_full_disk(swimid: Run, samples: Path) -> None:
     ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", "/dev/full")
     assert ran.status == 3
     assert "No space left" in ran.err
+
+
+def test_a_fit_does_not_write_a_file_called_dash(
+    swimid: Run, samples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = swimid("fit-drag", str(samples / "rig" / "trials.yaml"), "-o", "-")
+    assert ran.status == 2
+    assert "--json" in ran.err
+    assert not (tmp_path / "-").exists()

@@ -226,6 +226,8 @@ def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ..
     """
     if output is None:
         return
+    if str(output) == "-":
+        raise UsageError("this result is files, not a stream: name one", hint="--json prints it on stdout")
     from swimid.formats import atomic
 
     atomic.check_writable(output, inputs=inputs)

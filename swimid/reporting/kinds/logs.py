@@ -33,11 +33,15 @@ def section(path: Path, evidence: Evidence | None) -> Section:
         blocks.append(mapping_grid("Metadata of the log", record.metadata))
     missing = max((float(np.mean(np.isnan(v))) for v in channels.values()), default=0.0)
     found = f"up to {numbers.percent(missing)} of a channel missing" if missing else "no sample missing"
+    if record.metadata.get("made_by") == "swimid simulate":
+        verdict = Verdict(level="good", text=f"A simulated run; {found}.")
+    else:
+        verdict = Verdict(level="caution", text=f"A log without evidence of how it was made; {found}.")
     return Section(
         path=path,
         kind="Log",
         title=f"Log {path.name}",
-        verdict=Verdict(level="caution", text=f"A log without evidence of how it was made; {found}."),
+        verdict=verdict,
         facts=_facts(record),
         blocks=blocks,
         data={"metadata": record.metadata, "samples": len(record), "channels": list(channels)},
