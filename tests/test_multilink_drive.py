@@ -278,6 +278,17 @@ class TestInARobot:
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
+    def test_turns_of_an_asymmetric_beat_need_not_lie_on_steps(self) -> None:
+        """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
+        beat = drive.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
+        robot = _two_links({})
+        fine = self.run(MultilinkModel(robot, max_step=1e-4), {"beat": beat})
+        errors = []
+        for step in (5e-3, 2.5e-3):
+            found = self.run(MultilinkModel(robot, max_step=step), {"beat": beat})
+            errors.append([np.abs(found[n] - fine[n]).max() for n in ("x_m", "y_m", "yaw_rad")])
+        assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
+
     def test_measured_angle_moves_it_as_the_beat_did(self) -> None:
         """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
         model = MultilinkModel(_two_links({}))

@@ -42,7 +42,13 @@ class Beat:
     phase_rad: float = 0.0
 
     def motion(
-        self, time_s: Array, *, gain: float = 1.0, bias_gain: float = 1.0, phase_rad: float = 0.0
+        self,
+        time_s: Array,
+        *,
+        gain: float = 1.0,
+        bias_gain: float = 1.0,
+        phase_rad: float = 0.0,
+        cell_s: Array | None = None,
     ) -> Motion:
         """Angle, rate and acceleration of a joint.
 
@@ -54,13 +60,20 @@ class Beat:
             The joint's share of amplitude and bias.
         phase_rad : float
             Phase ahead of the drive's.
+        cell_s : ndarray, shape (n,), optional
+            Where the acceleration jumps (a-cpg), give its mean over such a stretch around each time
+            (:func:`cells`).
 
         Returns
         -------
         tuple of ndarray, each shape (n,)
             rad, rad/s, rad/s2.
         """
-        value, rate, bend = self._wave(time_s, self.phase_rad + phase_rad)
+        phase = self.phase_rad + phase_rad
+        value, rate, bend = self._wave(time_s, phase)
+        if cell_s is not None and self.waveform == "a-cpg":
+            ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
+            bend = (ends[1] - ends[0]) / cell_s
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
         value, rate, bend = a * value + b, a * rate, a * bend
         ease, slope, curve = smoothstep(time_s, self.ramp_s)
@@ -74,6 +87,24 @@ class Beat:
             return hopf(time_s, self.frequency_hz, 0.0, phase_rad)
         angle = omega * time_s + phase_rad
         return np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
+
+
+def cells(time_s: Array) -> Array:
+    """Stretches around the times of a half-step grid that Runge-Kutta's weights tile the time with.
+
+    An acceleration averaged over them adds up to the right rate, wherever it jumps.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,), n >= 2
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        A third of a step at its ends, two thirds in its middle.
+    """
+    half = float(time_s[1] - time_s[0])
+    return np.where(np.arange(len(time_s)) % 2 == 0, 2.0 / 3.0 * half, 4.0 / 3.0 * half)
 
 
 def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float = 0.0) -> Motion:

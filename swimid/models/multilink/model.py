@@ -450,7 +450,9 @@ def joint_motion(
         return zero, zero, zero
     bias_gain = law.gain if law.bias_gain is None else law.bias_gain
     lag = math.radians(law.phase_lag_deg)
-    moved: drive.Motion = beat.motion(time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase_rad - lag)
+    moved: drive.Motion = beat.motion(
+        time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase_rad - lag, cell_s=drive.cells(time_s)
+    )
     return moved
 
 
