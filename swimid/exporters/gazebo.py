@@ -99,7 +99,7 @@ def _tree(source: Source, options: Options, model: ET.Element) -> tuple[list[str
         if options.added_mass == "plugin" and ratio >= 1.0:
             dangers.append(
                 f"the added mass of {link.name} is {ratio:.3g} times its own inertia: the plugin applies it "
-                "one step late and is unstable from 1 on (gz-sim issue 1923); leave it in fluid_added_mass"
+                "one step late and is unstable from 1 on (gz-sim#1923); leave it in fluid_added_mass"
             )
     _joints(source, model, centres)
     _servos(source, inertias, model, options.servo_hz)
@@ -299,6 +299,6 @@ def _rigid(source: Source, options: Options, model: ET.Element) -> tuple[list[st
     if options.added_mass == "plugin" and drag["added_mass"] >= mass:
         dangers.append(
             f"the added mass, {drag['added_mass']:.4g} kg, is not below the body's {mass:.4g} kg: the plugin "
-            "applies it one step late and is unstable then (gz-sim issue 1923); leave it in fluid_added_mass"
+            "applies it one step late and is unstable then (gz-sim#1923); leave it in fluid_added_mass"
         )
     return limits, dangers
