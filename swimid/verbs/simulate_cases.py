@@ -230,6 +230,7 @@ def drive_block(beat: drive.Beat) -> dict[str, Any]:
         "bias_deg": float(f"{math.degrees(beat.bias_rad):.12g}"),
         "asymmetry": beat.asymmetry,
         "ramp_s": beat.ramp_s,
+        **({"phase_deg": math.degrees(beat.phase_rad)} if beat.phase_rad else {}),
     }
 
 
