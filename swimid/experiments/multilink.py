@@ -159,17 +159,17 @@ def _trial(
     known = [c.name for c in model.channels]
     commands = [a.column.replace("joint", "cmd") for a in model.assembly.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
+    log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
     settings: dict[str, Any] = {"coefficients": _own_coefficients(entry, path, model)}
     if entry.drive is not None:
         settings["beat"] = beat_of(entry.drive)
     elif model.assembly.driven:
         settings["joints"] = [_motion(model, k, log) for k in range(len(model.assembly.driven))]
-    measured = {name: _unwrapped(name, log[name]) for name in (channels or _default_channels(model, log))}
+    measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     pose = [log[name] for name in model.plane.pose if name in log]
     if len(pose) == 3 and model.assembly.free_base:
         settings["pose"] = tuple(
-            float(_unwrapped(n, log[n])[np.isfinite(log[n])][0]) if np.isfinite(log[n]).any() else 0.0
-            for n in model.plane.pose
+            float(values[np.isfinite(values)][0]) if np.isfinite(values).any() else 0.0 for values in pose
         )
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, settings=settings), log
@@ -252,7 +252,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, An
             seen = np.isfinite(log[name])
             time = log.time_s[seen]
             highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
-            found = find_beat(time, _unwrapped(name, log[name])[seen], highest_hz=highest)
+            found = find_beat(time, log[name][seen], highest_hz=highest)
             return beats.facts(entry, found, used="stated")
     return None
 
@@ -266,7 +266,7 @@ def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
     body = (*model.plane.pose, *model.plane.velocity) if model.assembly.free_base else ()
     joints = tuple(a.column for a in model.assembly.passive)
     for name in (n for n in (*body, *joints) if n in log):
-        values = _unwrapped(name, log[name])
+        values = log[name]
         seen = np.isfinite(values)
         there = _opening(log) & seen
         if there.sum() < MIN_OPENING:

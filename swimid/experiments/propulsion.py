@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
 from swimid.experiments import beats
@@ -250,19 +251,22 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     middles = 0.5 * (edges[1:] + edges[:-1])
     if "u_m_s" in log:
         # integrated to the very edges of a beat: a sample more or less would leave a ripple
-        speeds = np.diff(np.interp(edges, time, _integral(time, log["u_m_s"][there]))) / period_s
+        speeds = (
+            np.diff(np.interp(edges, time, cumulative_trapezoid(log["u_m_s"][there], time, initial=0.0)))
+            / period_s
+        )
     else:
         x, y = (np.diff(np.interp(edges, time, log[c][there])) for c in ("x_m", "y_m"))
         heading = (
-            np.diff(np.interp(edges, time, _integral(time, np.unwrap(log["yaw_rad"][there])))) / period_s
+            np.diff(
+                np.interp(
+                    edges, time, cumulative_trapezoid(np.unwrap(log["yaw_rad"][there]), time, initial=0.0)
+                )
+            )
+            / period_s
         )
         speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
     gaps = np.diff(time)
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):
         speeds[(edges[1:] > time[k]) & (edges[:-1] < time[k + 1])] = np.nan
     return middles, speeds
-
-
-def _integral(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import cycles, metrics, start_states
@@ -342,8 +343,7 @@ def mean_speed(done: Compared, model: MultilinkModel) -> Speed | None:
 
 def _beat_means(time: Array, values: Array, edges: Array) -> Array:
     """Mean between successive edges, of the series joined by straight lines."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-    integral = np.concatenate(([0.0], np.cumsum(steps)))
+    integral = cumulative_trapezoid(values, time, initial=0.0)
     found: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
     return found
 
