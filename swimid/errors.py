@@ -118,3 +118,13 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
         return found[0]
     begun = [name for name in allowed if word and (name.startswith(word) or word.startswith(f"{name}_"))]
     return min(begun, key=len) if begun else None
+
+
+def suggestion(word: str, allowed: list[str] | tuple[str, ...]) -> str:
+    """The hint for a word that is none of those allowed: the nearest of them, or all.
+
+    >>> suggestion("gap", ["robot", "trials"])
+    'there are: robot, trials'
+    """
+    close = nearest(word, allowed)
+    return f"did you mean '{close}'?" if close else f"there are: {', '.join(allowed)}"

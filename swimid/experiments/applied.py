@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError, suggestion
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Array, Model
 from swimid.models.multilink.model import MultilinkModel
@@ -63,8 +63,7 @@ class Applied:
         self.stated = {name: c.value for name, c in body.coefficients.items()} if body else {}
         for name, value in self.chosen.items():
             if name not in names:
-                close = nearest(name, names)
-                hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(names)}"
+                hint = suggestion(name, names)
                 raise UsageError(f"there is no parameter '{name}'", hint=hint)
             p = self.model.parameters[names.index(name)]
             if not p.lower <= value <= p.upper:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.experiments import beats
 from swimid.experiments.base import Experiment, input_files, read_log
 from swimid.formats import robot as robot_format
@@ -148,8 +148,7 @@ def _check_channels(model: MultilinkModel, channels: Sequence[str]) -> None:
     known = [c.name for c in model.channels]
     for name in channels:
         if name not in known:
-            close = nearest(name, known)
-            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}"
+            hint = suggestion(name, known)
             raise UsageError(f"the robot has no channel '{name}'", hint=hint)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import UsageError, nearest
+from swimid.errors import UsageError, nearest, suggestion
 
 Array = NDArray[np.float64]
 
@@ -177,8 +177,7 @@ def chosen(
     names = [p.name for p in parameters]
     for name in (*fixed, *freed, *bounds):
         if name not in names:
-            close = nearest(name, names)
-            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(names)}"
+            hint = suggestion(name, names)
             raise UsageError(f"there is no parameter '{name}'", hint=hint)
     result = []
     for parameter in parameters:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import NoTrustworthyResult, UsageError, nearest
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.experiments import catalogue
 from swimid.experiments.base import Experiment
 from swimid.formats import atomic, provenance
@@ -131,8 +131,7 @@ def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
         return done
     for name in channels:
         if name not in done.pairs:
-            close = nearest(name, list(done.pairs))
-            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(done.pairs)}"
+            hint = suggestion(name, list(done.pairs))
             raise UsageError(f"the trial '{done.trial.id}' has no channel '{name}' to compare", hint=hint)
     pairs = {name: p for name, p in done.pairs.items() if name in channels}
     return Compared(done.trial, done.start, done.start_values, done.frequency_hz, pairs)

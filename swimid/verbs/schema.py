@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from swimid.errors import UsageError, nearest
+from swimid.errors import UsageError, suggestion
 from swimid.formats import atomic, comparison, evidence, parameters, robot, setup, trials
 from swimid.verbs.outcome import Outcome
 
@@ -44,8 +44,7 @@ def schema(name: str | None, *, output: Path | None = None) -> Outcome:
         text = "\n".join(known)
         return Outcome("schema", text, {"formats": list(known)})
     if name not in known:
-        close = nearest(name, list(known))
-        hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}"
+        hint = suggestion(name, list(known))
         raise UsageError(f"there is no format '{name}'", hint=hint)
     document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **known[name]}
     text = json.dumps(document, indent=2)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError, suggestion
 from swimid.experiments import arma, catalogue, multilink, propulsion
 from swimid.experiments.applied import Applied, Quantity
 from swimid.formats import log as log_format
@@ -143,8 +143,7 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
     experiment, applied = loaded.experiment, loaded.applied
     names = [t.id for t in experiment.trials]
     if only is not None and only not in names:
-        close = nearest(only, names)
-        hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(names)}"
+        hint = suggestion(only, names)
         raise UsageError(f"there is no trial '{only}' in {trials.name}", hint=hint)
     cases = []
     for trial in experiment.trials:
