@@ -139,7 +139,7 @@ class Engine:
         n = self.assembly.unknowns
 
         def run() -> Pair:
-            arguments = self.assembly.tables(self.coefficients)
+            arguments = self.assembly.tables(self.coefficients).values()
             states, _ = engine.integrate(np.zeros(2 * n), step, table, *arguments)
             return states[::cut, n], states[::cut, n + 2]
 
@@ -156,7 +156,7 @@ FLUID = "0.1 0.01 0 1.5 0"
 
 def mujoco_xml(plant: Engine, *, prescribed: bool, integrator: str, step_s: float) -> str:
     """The plant's links as MuJoCo bodies in a plane."""
-    joint, inertia, passive = plant.assembly.tables(plant.coefficients)[1:4]
+    joint, inertia, passive = list(plant.assembly.tables(plant.coefficients).values())[1:4]
     body, density = plant.model.robot.multilink, plant.model.robot.fluid.density_kg_m3
     assert body is not None
     areas = {
@@ -283,7 +283,7 @@ class Peer:
     """
 
     def __init__(self, plant: Engine, values: np.ndarray, beat: drive.Beat) -> None:
-        tables = plant.assembly.tables(values[: len(plant.assembly.names)])
+        tables = list(plant.assembly.tables(values[: len(plant.assembly.names)]).values())
         topology, joint, inertia, passive, drag_link, drag = tables[:6]
         links = len(topology)
         assert np.array_equal(topology[1:, 0], np.arange(links - 1))
@@ -372,7 +372,7 @@ def section_engine(plant: Engine) -> None:
     # in turn, so that a spell of load does not fall on one row alone
     times = np.array([[cpu(run, 2)[0] for run in runners] for _ in range(10)]).min(axis=0)
     for (label, each, cut), found, seconds in zip(rows, pairs, times, strict=True):
-        tables = each.assembly.tables(each.coefficients)
+        tables = list(each.assembly.tables(each.coefficients).values())
         error = distance(found, each.runner(FINE["engine"])())
         print(
             f"{label:<38}{1e6 * seconds / (4 * cut * COMPARED):9.3f}{1e3 * seconds:9.2f}{len(tables[0]):7d}"

@@ -150,11 +150,11 @@ def mujoco() -> Iterator[Any]:
 
 def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     """The engine's rate of the state."""
-    tables = source.assembly.tables(source.values)
+    tables = source.assembly.tables(source.values).values()
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
     work = np.zeros((len(source.links), 19))
-    engine.derivative(state, row, *tables, work, np.zeros((n, n)), np.zeros(n), rate)
+    engine.derivative(state, row, *tables, None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
     return rate
 
 

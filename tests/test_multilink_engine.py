@@ -50,7 +50,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         angle = motion[k, 0] + math.radians(axis.joint.mount_deg)
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
-    engine.derivative(state, row, *model.tables(defaults(model)), *scratch)
+    engine.derivative(state, row, *model.tables(defaults(model)).values(), None, 0.0, *scratch)
     return scratch[-1][n:]
 
 
@@ -59,7 +59,7 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)))
+    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values())
     return states, rates
 
 
@@ -554,8 +554,8 @@ class TestElements:
         gain = c_m * WATER * math.pi / 4
         both = one_link(element)
         sideways = one_link({**element, "added_mass_direction": "normal"})
-        (inertia,) = both.tables(np.zeros(0))[2]  # type: ignore[misc]
-        (normal,) = sideways.tables(np.zeros(0))[2]  # type: ignore[misc]
+        (inertia,) = both.tables(np.zeros(0))["inertia"]  # type: ignore[misc]
+        (normal,) = sideways.tables(np.zeros(0))["inertia"]  # type: ignore[misc]
         expected = [
             2.0 + gain * moments[0],
             0.0,
@@ -794,7 +794,7 @@ class TestTrailingEdge:
 
 def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:
     """Force on a single link with added mass, at a velocity without rotation."""
-    a, b, c, d, e, f = model.tables(defaults(model))[2][0]  # type: ignore[index]
+    a, b, c, d, e, f = model.tables(defaults(model))["inertia"][0]  # type: ignore[index]
     matrix = np.array([[a, b, c], [b, d, e], [c, e, f]])
     momentum = matrix @ [u, v, 0.0]
     turning = np.array([0.0, 0.0, u * momentum[1] - v * momentum[0]])

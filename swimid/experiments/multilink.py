@@ -163,7 +163,9 @@ def _trial(
     if entry.drive is not None:
         settings["beat"] = beat_of(entry.drive)
     elif model.assembly.driven:
-        settings["joints"] = [_motion(model, k, log) for k in range(len(model.assembly.driven))]
+        motions = [_motion(model, k, log) for k in range(len(model.assembly.driven))]
+        settings["joints"] = [motion for motion, _ in motions]
+        settings["commanded"] = any(commanded for _, commanded in motions)
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     pose = [log[name] for name in model.plane.pose if name in log]
     if len(pose) == 3 and model.assembly.free_base:
@@ -214,8 +216,8 @@ def _default_channels(model: MultilinkModel, log: Log) -> list[str]:
     return chosen
 
 
-def _motion(model: MultilinkModel, number: int, log: Log) -> Any:
-    """A driven joint's motion from its measured angle, or from its commanded one.
+def _motion(model: MultilinkModel, number: int, log: Log) -> tuple[Any, bool]:
+    """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
 
     A joint no drive moves (gain 0) stays straight where the log has neither.
     """
@@ -225,9 +227,9 @@ def _motion(model: MultilinkModel, number: int, log: Log) -> Any:
     command = name.replace("joint", "cmd")
     for candidate in (command, name) if law.servo is not None else (name, command):
         if candidate in log and np.isfinite(log[candidate]).sum() >= 5:
-            return drive.spline_motion(drive.measured(log.time_s, log[candidate]))
+            return drive.spline_motion(drive.measured(log.time_s, log[candidate])), candidate == command
     if law.gain == 0.0 and not law.bias_gain:
-        return _straight
+        return _straight, False
     raise InputError(
         f"the driven joint '{joint.name}' needs this column, or '{command}'",
         file=log.path,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -147,20 +147,15 @@ class Source:
         )
 
     @cached_property
-    def tables(self) -> dict[str, Array]:
+    def tables(self) -> dict[str, Any]:
         """The engine's tables at these values."""
-        found = self.assembly.tables(self.values)
-        names = (
-            "topology", "joint", "inertia", "passive", "drag_link", "drag", "foil_link", "foil",
-            "force_link", "force", "wake_link", "wake",
-        )  # fmt: skip
-        return dict(zip(names, (np.asarray(t) for t in found), strict=False))
+        return self.assembly.tables(self.values)
 
     @cached_property
     def links(self) -> list[Link]:
         """The links, parents before children."""
         bare = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
-        rigid = np.asarray(bare.tables(self.values)[2])
+        rigid = np.asarray(bare.tables(self.values)["inertia"])
         tables = self.tables
         joint_of = {j.child: j for j in self.body.joints}
         found = []

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, nearest, suggestion
+from swimid.models.hooks import Hooks
 
 Array = NDArray[np.float64]
 
@@ -118,6 +119,8 @@ class Model(ABC):
     channels: tuple[Channel, ...]
     #: What a trial's ``time_s`` counts, for axes.
     abscissa: str = "time (s)"
+    #: Hooks (:class:`swimid.models.hooks.Hooks`) that :meth:`hooked` obeys.
+    offers: frozenset[str] = frozenset({"output", "clock"})
 
     @abstractmethod
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -135,6 +138,14 @@ class Model(ABC):
         dict of channel name to ndarray, each shape (n,)
             At the trial's sample times. NaN where the model breaks down.
         """
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate one trial with what else acts on the chain.
+
+        A model that offers more than sensing and a late clock overrides this.
+        """
+        late = replace(trial, time_s=trial.time_s - hooks.clock_s) if hooks.clock_s else trial
+        return hooks.seen(self.simulate(values, late), trial.time_s)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Rate of change of each channel with time, for trials whose stamps are uncertain."""

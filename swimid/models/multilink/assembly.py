@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -129,22 +130,23 @@ class Assembly:
         """Degrees of freedom n: 3 of the base and one per passive joint."""
         return 3 + len(self.passive)
 
-    def tables(self, values: Array) -> tuple[np.ndarray | bool, ...]:
-        """The arguments of :func:`engine.integrate` from ``topology`` on.
+    def tables(self, values: Array) -> dict[str, Any]:
+        """The arguments of :func:`engine.integrate` from ``topology`` on, by their names.
 
         Parameters
         ----------
         values : ndarray, shape (len(names),)
         """
-        elements = [part for owner, table in self._elements for part in (owner, table(values))]
-        return (
-            self.topology,
-            self._joint(values),
-            self._inertia(values),
-            self._passive(values),
-            *elements,
-            self.free_base,
-        )
+        found: dict[str, Any] = {
+            "topology": self.topology,
+            "joint": self._joint(values),
+            "inertia": self._inertia(values),
+            "passive": self._passive(values),
+        }
+        for name, (owner, table) in zip(("drag", "foil", "force", "wake"), self._elements, strict=True):
+            found[f"{name}_link"], found[name] = owner, table(values)
+        found["free_base"] = self.free_base
+        return found
 
     def check(self, values: Array) -> None:
         """Refuse masses and inertias that no body has, and what looks like a slip of units.

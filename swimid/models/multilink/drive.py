@@ -316,6 +316,47 @@ def servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
     return result
 
 
+#: Half the width of the bell that smooths what an actuator adds to its command, s: a joint cannot jump.
+SMOOTH_S = 0.015
+
+
+def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
+    """A commanded motion as the actuator really does it.
+
+    Parameters
+    ----------
+    motion : Motion
+        Command, on an even grid.
+    actual : ndarray, shape (m,)
+        What becomes of the angle; it may have corners.
+    step_s : float
+        Of the grid.
+
+    Returns
+    -------
+    Motion
+        The command plus the deviation, that smoothed by a cubic B-spline bell so that rate and
+        acceleration belong to the angle. Without deviation it is the command.
+    """
+    deviation = actual - motion[0]
+    if not deviation.any():
+        return motion
+    spacing = max(0.5 * SMOOTH_S, 1.5 * step_s)
+    reach = math.ceil(2.0 * spacing / step_s)
+    at = np.arange(-reach, reach + 1) * step_s / spacing
+    bell = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
+    parts = []
+    padded = np.pad(deviation, reach, mode="edge")
+    for order in range(3):
+        kernel = np.nan_to_num(bell(at, nu=order)) / spacing**order
+        # on a grid its moments are those of the bell only nearly: constants and polynomials come out exactly
+        if order:
+            kernel -= kernel.mean()
+        kernel /= float(kernel @ ((-at * spacing) ** order / math.factorial(order)))
+        parts.append(np.convolve(padded, kernel, mode="valid"))
+    return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
+
+
 def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
     """Joint motions as the engine reads them.
 

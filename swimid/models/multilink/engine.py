@@ -21,9 +21,13 @@ has done so.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
+
+from swimid.models.hooks import MOST_FORCES, Force, no_force
 
 #: Columns of the tables the kernels read.
 TOPOLOGY = ("parent", "driven", "passive")
@@ -193,6 +197,34 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
+    """Forces of functions from outside (:class:`swimid.models.hooks.Force`)."""
+    first, second, third, links, places, constants, ends, frame, pose, velocity, wrench = forced
+    for e in range(len(links)):
+        i = links[e]
+        x, y = places[e, 0], places[e, 1]
+        r = work[i, 4]
+        velocity[0], velocity[1], velocity[2] = work[i, 2] - r * y, work[i, 3] + r * x, r
+        c, s = work[0, 17], work[0, 18]
+        a, b = state[0] + c * frame[4] - s * frame[5], state[1] + s * frame[4] + c * frame[5]
+        pose[0] = frame[0] + frame[2] * a - frame[3] * b
+        pose[1] = frame[1] + frame[3] * a + frame[2] * b
+        # the link's heading, continuous: that of the base and what the joints add
+        turn = math.atan2(work[i, 18] * c - work[i, 17] * s, work[i, 17] * c + work[i, 18] * s)
+        pose[2] = frame[6] + state[2] + turn
+        wrench[:] = 0.0
+        own = constants[ends[e] : ends[e + 1]]
+        if e == 0:
+            first(time, pose, velocity, own, wrench)
+        elif e == 1:
+            second(time, pose, velocity, own, wrench)
+        else:
+            third(time, pose, velocity, own, wrench)
+        _push(work, i, x, y, wrench[0], wrench[1])
+        work[i, 10] -= wrench[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
     hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
@@ -300,6 +332,8 @@ def derivative(  # type: ignore[no-untyped-def]
     wake_link,
     wake,
     free_base,
+    forced,
+    time,
     work,
     matrix,
     right,
@@ -319,6 +353,9 @@ def derivative(  # type: ignore[no-untyped-def]
         Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
     free_base : bool
         Whether the base moves; else it holds its pose.
+    forced : tuple or None
+        Forces from outside, as :func:`outside` packs them; None costs nothing.
+    time : float, s
     work : ndarray, shape (links, 19)
     matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
         Scratch.
@@ -329,6 +366,8 @@ def derivative(  # type: ignore[no-untyped-def]
     _foils(foil_link, foil, work)
     _forces(force_link, force, work)
     _wakes(wake_link, wake, work)
+    if forced is not None:
+        _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
     if free_base:
@@ -365,6 +404,8 @@ def integrate(  # type: ignore[no-untyped-def]
     wake_link,
     wake,
     free_base,
+    forced=None,
+    begin=0.0,
 ):
     """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
 
@@ -374,6 +415,8 @@ def integrate(  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
+    begin : float, s
+        Time of the first state, for the forces from outside.
     others
         As :func:`derivative`.
 
@@ -397,7 +440,7 @@ def integrate(  # type: ignore[no-untyped-def]
         here, k1 = states[i], rates[i]
         derivative(
             here, table[2 * i], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, work, matrix, right, k1,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * i, work, matrix, right, k1,
         )  # fmt: skip
         largest = 0.0
         for j in range(size):
@@ -414,23 +457,56 @@ def integrate(  # type: ignore[no-untyped-def]
             trial[j] = here[j] + 0.5 * step * k1[j]
         derivative(
             trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, work, matrix, right, k2,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
+            right, k2,
         )  # fmt: skip
         for j in range(size):
             trial[j] = here[j] + 0.5 * step * k2[j]
         derivative(
             trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, work, matrix, right, k3,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
+            right, k3,
         )  # fmt: skip
         for j in range(size):
             trial[j] = here[j] + step * k3[j]
         derivative(
             trial, table[2 * i + 2], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, work, matrix, right, k4,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 1.0), work, matrix,
+            right, k4,
         )  # fmt: skip
         for j in range(size):
             states[i + 1, j] = here[j] + step / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
     return states, rates
+
+
+def outside(
+    forces: Sequence[Force], frame: Sequence[float], reference: tuple[float, float], links: int
+) -> tuple[Any, ...]:
+    """Forces from outside as :func:`integrate` takes them.
+
+    Parameters
+    ----------
+    forces : sequence of Force, at most :data:`swimid.models.hooks.MOST_FORCES`
+    frame : (x, y, heading)
+        Of the run's axes in the world.
+    reference : (x, y), m
+        The reference point in the base's axes, whose place the forces are given.
+    links : int
+        Number of links.
+    """
+    functions = [f.function for f in forces] + [no_force] * (MOST_FORCES - len(forces))
+    ends = np.concatenate(([0], np.cumsum([len(f.constants) for f in forces]))).astype(np.int64)
+    return (
+        *functions,
+        np.array([f.link % links for f in forces], dtype=np.int64),
+        np.array([(f.x, f.y) for f in forces]).reshape(-1, 2),
+        np.concatenate([np.asarray(f.constants, dtype=float) for f in forces]),
+        ends,
+        np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]]),
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(3),
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -29,9 +29,8 @@ def link_frames(
         m and rad; links in the order of ``model.assembly.links``.
     """
     assembly = model.assembly
-    topology, joint = assembly.tables(values[: len(assembly.names)])[:2]
-    assert isinstance(topology, np.ndarray)
-    assert isinstance(joint, np.ndarray)
+    tables = assembly.tables(values[: len(assembly.names)])
+    topology, joint = tables["topology"], tables["joint"]
     count, n = len(assembly.links), len(next(iter(columns.values())))
     x, y, heading = np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n))
     body = model.robot.multilink

@@ -14,6 +14,7 @@ import numpy as np
 
 from swimid.formats.robot import Robot
 from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.models.hooks import NONE, Hooks
 from swimid.models.multilink import drive, engine
 from swimid.models.multilink.assembly import Assembly, Axis
 from swimid.models.multilink.polynomial import Polynomial
@@ -84,6 +85,7 @@ class MultilinkModel(Model):
     """
 
     name = "multilink"
+    offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
 
     def __init__(self, robot: Robot, *, max_step: float = DEFAULT_STEP) -> None:
         assert robot.multilink is not None
@@ -261,24 +263,26 @@ class MultilinkModel(Model):
     def _value(self, values: Array, name: str) -> float:
         return float(values[self._at[name]]) if name in self._at else 0.0
 
-    def trajectory(self, values: Array, trial: Trial) -> Trajectory:
-        """The run on its own step grid, from the world's origin.
+    def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
+        """The run on its own step grid, from the world's origin; relative to the water where that flows.
 
         Parameters
         ----------
         values : ndarray, shape (len(self.parameters),)
         trial : Trial
+        hooks : Hooks
         """
         values = self.of_trial(values, trial)
-        dynamic = self._dynamic if not self._heading_matters() else [*self._dynamic, *self._heading()]
-        key = values[dynamic].tobytes()
-        key = key + np.array(self._grid(values, trial)).tobytes()
+        placed = self._heading_matters() or hooks.force or hooks.flow
+        dynamic = [*self._dynamic, *self._heading()] if placed else self._dynamic
+        key = values[dynamic].tobytes() + hooks.key
+        key = key + np.array(self._grid(values, trial, hooks)).tobytes()
         with self._lock:
             kept = self._kept.setdefault(trial.id, OrderedDict())
             if key in kept:
                 kept.move_to_end(key)
                 return kept[key]
-        found = self._run(values, trial)
+        found = self._run(values, trial, hooks)
         with self._lock:
             kept[key] = found
             while len(kept) > KEPT:
@@ -291,15 +295,15 @@ class MultilinkModel(Model):
     def _heading(self) -> list[int]:
         return [self._at[n] for n in (self.starts[2],) if n in self._at]
 
-    def _grid(self, values: Array, trial: Trial) -> tuple[float, float, int]:
+    def _grid(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> tuple[float, float, int]:
         """Begin, step and number of steps; a late clock asks for some beyond the last sample."""
         begin, step, steps = grid(trial.time_s, self.max_step)
-        late = min(max(-self._value(values, "clock_offset"), 0.0), step * steps)
+        late = min(max(-self._value(values, "clock_offset") - hooks.clock_s, 0.0), step * steps)
         return begin, step, steps + math.ceil(late / step)
 
-    def _run(self, values: Array, trial: Trial) -> Trajectory:
-        begin, step, steps = self._grid(values, trial)
-        table = self._table(values, trial, begin, step, steps)
+    def _run(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
+        begin, step, steps = self._grid(values, trial, hooks)
+        table = self._table(values, trial, begin, step, steps, hooks)
         n = self.assembly.unknowns
         start = np.zeros(2 * n)
         body = self.robot.multilink
@@ -308,6 +312,10 @@ class MultilinkModel(Model):
             u, v, r = (values[self._at[p.name]] for p in self._start()[:3])
             a, b = body.reference.station_m, body.reference.offset_m
             start[n : n + 3] = u + r * b, v + r * a, r
+            if hooks.flow:
+                start[n : n + 2] -= _turned(
+                    *_flows(hooks, np.array([begin]))[1].T, -self._start_heading(values, trial)
+                )[:, 0]
             if self._heading_matters():
                 start[2] = self._start_heading(values, trial)
         else:
@@ -315,15 +323,26 @@ class MultilinkModel(Model):
         for k, axis in enumerate(self.assembly.passive):
             start[3 + k] = self._value(values, f"initial_angle_{axis.joint.name}")
             start[n + 3 + k] = self._value(values, f"initial_rate_{axis.joint.name}")
-        arguments = self.assembly.tables(values[: self._count])
-        states, rates = engine.integrate(start, step, table, *arguments)
+        tables = hooks.changed(self.assembly.tables(values[: self._count]), "tables")
+        if hooks.force:
+            x, y, _ = trial.settings.get("pose", (0.0, 0.0, 0.0))
+            frame = (x, y, 0.0 if self._heading_matters() else self._start_heading(values, trial))
+            at = (-body.reference.station_m, body.reference.offset_m)
+            forced = engine.outside(hooks.force, frame, at, len(self.assembly.links))
+            states, rates = engine.integrate(start, step, table, *tables.values(), forced, begin)
+        else:
+            states, rates = engine.integrate(start, step, table, *tables.values())
         return Trajectory(begin, step, states, rates, table[::2, :, :3])
 
     def _start_heading(self, values: Array, trial: Trial) -> float:
         pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
         return float(pose[2]) + self._value(values, self.starts[2])
 
-    def _table(self, values: Array, trial: Trial, begin: float, step: float, steps: int) -> Array:
+    def _table(
+        self, values: Array, trial: Trial, begin: float, step: float, steps: int, hooks: Hooks = NONE
+    ) -> Array:
+        if trial.settings.get("joints") is not None and not trial.settings.get("commanded"):
+            hooks = NONE  # measured joints are what the actuators did
         phase = self._value(values, "drive_phase")
         servos = tuple(
             None
@@ -331,17 +350,20 @@ class MultilinkModel(Model):
             else tuple(q.at(dict(zip(self.assembly.names, values, strict=False))) for q in s)
             for s in self._servos
         )
-        key = (trial.id, begin, step, steps, phase, servos)
+        key = (trial.id, begin, step, steps, phase, servos, hooks.key if hooks.command else b"")
         if key in self._tables:
             return self._tables[key]
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
         motions = []
         for k, (axis, servo) in enumerate(zip(self.assembly.driven, servos, strict=True)):
             if servo is None:
-                motions.append(joint_motion(axis, k, trial.settings, half, phase))
+                motion = joint_motion(axis, k, trial.settings, half, phase)
+                if hooks.command:
+                    motion = drive.deviated(motion, hooks.actuated(half, motion[0], k), 0.5 * step)
+                motions.append(motion)
                 continue
             fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
-            command = joint_motion(axis, k, trial.settings, fine, phase)[0]
+            command = hooks.actuated(fine, joint_motion(axis, k, trial.settings, fine, phase)[0], k)
             omega, damping = 2 * math.pi * servo[0], servo[1]
             answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
             motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
@@ -356,13 +378,19 @@ class MultilinkModel(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Pose, velocity and joint angles at the trial's samples (see :meth:`Model.simulate`)."""
-        run = self.trajectory(values, trial)
-        time = trial.time_s - self._value(values, "clock_offset")
+        return self.hooked(values, trial, NONE)
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts on the chain (see :meth:`Model.hooked`)."""
+        run = self.trajectory(values, trial, hooks)
+        time = trial.time_s - self._value(values, "clock_offset") - hooks.clock_s
         states, _ = engine.sampled(time, run.begin_s, run.step_s, run.states, run.rates)
         n = self.assembly.unknowns
         found: dict[str, Array] = {}
         if self.assembly.free_base:
             found.update(self._seen(values, trial, states))
+            if hooks.flow:
+                self._carried(found, hooks, run.begin_s, time)
         for k, axis in enumerate(self.assembly.passive):
             found[axis.column] = states[:, 3 + k]
             found[axis.column.replace("_rad", "_rate_rad_s")] = states[:, n + 3 + k]
@@ -376,7 +404,18 @@ class MultilinkModel(Model):
             )
             for k, axis in enumerate(self.assembly.driven):
                 found[axis.column] = driven[:, k]
-        return found
+        return hooks.seen(found, trial.time_s) if hooks.output else found
+
+    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+        """Add the water's own motion to what was simulated relative to it."""
+        start, _ = _flows(hooks, np.array([begin_s]))
+        moved, speed = _flows(hooks, time_s)
+        x, y, heading = self.plane.pose
+        found[x] = found[x] + moved[:, 0] - start[0, 0]
+        found[y] = found[y] + moved[:, 1] - start[0, 1]
+        u, v = _turned(speed[:, 0], speed[:, 1], -found[heading])
+        along, across, _ = self.plane.velocity
+        found[along], found[across] = found[along] + u, found[across] + v
 
     def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Pose and velocity of the reference point, in the camera's axes."""
@@ -405,6 +444,18 @@ class MultilinkModel(Model):
             rates[1]: v + r * a,
             rates[2]: r,
         }
+
+
+def _flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
+    """Displacement and velocity of the water in the world, shape (n, 2) each."""
+    parts = [flow(time_s) for flow in hooks.flow]
+    return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
+
+
+def _turned(x: Array, y: Array, angle: Array | float) -> Array:
+    """A vector turned by an angle, shape (2, n)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * x - s * y, s * x + c * y])
 
 
 #: Parameters that change how a run is seen, not the run itself; so do the offsets of the start pose.

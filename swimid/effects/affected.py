@@ -1,0 +1,74 @@
+"""A model with effects: the same interface, more parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.effects.base import Effect
+from swimid.models import hooks as hook_places
+from swimid.models.base import Array, Model, Trial
+from swimid.models.hooks import Hooks
+
+
+class Affected(Model):
+    """A model on which effects act.
+
+    Its parameters are the model's, then those of each effect as ``effect/parameter``; with all of
+    the latter at their start values it is the model.
+
+    Parameters
+    ----------
+    model : Model
+    effects : sequence of Effect
+    trials : sequence of Trial
+        From which the effects take their scales.
+    """
+
+    def __init__(self, model: Model, effects: Sequence[Effect], trials: Sequence[Trial]) -> None:
+        self.model = model
+        self.effects = tuple(effects)
+        self.name = model.name
+        self.channels = model.channels
+        self.abscissa = model.abscissa
+        self.offers = model.offers
+        self._trials = tuple(trials)
+        self.own = [effect.parameters(model, trials) for effect in self.effects]
+        self.parameters = (
+            *model.parameters,
+            *(
+                replace(p, name=f"{effect.name}/{p.name}")
+                for effect, parameters in zip(self.effects, self.own, strict=True)
+                for p in parameters
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial) -> Hooks:
+        """What acts at these values, for one trial."""
+        at = len(self.model.parameters)
+        found = hook_places.NONE
+        for effect, parameters in zip(self.effects, self.own, strict=True):
+            own = values[at : at + len(parameters)]
+            at += len(parameters)
+            null = np.array([p.start for p in parameters])
+            if np.array_equal(own, null):
+                continue
+            acting = effect.hooks(own, trial, self.model)
+            key = f"{effect.name}:{id(effect)}".encode() + own.tobytes() if acting.moves else b""
+            found = found + replace(acting, key=key)
+        return found
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate one trial (see :meth:`Model.simulate`)."""
+        own = values[: len(self.model.parameters)]
+        hooks = self.hooks(values, trial)
+        if hooks is hook_places.NONE:
+            return self.model.simulate(own, trial)
+        return self.model.hooked(own, trial, hooks)
+
+    def refined(self) -> Affected | None:
+        """The same with half the integration step."""
+        finer = self.model.refined()
+        return None if finer is None else Affected(finer, self.effects, self._trials)

@@ -1,0 +1,80 @@
+"""What an effect is: a name, a stage, parameters that vanish at their start value, and hooks."""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+
+Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
+STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
+#: Sizes at which an effect is tried, in units of its parameters' scales.
+SIZES = (0.25, 0.7, 1.5, 3.0)
+
+
+class Effect(ABC):
+    """Something a model may leave out.
+
+    Attributes
+    ----------
+    name : str
+        In the gap file, with hyphens.
+    stage : str
+        Where in the chain it acts; the module lies in the folder of that name.
+    meaning : str
+        One sentence for the report.
+    sources : tuple of str
+        Who named it: paper and section.
+    needs : frozenset of str
+        Hooks it uses; it applies to models that offer at least one of them.
+    scatters : bool
+        Whether it may differ by chance from trial to trial (a trim, a clock): its spread between
+        trials then belongs to the noise.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    meaning: ClassVar[str]
+    sources: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[frozenset[str]]
+    scatters: ClassVar[bool] = False
+
+    @abstractmethod
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Its parameters: ``start`` is the value at which it vanishes exactly, ``scale`` a typical size."""
+
+    @abstractmethod
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The hooks at these parameter values, for one trial.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(parameters),)
+            Per-trial parameters hold this trial's value.
+        """
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """The forms in which it is tried (which joint, which wall); empty where it does not apply."""
+        return [self] if self.needs & model.offers else []
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Points at which it is tried before anything is fitted, within the bounds."""
+        null = np.array([p.start for p in parameters])
+        found = []
+        for k, p in enumerate(parameters):
+            for size, sign in itertools.product(SIZES, (1.0, -1.0)):
+                value = p.start + sign * size * p.scale
+                if p.lower <= value <= p.upper:
+                    point = null.copy()
+                    point[k] = value
+                    found.append(point)
+        return found
+
+    def __repr__(self) -> str:
+        return f"<effect {self.name}>"
