@@ -7,6 +7,7 @@ import click
 import swimid
 from swimid.cli import (
     compare,
+    diagnose,
     doctor,
     export,
     fit_drag,
@@ -24,6 +25,7 @@ SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track"]),
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
     ("Simulate and compare", ["simulate", "compare"]),
+    ("Diagnose", ["diagnose"]),
     ("Publish", ["report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
@@ -65,6 +67,7 @@ for command in (
     fit_graybox.command,
     simulate.command,
     compare.command,
+    diagnose.command,
     report.command,
     export.command,
     schema.command,

@@ -86,7 +86,7 @@ class Problem:
         self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
         starts = np.array([self._start_of(i, owner) for i, owner in self.slots])
         self.start = np.clip(starts, self.lower, self.upper)
-        self._measured = [self._stacked(k, t.measured) for k, t in enumerate(self.trials)]
+        self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._typical_s = 0.0
@@ -127,14 +127,14 @@ class Problem:
         return [
             self.trials[k].id
             for k, simulated in enumerate(self.simulations(theta))
-            if not np.isfinite(self._stacked(k, simulated)).all()
+            if not np.isfinite(self.stacked(k, simulated)).all()
         ]
 
     def trial_residuals(self, theta: Array, k: int) -> Array:
         """Weighted residuals of trial ``k``, channel after channel, missing samples left out."""
         with np.errstate(over="ignore", invalid="ignore"):
-            error = self._measured[k] - self._stacked(k, self.simulations(theta)[k])
-            values = error * self._weights(k)
+            error = self._measured[k] - self.stacked(k, self.simulations(theta)[k])
+            values = error * self.sample_weights(k)
         # a simulation that broke down costs, it does not crash
         return np.where(np.isfinite(values), values, BROKEN)
 
@@ -149,7 +149,7 @@ class Problem:
         of an earlier point are used again within :data:`NEAR` of it.
         """
         slopes = self._derivatives(theta, central)
-        return [-self._weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
+        return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
     def jacobian(self, theta: Array) -> Array:
         """Derivative of all residuals, shape (n, p)."""
@@ -173,7 +173,7 @@ class Problem:
             watch=watch,
         )
 
-    def _weights(self, k: int) -> Array:
+    def sample_weights(self, k: int) -> Array:
         """Factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
         parts = [
             (damping / sd)[mask]
@@ -181,7 +181,8 @@ class Problem:
         ]
         return np.concatenate(parts) if parts else np.empty(0)
 
-    def _stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+    def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+        """The measured samples' places of some channels of a trial, in the order of its residuals, shape (n_k,)."""
         parts = [series[c][mask] for c, mask in zip(self.channels[k], self.masks[k], strict=True)]
         return np.concatenate(parts) if parts else np.empty(0)
 
@@ -192,7 +193,7 @@ class Problem:
             if (was_central or not central) and self._near(theta, where, known):
                 return known
         size = np.maximum(np.abs(theta), self.scale)
-        here = [self._stacked(k, s) for k, s in enumerate(self.simulations(theta))]
+        here = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
         steps = (1e-5 if central else 1e-6) * size
         # step towards the inside of the bounds
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -210,10 +211,10 @@ class Problem:
         slopes = [np.zeros((len(y), len(theta))) for y in here]
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
-            ahead, back, back_at = self._stacked(k, simulated), here[k], theta
+            ahead, back, back_at = self.stacked(k, simulated), here[k], theta
             if both[j]:
                 (back_at, _), simulated = next(moves)
-                back = self._stacked(k, simulated)
+                back = self.stacked(k, simulated)
             with np.errstate(over="ignore", invalid="ignore"):
                 column = (ahead - back) / (ahead_at[j] - back_at[j])
             slopes[k][:, j] = np.where(np.isfinite(column), column, 0.0)
@@ -225,7 +226,7 @@ class Problem:
         """Whether the step between two points is small against the noise of the estimates."""
         moved, left, samples = 0.0, 0.0, 0
         for k, rows in enumerate(slopes):
-            change = rows @ (theta - where) * self._weights(k)
+            change = rows @ (theta - where) * self.sample_weights(k)
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)

@@ -71,12 +71,27 @@ class Span(_Part):
     label: str = ""
 
 
+class Heat(_Part):
+    """A table of numbers shaded by their size, in place of the traces of a panel.
+
+    The number stands in every cell; the shade grows with its logarithm where it exceeds ``neutral``.
+    """
+
+    rows: list[str]
+    columns: list[str]
+    #: One list a row; None where there is no number.
+    values: list[Numbers]
+    #: Up to here a cell is not shaded.
+    neutral: float = Field(default=1.0, gt=0)
+
+
 class Panel(_Part):
     """One pair of axes."""
 
     x_label: str
     y_label: str
-    traces: list[Trace]
+    traces: list[Trace] = []
+    heat: Heat | None = None
     title: str = ""
     x_scale: Literal["linear", "log"] = "linear"
     y_scale: Literal["linear", "log"] = "linear"

@@ -5,6 +5,7 @@ Also the models the long-fin paper published (Tables II and III), ready to run.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from swimid.errors import InputError
 from swimid.formats.parameters import Estimate, ParameterFile, Pole
 from swimid.models.base import Array, Channel, Model, Parameter, Trial
 from swimid.models.difference import Orders, Record, poles, simulate
+from swimid.models.hooks import Hooks
 from swimid.signals import sampling
 
 if TYPE_CHECKING:
@@ -75,6 +77,7 @@ class Arma(Model):
     """
 
     name = NAME
+    offers = frozenset({"command", "output", "clock"})
 
     def __init__(
         self,
@@ -163,7 +166,7 @@ class Arma(Model):
                 column="t_s",
                 hint="resample the log to the model's sample time",
             )
-        source = self._input(trial, time) - self.source_level
+        source = self.input_of(trial, time) - self.source_level
         measured = trial.measured.get(self.output)
         result = np.full(len(time), np.nan)
         for piece in sampling.pieces(time, self.sample_time_s):
@@ -180,7 +183,43 @@ class Arma(Model):
             result[piece.rows[there]] = run[there] + self.output_level
         return {self.output: result}
 
-    def _input(self, trial: Trial, time: Array) -> Array:
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts (see :meth:`Model.hooked`): on the input column, and on the output.
+
+        The clock delays the output by straight lines between its samples; the run starts from the
+        first measured outputs as before.
+        """
+        time = np.asarray(trial.time_s, dtype=float)
+        if hooks.command:
+            column = hooks.actuated(time, self.input_of(trial, time))
+            trial = replace(trial, inputs={**trial.inputs, self.source: column})
+        found = self.simulate(values, trial)
+        if hooks.clock_s:
+            run = found[self.output]
+            there = np.isfinite(run)
+            if there.any():
+                late = np.interp(time - hooks.clock_s, time[there], run[there])
+                found[self.output] = np.where(there, late, np.nan)
+        return hooks.seen(found, trial.time_s)
+
+    def input_of(self, trial: Trial, time: Array) -> Array:
+        """The input of a trial: its column, or the sine where no column holds it.
+
+        Parameters
+        ----------
+        trial : Trial
+        time : ndarray, shape (n,), s
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            NaN where missing.
+
+        Raises
+        ------
+        InputError
+            When there is neither.
+        """
         column = trial.inputs.get(self.source)
         if column is not None:
             return np.asarray(column, dtype=float)

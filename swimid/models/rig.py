@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numba
 import numpy as np
 
 from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.models.hooks import MOST_FORCES, Hooks, no_force
+from swimid.models.rig_forced import integrate_forced, step_ends
 
 #: Coordinates a rig may log, with unit, unit of speed and whether it is a rotation.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
@@ -32,6 +35,8 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
 DEFAULT_STEP = 0.01
 #: A trial so long that it would take more such steps starts with longer ones.
 MOST_STEPS = 5_000
+#: Coefficients of the equation of motion, in the order :func:`integrate` takes them.
+EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest")
 
 
 @numba.njit(cache=True, nogil=True)
@@ -198,6 +203,8 @@ class RigModel(Model):
     and ``x0``. A measured force is the trial's input ``force_N``.
     """
 
+    offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
+
     def __init__(
         self, name: str, parameters: tuple[Parameter, ...], coordinate: str, *, max_step: float = DEFAULT_STEP
     ) -> None:
@@ -232,38 +239,104 @@ class RigModel(Model):
             "rest": self._value(values, "rest_position"),
         }
 
-    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Displacement and speed at the trial's samples (see :meth:`Model.simulate`)."""
+    def _whole(self, values: Array, trial: Trial) -> dict[str, float]:
+        """The coefficients, the constant force and the initial state."""
         settings = trial.settings
-        c = self.coefficients(values, settings)
-        if c["inertia"] <= 0 or not np.isfinite(values).all():
-            broken = np.full(len(trial.time_s), np.nan)
-            return {self.coordinate: broken, self.speed: broken}
-        force = trial.inputs.get("force_N")
-        offset = self._value(values, "force_offset") + float(settings.get("force", 0.0))
-        release = float(settings.get("release_s", 0.0)) + self._value(values, "clock_offset")
-        x0 = float(settings.get("x0", 0.0)) + self._value(values, "start_offset")
-        v0 = self._value(values, "initial_speed")
-        if force is None and c["linear"] == c["stiffness"] == v0 == 0 and offset >= 0 and c["quadratic"] >= 0:
-            x, v = falling_weight_closed_form(
-                trial.time_s, release, c["inertia"], c["quadratic"], offset - c["dry"]
-            )
-            return {self.coordinate: x + x0, self.speed: v}
+        return {
+            **self.coefficients(values, settings),
+            "force": self._value(values, "force_offset") + float(settings.get("force", 0.0)),
+            "x0": float(settings.get("x0", 0.0)) + self._value(values, "start_offset"),
+            "v0": self._value(values, "initial_speed"),
+        }
+
+    def _release(self, values: Array, trial: Trial) -> float:
+        return float(trial.settings.get("release_s", 0.0)) + self._value(values, "clock_offset")
+
+    def _step(self, time_s: Array) -> float:
         # from the log's times alone: a step that moved with the parameters would roughen derivatives
-        longest = float(trial.time_s[-1] - trial.time_s[0]) / MOST_STEPS
+        longest = float(time_s[-1] - time_s[0]) / MOST_STEPS
+        return self.max_step * max(1.0, longest / DEFAULT_STEP)
+
+    def _broken(self, trial: Trial) -> dict[str, Array]:
+        broken = np.full(len(trial.time_s), np.nan)
+        return {self.coordinate: broken, self.speed: broken}
+
+    def _moved(self, c: dict[str, float], trial: Trial, release: float) -> dict[str, Array]:
+        """Displacement and speed under the coefficients of :meth:`_whole`."""
+        if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
+            return self._broken(trial)
+        force, known = trial.inputs.get("force_N"), c["force"]
+        constant = c["linear"] == c["stiffness"] == c["v0"] == 0 and known >= 0 and c["quadratic"] >= 0
+        if force is None and constant:
+            x, v = falling_weight_closed_form(
+                trial.time_s, release, c["inertia"], c["quadratic"], known - c["dry"]
+            )
+            return {self.coordinate: x + c["x0"], self.speed: v}
         x, v = integrate(
             trial.time_s,
             release,
-            self.max_step * max(1.0, longest / DEFAULT_STEP),
-            np.array([offset]) if force is None else force + offset,
-            c["inertia"],
-            c["quadratic"],
-            c["linear"],
-            c["dry"],
-            c["stiffness"],
-            c["rest"],
-            x0,
-            v0,
+            self._step(trial.time_s),
+            np.array([known]) if force is None else force + known,
+            *(c[name] for name in EQUATION),
+            c["x0"],
+            c["v0"],
+        )
+        return {self.coordinate: x, self.speed: v}
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Displacement and speed at the trial's samples (see :meth:`Model.simulate`)."""
+        if not np.isfinite(values).all():
+            return self._broken(trial)
+        return self._moved(self._whole(values, trial), trial, self._release(values, trial))
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts on the rig (see :meth:`Model.hooked`).
+
+        ``coefficients`` holds those of :meth:`coefficients`, the constant ``force`` (N) and the initial
+        state ``x0``, ``v0``; it is changed before the forces act.
+
+        Raises
+        ------
+        ValueError
+            For more than :data:`swimid.models.hooks.MOST_FORCES` forces.
+        """
+        late = trial
+        if hooks.clock_s:
+            time = trial.time_s - hooks.clock_s
+            inputs = {name: np.interp(time, trial.time_s, data) for name, data in trial.inputs.items()}
+            late = replace(trial, time_s=time, inputs=inputs)
+        if not np.isfinite(values).all():
+            return self._broken(trial)
+        c = hooks.changed(self._whole(values, trial), "coefficients")
+        release = self._release(values, trial)
+        if hooks.force or hooks.flow:
+            return hooks.seen(self._forced(c, late, release, hooks), trial.time_s)
+        return hooks.seen(self._moved(c, late, release), trial.time_s)
+
+    def _forced(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
+        if len(hooks.force) > MOST_FORCES:
+            raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
+        if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
+            return self._broken(trial)
+        step = self._step(trial.time_s)
+        ends = step_ends(trial.time_s, release, step)
+        water = np.zeros(len(ends))
+        for flow in hooks.flow:
+            water = water + flow(ends)[1][:, 0]
+        acting = [(f.function, f.constants) for f in hooks.force]
+        idle = [(no_force, np.zeros(1))] * (MOST_FORCES - len(acting))
+        force = trial.inputs.get("force_N")
+        x, v = integrate_forced(
+            trial.time_s,
+            release,
+            step,
+            np.array([c["force"]]) if force is None else force + c["force"],
+            water,
+            c["x0"],
+            c["v0"],
+            tuple(c[name] for name in EQUATION),
+            len(acting),
+            *(part for pair in acting + idle for part in pair),
         )
         return {self.coordinate: x, self.speed: v}
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.formats.evidence import MAX_POINTS, Figure, Panel, Trace, thinned
-from swimid.reporting import looks, numbers, svg
+from swimid.reporting import heat, looks, numbers, svg
 from swimid.reporting.looks import GRID, INK, PAPER, SHADE, Entry, Look
 
 #: So few points are drawn fully opaque.
@@ -98,11 +98,14 @@ def draw(figure: Figure, prefix: str) -> list[Drawing]:
     Raises
     ------
     InputError
-        When a trace's lists differ in length.
+        When a trace's lists, or the rows of a heat map, differ in length.
     """
     for index, panel in enumerate(figure.panels):
+        place = f"figures.{figure.id}.panels.{index}"
         for trace in panel.traces:
-            _check(trace, f"figures.{figure.id}.panels.{index}")
+            _check(trace, place)
+        if panel.heat is not None:
+            heat.check(panel.heat, place)
     styles = looks.assigned(figure)
     reduced = [any(len(trace.x) > MAX_POINTS for trace in panel.traces) for panel in figure.panels]
     panels = [_reduced(panel) if few else panel for panel, few in zip(figure.panels, reduced, strict=True)]
@@ -156,10 +159,15 @@ def _axes(panel: Panel, styles: list[Look], size: Size) -> tuple[Canvas, Axes]:
     height = size.height
     if panel.equal_aspect:
         height = min(max(size.width * _shape(panel), 0.3 * size.width), 520.0, 1.1 * size.width) + 60
+    if panel.heat is not None:
+        height = heat.height(panel.heat, size.font)
     canvas = Canvas(figsize=(size.width / 72, height / 72), dpi=72, facecolor="none")
     FigureCanvasSVG(canvas)
     axes = canvas.add_axes((0.1, 0.2, 0.88, 0.7), facecolor="none")
     _frame(axes, size)
+    if panel.heat is not None:
+        heat.draw(axes, panel.heat, size.width, size.font)
+        return canvas, axes
     bars = [i for i, trace in enumerate(panel.traces) if trace.style == "bars"]
     # a model's line among the points of its group carries no markers: they would pass for data
     measured = {t.group for t in panel.traces if t.style == "points" and t.group is not None}

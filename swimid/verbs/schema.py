@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from swimid.errors import UsageError, suggestion
-from swimid.formats import atomic, comparison, evidence, parameters, robot, setup, trials
+from swimid.formats import atomic, comparison, evidence, gap, parameters, robot, setup, trials
 from swimid.verbs.outcome import Outcome
 
 
@@ -21,6 +21,7 @@ def schemas() -> dict[str, dict[str, Any]]:
         "parameters": parameters.ParameterFile,
         "setup": setup.Setup,
         "comparison": comparison.ComparisonFile,
+        "gap": gap.GapFile,
         "evidence": evidence.Evidence,
     }
     return {

@@ -452,7 +452,7 @@ def _flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
     return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
 
 
-def _turned(x: Array, y: Array, angle: Array | float) -> Array:
+def _turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
     """A vector turned by an angle, shape (2, n)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * x - s * y, s * x + c * y])

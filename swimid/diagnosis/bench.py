@@ -1,0 +1,241 @@
+"""A model on its trials, fitted through a lens: the workbench of every step of a diagnosis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.diagnosis.folds import Folds, folds, stretches
+from swimid.diagnosis.lens import Lens
+from swimid.effects.affected import Affected
+from swimid.effects.base import Effect
+from swimid.estimators import levenberg
+from swimid.estimators.problem import Problem
+from swimid.models.base import Array, Model, Parameter, Trial
+
+#: Prior standard deviation of an effect's parameters, in their typical sizes.
+EFFECT_PRIOR = 5.0
+#: Relative tolerance of a fit.
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An optimum.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    labels : list of str
+    theta : ndarray, shape (p,)
+    cost : float
+        Squared residuals through the lens, prior included.
+    residuals : list of ndarray
+        Of each trial, weighted (not yet through the lens), shape (n_k,).
+    rows : list of ndarray
+        Derivatives of the simulated samples, weighted, shape (n_k, p): residuals fall by them.
+    lower, upper, scale : ndarray, shape (p,)
+    """
+
+    effects: tuple[Effect, ...]
+    labels: list[str]
+    theta: Array
+    cost: float
+    residuals: list[Array]
+    rows: list[Array]
+    scale: Array
+    problem: Problem
+
+    def value(self, label: str) -> float:
+        """An estimate by its label."""
+        return float(self.theta[self.labels.index(label)])
+
+
+class Bench:
+    """A nominal model, its trials and what is known of its coefficients beforehand.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : sequence of Parameter
+        Of the model; the free ones are refitted in every step.
+    trials : sequence of Trial
+        Those that take part in fits.
+    prior : mapping of name to (mean, sd)
+        Of shared coefficients.
+    jobs : int
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        parameters: Sequence[Parameter],
+        trials: Sequence[Trial],
+        prior: Mapping[str, tuple[float, float]],
+        *,
+        jobs: int = 1,
+    ) -> None:
+        self.model = model
+        self.parameters = tuple(parameters)
+        self.trials = list(trials)
+        self.prior = dict(prior)
+        self.jobs = jobs
+        plain = self.problem(())
+        self.shape = plain
+        self.folds = self._folds(plain)
+
+    def _folds(self, problem: Problem) -> Folds:
+        rows = [sum(int(m.sum()) for m in masks) for masks in problem.masks]
+        found = folds(self.trials, rows)
+        if found.whole:
+            return found
+        owner = [
+            stretches(found, k, [t.time_s[m] for m in masks])
+            for k, (t, masks) in enumerate(zip(self.trials, problem.masks, strict=True))
+        ]
+        return replace(found, owner=owner)
+
+    def affected(self, effects: Sequence[Effect]) -> Affected:
+        """The model with effects."""
+        return Affected(self.model, effects, self.trials)
+
+    def problem(self, effects: Sequence[Effect]) -> Problem:
+        """Residuals of the model with effects, nominal coefficients as here."""
+        model = self.affected(effects)
+        own = model.parameters[len(self.parameters) :]
+        return Problem(model, (*self.parameters, *own), self.trials, jobs=self.jobs)
+
+    def expected(self, problem: Problem) -> tuple[Array, Array]:
+        """Prior mean and inverse standard deviation of each number; 0 where there is none."""
+        mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
+        for j, (index, owner) in enumerate(problem.slots):
+            p = problem.parameters[index]
+            if "/" in p.name:
+                mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
+            elif owner is None and p.name in self.prior:
+                m, sd = self.prior[p.name]
+                mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
+        return mean, weight
+
+    def fit(
+        self,
+        effects: Sequence[Effect],
+        lens: Lens,
+        starts: Sequence[Array],
+        *,
+        tolerance: float = TOLERANCE,
+        iterations: int = 30,
+    ) -> Fit:
+        """The best optimum from several starts.
+
+        Parameters
+        ----------
+        starts : sequence of ndarray, shape (p,)
+        """
+        problem = self.problem(effects)
+        lens.install(problem)
+        mean, weight = self.expected(problem)
+        held = weight > 0
+
+        def residuals(theta: Array) -> Array:
+            parts = [
+                lens.through(problem, k, problem.trial_residuals(theta, k)) for k in range(len(self.trials))
+            ]
+            return np.concatenate([*parts, ((theta - mean) * weight)[held]])
+
+        def jacobian(theta: Array) -> Array:
+            parts = [lens.through(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
+            return np.concatenate([*parts, np.diag(weight)[held]])
+
+        best: levenberg.Solution | None = None
+        try:
+            for start in starts:
+                found = levenberg.minimise(
+                    residuals,
+                    jacobian,
+                    np.clip(start, problem.lower, problem.upper),
+                    lower=problem.lower,
+                    upper=problem.upper,
+                    scale=problem.scale,
+                    tolerance=tolerance,
+                    max_iterations=iterations,
+                )
+                if best is None or found.cost < best.cost:
+                    best = found
+            assert best is not None
+            return self._at(problem, effects, best.x, best.cost)
+        finally:
+            problem.close()
+
+    def at(self, effects: Sequence[Effect], lens: Lens, theta: Array) -> Fit:
+        """The state of a fit at given numbers, nothing searched."""
+        problem = self.problem(effects)
+        lens.install(problem)
+        try:
+            return self._at(problem, effects, theta, math.nan)
+        finally:
+            problem.close()
+
+    def _at(self, problem: Problem, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
+        rows = [-r for r in problem.trial_jacobians(theta)]
+        residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
+        return Fit(tuple(effects), problem.labels, theta, cost, residuals, rows, problem.scale, problem)
+
+    def start(self, effects: Sequence[Effect], fit: Fit, own: Mapping[str, float] | None = None) -> Array:
+        """Numbers for a fit with other effects: those of an earlier fit, and given or null ones."""
+        problem = self.problem(effects)
+        known = dict(zip(fit.labels, fit.theta, strict=True))
+        own = own or {}
+        return np.array(
+            [
+                own.get(label, own.get(label.split("[")[0], known.get(label, start)))
+                for label, start in zip(problem.labels, problem.start, strict=True)
+            ]
+        )
+
+    def change(self, base: Fit, effect: Effect, point: Array) -> list[Array]:
+        """What an effect at some strength changes in each trial, weighted, shape (n_k,).
+
+        Parameters
+        ----------
+        base : Fit
+            Where its other numbers stand; its effects stay.
+        point : ndarray
+            Values of all the effect's parameters.
+        """
+        effects = (*base.effects, effect)
+        model = self.affected(effects)
+        size = len(model.own[-1])
+        found = []
+        for k, trial in enumerate(self.trials):
+            own = base.problem.vector(base.theta, k)
+            with np.errstate(over="ignore", invalid="ignore"):
+                try:
+                    seen = model.simulate(np.concatenate((own, point[:size])), trial)
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    seen = {c: np.full(len(trial.time_s), np.nan) for c in base.problem.channels[k]}
+            stacked = base.problem.stacked(k, seen)
+            plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
+            found.append((stacked - plain) * base.problem.sample_weights(k))
+        return found
+
+
+def errors(fit: Fit, lens: Lens, weight: Array) -> Array:
+    """Standard errors of a fit's numbers, shape (p,), prior included.
+
+    Parameters
+    ----------
+    weight : ndarray, shape (p,)
+        Inverse standard deviations of the prior.
+    """
+    normal = np.diag(weight**2)
+    for k, rows in enumerate(fit.rows):
+        seen = lens.through(fit.problem, k, rows)
+        normal += seen.T @ seen
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = scale[:, None] * normal * scale
+    inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+    return np.asarray(scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)))

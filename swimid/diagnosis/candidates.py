@@ -1,0 +1,303 @@
+"""Effects tried on the trials: a cheap screen at several strengths, then a refit together with the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swimid.diagnosis import gram
+from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
+from swimid.diagnosis.gram import Folded
+from swimid.diagnosis.lens import Lens
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Parameter
+
+#: A change smaller than this (squared, in units of the noise) is none.
+NOTHING = 1e-6
+#: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
+DRAWS, QUANTILE = 400, 0.95
+#: Squared misfit that each number a trial has for itself removes by chance.
+CHANCE = 2.0
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One effect as the screen saw it.
+
+    Attributes
+    ----------
+    effect : Effect
+    parameters : tuple of Parameter
+    point : ndarray
+        Its parameters where the screen expects them.
+    gains : ndarray, shape (folds,)
+        Predicted drop of each fold's held-out misfit.
+    absorbed : float
+        Share of the squared change that the nominal numbers imitate.
+    signature : list of ndarray
+        Change of each trial at ``point``, weighted.
+    """
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    point: Array
+    gains: Array
+    absorbed: float
+    signature: list[Array]
+
+    @property
+    def gain(self) -> float:
+        """Over all folds."""
+        return float(self.gains.sum())
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """One effect fitted together with the model.
+
+    Attributes
+    ----------
+    gains : ndarray, shape (folds,)
+        Drop of each fold's held-out misfit against the model without it.
+    """
+
+    tried: Tried
+    fit: Fit
+    gains: Array
+
+    @property
+    def gain(self) -> float:
+        """Over all folds."""
+        return float(self.gains.sum())
+
+    @property
+    def stderr(self) -> float:
+        """Standard error of the gain, from its spread over folds."""
+        n = len(self.gains)
+        return float(np.sqrt(n * np.var(self.gains, ddof=1))) if n > 1 else float("nan")
+
+
+@dataclass
+class Screen:
+    """All effects tried on one base.
+
+    Attributes
+    ----------
+    tried : list of Tried
+        Best first.
+    threshold : float
+        Held-out gain that the best of all effects reaches on pure noise once in twenty.
+    left_out : dict of name to reason
+        Effects that change nothing here.
+    """
+
+    tried: list[Tried]
+    threshold: float
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trialled:
+    """What an effect changes at each of the strengths it is tried at."""
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    points: list[tuple[Array, list[Array]]]
+
+
+def simulate(
+    bench: Bench,
+    base: Fit,
+    effects: Sequence[Effect],
+    *,
+    jobs: int = 1,
+    step: Callable[[str], None] = lambda _: None,
+) -> list[Trialled]:
+    """The changes all effects make at several strengths.
+
+    Parameters
+    ----------
+    step : callable
+        Called with each effect's name once it is done.
+    """
+
+    def one(effect: Effect) -> Trialled:
+        parameters = effect.parameters(bench.model, bench.trials)
+        found = []
+        for point in effect.tries(parameters):
+            changed = bench.change(base, effect, point)
+            if all(np.isfinite(c).all() for c in changed):
+                found.append((point, changed))
+        step(effect.name)
+        return Trialled(effect, parameters, found)
+
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        return list(pool.map(one, effects))
+
+
+def screen(
+    bench: Bench, base: Fit, lens: Lens, simulated: Sequence[Trialled], *, rng: np.random.Generator
+) -> Screen:
+    """Compare all effects at all strengths, the base's numbers projected out."""
+    columns: list[list[Array]] = []
+    places: list[list[int]] = []
+    for tried in simulated:
+        places.append(list(range(len(columns), len(columns) + len(tried.points))))
+        columns += [changed for _, changed in tried.points]
+    inner = gram.folded(bench, base, lens, columns)
+    plain = gram.held_out(inner)
+    draws = gram.noise(inner, rng, DRAWS)
+    plain_drawn = gram.held_out(inner, draws=draws)
+    left = gram.projected(inner)
+    total = inner.products.sum(axis=0)
+    largest = np.zeros(DRAWS)
+    found, left_out = [], {}
+    for tried, at in zip(simulated, places, strict=True):
+        effect, parameters, points = tried.effect, tried.parameters, tried.points
+        shared = [j for j, p in enumerate(parameters) if not p.per_trial]
+        if len(shared) < len(parameters):
+            best = _apart(bench, base, lens, effect, parameters, points, plain)
+        else:
+            best, drawn = _best(inner, effect, parameters, points, at, plain, draws, plain_drawn, left, total)
+            largest = np.maximum(largest, drawn)
+        if best is None:
+            left_out[effect.name] = "it changes nothing that was measured in these trials"
+        else:
+            found.append(best)
+            left_out.pop(effect.name, None)
+    found.sort(key=lambda t: -t.gain)
+    return Screen(found, float(np.quantile(largest, QUANTILE)), left_out)
+
+
+def _strength(parameters: Sequence[Parameter], point: Array) -> float:
+    """Largest distance of a point from null, in typical sizes."""
+    return max(
+        (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True)), default=1.0
+    ) or 1.0
+
+
+def _best(
+    inner: Folded,
+    effect: Effect,
+    parameters: tuple[Parameter, ...],
+    points: list[tuple[Array, list[Array]]],
+    at: list[int],
+    plain: Array,
+    draws: Array,
+    plain_drawn: Array,
+    left: Array,
+    total: Array,
+) -> tuple[Tried | None, Array]:
+    """The best of an effect's tries, single ones and one per parameter together; what noise would do."""
+    drawn = np.zeros(draws.shape[2])
+    best: Tried | None = None
+    leaders: dict[tuple[int, ...], tuple[float, int]] = {}
+    null = np.array([p.start for p in parameters])
+    s = inner.shared
+
+    def consider(chosen: list[int]) -> None:
+        nonlocal best, drawn
+        prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
+        where = [at[i] for i in chosen]
+        gains = plain - gram.held_out(inner, where, prior)
+        drawn = np.maximum(drawn, (plain_drawn - gram.held_out(inner, where, prior, draws)).sum(axis=0))
+        factors = gram.together(inner, where, prior)[s:]
+        point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
+        inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        if len(chosen) == 1:
+            moved = tuple(np.flatnonzero(points[chosen[0]][0] != null))
+            if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
+                leaders[moved] = (float(gains.sum()), chosen[0])
+            # a size out of bounds is no size: what the screen saw there is not the effect
+            if np.any(point < inside[0] - 1e-12) or np.any(point > inside[1] + 1e-12):
+                gains = np.minimum(gains, 0.0)
+        if best is None or gains.sum() > best.gain:
+            whole = float(total[s + where[0], s + where[0]])
+            own = float(left[where[0], where[0]])
+            signature = [
+                sum(f * points[i][1][k] for f, i in zip(factors, chosen, strict=True))
+                for k in range(len(points[0][1]))
+            ]
+            best = Tried(
+                effect,
+                parameters,
+                np.clip(point, *inside),
+                gains,
+                float(np.clip(1.0 - own / whole, 0.0, 1.0)) if whole > 0 else 1.0,
+                signature,  # type: ignore[arg-type]
+            )
+
+    for i, _ in enumerate(points):
+        if total[s + at[i], s + at[i]] > NOTHING:
+            consider([i])
+    if len(leaders) > 1:
+        consider([i for _, i in leaders.values()])
+    return best, drawn
+
+
+def _apart(
+    bench: Bench,
+    base: Fit,
+    lens: Lens,
+    effect: Effect,
+    parameters: tuple[Parameter, ...],
+    points: list[tuple[Array, list[Array]]],
+    plain: Array,
+) -> Tried | None:
+    """The best try of an effect some of whose parameters each trial has for itself."""
+    single = [j for j, p in enumerate(parameters) if p.per_trial]
+    null = np.array([p.start for p in parameters])
+    groups: dict[bytes, list[int]] = {}
+    for i, (point, _) in enumerate(points):
+        held = np.delete(point, single)
+        groups.setdefault(held.tobytes(), []).append(i)
+    best: Tried | None = None
+    for members in groups.values():
+        # one try for each parameter of its own suffices, the change is linear in it
+        kept: dict[tuple[int, ...], int] = {}
+        for i in members:
+            moved = tuple(j for j in single if points[i][0][j] != null[j])
+            if moved:
+                kept.setdefault(moved, i)
+        own = [points[i][1] for i in kept.values()]
+        if not own or sum(float(np.vdot(c, c)) for o in own for c in o) < NOTHING:
+            continue
+        inner = gram.folded(bench, base, lens, own=own)
+        gains = plain - gram.held_out(inner)
+        gains = gains - CHANCE * len(own) * held_trials(bench)
+        if best is None or gains.sum() > best.gain:
+            point = points[next(iter(kept.values()))][0]
+            signature = [np.sum([o[k] for o in own], axis=0) for k in range(len(bench.trials))]
+            best = Tried(effect, parameters, point, gains, 0.0, signature)
+    return best
+
+
+def refit(
+    bench: Bench, base: Fit, base_gram: Folded, lens: Lens, tried: Tried, *, iterations: int = 12
+) -> Refitted:
+    """Fit an effect together with everything the base has; its gain fold by fold."""
+    effects = (*base.effects, tried.effect)
+    own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
+    starts = [bench.start(effects, base, own)]
+    fit = bench.fit(effects, lens, starts, iterations=iterations, tolerance=1e-5)
+    gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
+    extra = sum(p.per_trial for p in tried.parameters)
+    if extra and bench.folds.whole:
+        gains = gains - CHANCE * extra * held_trials(bench)
+    return Refitted(tried, fit, gains)
+
+
+def alike(bench: Bench, base: Fit, lens: Lens, first: Tried, second: Tried) -> float:
+    """Cosine between two effects' changes, the base's numbers projected out."""
+    inner = gram.projected(gram.folded(bench, base, lens, [first.signature, second.signature]))
+    norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
+    return float(inner[0, 1] / norm) if norm > 0 else 0.0
+
+
+def held_trials(bench: Bench) -> Array:
+    """Number of trials in each fold."""
+    owners = bench.folds.owner
+    return np.array([sum(bool(np.any(o == f)) for o in owners) for f in range(bench.folds.count)])

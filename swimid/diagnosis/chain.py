@@ -1,0 +1,254 @@
+"""The steps of a diagnosis, strung together.
+
+Is there a gap, where, by which effect, how far does it shrink, what is left, what next.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from swimid.diagnosis import candidates, gram, nominal, remainder
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.candidates import Refitted, Screen
+from swimid.diagnosis.dropouts import Dropouts, look
+from swimid.diagnosis.gram import Folded
+from swimid.diagnosis.lens import Lens, coloured, spread
+from swimid.diagnosis.remainder import Left
+from swimid.effects.base import Effect
+from swimid.estimators import noise as noise_model
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.progress import Progress, show, silent
+
+#: Rounds of weighting by the residuals before anything is tried.
+WEIGHTINGS = 3
+#: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
+#: most and at least.
+SHARE, MOST, LEAST = 0.15, 9, 4
+#: An effect counts when it lowers the held-out misfit by more than this per sample, too.
+PER_SAMPLE = 0.002
+#: A further effect must gain this share of what the first one did.
+FURTHER = 0.06
+#: Effects in a combination at most.
+COMBINED = 3
+#: Misfit by which two effects of unlike form may differ though they are one, as a share of the gain.
+FORM = 0.08
+
+
+@dataclass
+class Round:
+    """One step of forward selection.
+
+    Attributes
+    ----------
+    base : Fit
+        The model with the effects chosen before.
+    screen : Screen
+    ranked : list of Refitted
+        Best first.
+    lens : Lens
+    threshold : float
+    """
+
+    base: Fit
+    screen: Screen
+    ranked: list[Refitted]
+    lens: Lens
+    threshold: float
+
+
+@dataclass
+class State:
+    """Everything a diagnosis has found so far."""
+
+    bench: Bench
+    lens: Lens
+    base: Fit
+    dropouts: Dropouts
+    rounds: list[Round] = field(default_factory=list)
+    left: Left | None = None
+    chance: list[str] = field(default_factory=list)
+    chance_sd: Array = field(default_factory=lambda: np.empty(0))
+    out_of_time: bool = False
+
+
+def weigh(bench: Bench) -> tuple[Lens, Fit]:
+    """The nominal model refitted with weights from its own residuals."""
+    problem = bench.problem(())
+    noise_model.weigh_first(problem, False)
+    lens = Lens([list(sds) for sds in problem.sd])
+    start = np.clip(problem.start, problem.lower, problem.upper)
+    previous: dict[str, tuple[float, float]] = {}
+    fit = bench.fit((), lens, [start])
+    for _ in range(WEIGHTINGS):
+        previous = noise_model.estimate(problem, fit.theta, previous)
+        lens = Lens([list(sds) for sds in problem.sd])
+        fit = bench.fit((), lens, [fit.theta])
+    return lens, fit
+
+
+def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[str]]:
+    """Changes of each trial by what may differ from trial to trial by chance, shape (n_k, q)."""
+    columns, names = [], []
+    for effect in effects:
+        if not effect.scatters:
+            continue
+        parameters = effect.parameters(bench.model, bench.trials)
+        for j, p in enumerate(parameters):
+            if p.per_trial:
+                continue
+            point = np.array([q.start for q in parameters])
+            sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
+            point[j] = p.start + sign * 0.5 * p.scale
+            change = bench.change(fit, effect, point)
+            if all(np.isfinite(c).all() for c in change) and sum(float(c @ c) for c in change) > 0:
+                columns.append([2.0 * c for c in change])
+                names.append(effect.name)
+    stacked = [
+        np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
+        for k in range(len(bench.trials))
+    ]
+    return stacked, names
+
+
+def see(
+    bench: Bench, fit: Fit, lens: Lens, residuals: Sequence[Array], effects: Sequence[Effect], unknowns: int
+) -> tuple[Lens, Array, list[str]]:
+    """The lens as some residuals show the noise: colour first, then chance differences between trials."""
+    lens = coloured(fit.problem, residuals, Lens(lens.sd), unknowns=unknowns)
+    if not bench.folds.whole or all(len(r) < 20 for r in residuals):
+        return lens, np.empty(0), []
+    chance, names = chance_columns(bench, fit, effects)
+    own = []
+    for k in range(len(bench.trials)):
+        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        own.append(fit.rows[k][:, mine] * fit.problem.scale[mine])
+    lens, sd = spread(lens, fit.problem, residuals, own, chance)
+    return lens, sd, names
+
+
+def rank(
+    state: State,
+    effects: Sequence[Effect],
+    *,
+    rng: np.random.Generator,
+    jobs: int,
+    step: Callable[[str], None],
+    late: Callable[[], bool],
+) -> Round:
+    """One round: screen, learn the noise from a saturated fit, screen again, refit the best."""
+    bench = state.bench
+    base, lens = state.base, state.lens
+    simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
+    generic = remainder.simulate(bench, base, jobs=jobs)
+    for _ in range(2):
+        screened = candidates.screen(bench, base, lens, simulated, rng=rng)
+        promising = [t for t in screened.tried if t.gain > 0][:MOST]
+        left = remainder.find(bench, base, lens, generic, rng=rng)
+        columns = [t.signature for t in promising] + left.columns
+        prior = [1.0] * len(promising) + left.prior
+        bare = remainder.saturated(bench, base, lens, columns, prior)
+        lens, sd, names = see(bench, base, lens, bare, effects, len(columns) + len(base.labels))
+        state.chance_sd, state.chance = sd, names
+        base = bench.fit(base.effects, lens, [base.theta])
+    screened = candidates.screen(bench, base, lens, simulated, rng=rng)
+    state.base, state.lens = base, lens
+    plain = gram.folded(bench, base, lens)
+    best = screened.tried[0].gain if screened.tried else 0.0
+    promising = [
+        t
+        for i, t in enumerate(screened.tried)
+        if t.gain > 0 and (i < LEAST or (i < MOST and t.gain > SHARE * best))
+    ]
+    ranked = []
+    for tried in promising:
+        if late() and ranked:
+            state.out_of_time = True
+            break
+        ranked.append(candidates.refit(bench, base, plain, lens, tried))
+        step(tried.effect.name)
+    ranked.sort(key=lambda r: -r.gain)
+    samples = float(sum(len(r) for r in base.residuals))
+    threshold = max(screened.threshold, PER_SAMPLE * samples)
+    return Round(base, screened, ranked, lens, threshold)
+
+
+def run(
+    model: Model,
+    parameters: Sequence[Parameter],
+    trials: Sequence[Trial],
+    prior: Mapping[str, tuple[float, float]],
+    effects: Sequence[Effect],
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    most: int = COMBINED,
+    budget_s: float | None = None,
+    progress: Progress = silent,
+) -> State:
+    """Everything up to the choice of causes, on the trials that take part in fits."""
+    begun = time.monotonic()
+    rng = np.random.default_rng(seed)
+
+    def late() -> bool:
+        return budget_s is not None and time.monotonic() - begun > budget_s
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        bench = Bench(model, parameters, trials, prior, jobs=jobs)
+        lens, fit = weigh(bench)
+        dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
+        if dropouts.count:
+            bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs)
+            lens, fit = weigh(bench)
+        lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
+        fit = bench.fit((), lens, [fit.theta])
+        state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
+        for number in range(max(most, 1)):
+            chosen = {e.name for e in state.base.effects}
+            rest = [e for e in effects if e.name not in chosen]
+            with progress(f"effects, round {number + 1}", total=len(rest) + MOST) as step:
+
+                def advance(name: str, step=step) -> None:  # type: ignore[no-untyped-def]
+                    show(step, name)
+
+                found = rank(state, rest, rng=rng, jobs=jobs, step=advance, late=late)
+            state.rounds.append(found)
+            if not found.ranked or not passes(state, found) or state.out_of_time:
+                break
+            if len(state.base.effects) + 1 > most:
+                break
+            state.base = found.ranked[0].fit
+            if late():
+                state.out_of_time = True
+                break
+        generic = remainder.simulate(bench, state.base, jobs=jobs)
+        state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
+    return state
+
+
+def passes(state: State, found: Round) -> bool:
+    """Whether the best effect of a round is one: beyond noise, in more than one fold, worth naming."""
+    best = found.ranked[0]
+    if best.gain <= found.threshold:
+        return False
+    # a single fold tells nothing by itself: the effect was then read off it alone
+    if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.25 * found.threshold:
+        return False
+    first = state.rounds[0].ranked[0].gain if state.rounds and state.rounds[0] is not found else None
+    return first is None or best.gain > FURTHER * first
+
+
+def weights(found: Round) -> Array:
+    """Weight of each ranked effect against the best, 1 for that."""
+    gains = np.array([r.gain for r in found.ranked])
+    if not len(gains):
+        return gains
+    scale = max(2.0, FORM * gains[0])
+    return np.exp(np.minimum(gains - gains[0], 0.0) / scale)
+
+
+__all__ = ["Folded", "Left", "Round", "State", "nominal", "passes", "rank", "replace", "run", "weights"]

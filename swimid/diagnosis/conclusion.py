@@ -1,0 +1,153 @@
+"""From what was tried to what is said: verdict, causes, what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.diagnosis import candidates
+from swimid.diagnosis.bench import errors
+from swimid.diagnosis.candidates import Refitted
+from swimid.diagnosis.chain import FORM, Round, State, passes
+from swimid.diagnosis.result import Score, Verdict
+from swimid.effects.base import STAGES
+
+#: An effect this likely against the best is told as equivalent to it.
+EQUIVALENT = 0.12
+#: So is one of whose change this much looks the same, if it gains nearly as much.
+COSINE, NEARLY = 0.97, 0.85
+#: Largest set of equivalents that still is an answer.
+SET = 3
+#: The best explains the gap when what a generic description still finds is at most this share of it.
+REMAINDER = 0.3
+#: Share of the probability that the leader alone needs for a clear verdict.
+CLEAR = 0.55
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect chosen in a round, with its rivals there."""
+
+    best: Refitted
+    equivalent: tuple[str, ...]
+    probability: float
+    alone: float
+    found: Round
+
+
+def named(state: State, found: Round, unknown: float) -> Named:
+    """The effect a round chose, those it cannot be told from, and its probability.
+
+    Parameters
+    ----------
+    unknown : float
+        Probability that the cause is none of the catalogue.
+    """
+    best = found.ranked[0]
+    weight = _by_name(found)
+    name = best.tried.effect.name
+    rivals = []
+    for other in found.ranked[1:]:
+        own = other.tried.effect.name
+        if own == name or own in rivals:
+            continue
+        close = weight[own] >= EQUIVALENT
+        if not close and other.gain > NEARLY * best.gain:
+            close = abs(candidates.alike(state.bench, found.base, found.lens, best.tried, other.tried)) > COSINE
+        if close:
+            rivals.append(own)
+    total = sum(weight.values())
+    inside = sum(weight[n] for n in (name, *rivals[: SET - 1]))
+    alone = weight[name] / total
+    return Named(best, tuple(rivals), (1.0 - unknown) * inside / total, (1.0 - unknown) * alone, found)
+
+
+def _by_name(found: Round) -> dict[str, float]:
+    """Weight of each effect, its best variant's, against the best of all."""
+    top = found.ranked[0].gain
+    scale = max(2.0, FORM * top)
+    weight: dict[str, float] = {}
+    for r in found.ranked:
+        w = float(np.exp(min(r.gain - top, 0.0) / scale))
+        name = r.tried.effect.name
+        weight[name] = max(weight.get(name, 0.0), w)
+    return weight
+
+
+def scores(state: State) -> tuple[Score, ...]:
+    """How every effect did in the first round."""
+    if not state.rounds:
+        return ()
+    found = state.rounds[0]
+    weight = _by_name(found) if found.ranked else {}
+    total = sum(weight.values()) or 1.0
+    rows: dict[str, Score] = {}
+    for r in found.ranked:
+        e = r.tried.effect
+        if e.name in rows:
+            continue
+        rows[e.name] = Score(
+            e.name,
+            e.stage,
+            ", ".join(p.name for p in r.tried.parameters),
+            r.gain,
+            r.stderr,
+            (int(np.sum(r.gains > 0)), len(r.gains)),
+            r.tried.absorbed,
+            r.tried.gain,
+            True,
+            weight[e.name] / total if r.gain > found.threshold else 0.0,
+        )
+    for t in found.screen.tried:
+        e = t.effect
+        if e.name not in rows:
+            rows[e.name] = Score(
+                e.name, e.stage, ", ".join(p.name for p in t.parameters), t.gain, float("nan"),
+                (int(np.sum(t.gains > 0)), len(t.gains)), t.absorbed, t.gain, False, 0.0,
+            )  # fmt: skip
+    return tuple(sorted(rows.values(), key=lambda s: (not s.refitted, -s.gain)))
+
+
+def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, float]:
+    """Share of the evidence each stage of the chain has."""
+    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
+    if not gap:
+        return shares
+    for row in rows:
+        if row.stage in shares:
+            shares[row.stage] += row.probability
+    total = sum(shares.values())
+    return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
+
+
+def unknown_share(state: State) -> float:
+    """Share of what can be found at all that no chosen effect accounts for."""
+    left = state.left
+    if left is None or not left.found:
+        return 0.0
+    gained = sum(r.ranked[0].gain for r in state.rounds if r.ranked and passes(state, r))
+    return float(np.clip(left.gain / max(left.gain + gained, 1e-300), 0.0, 1.0))
+
+
+def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: bool) -> Verdict:
+    """The verdict in one word."""
+    structured = state.left is not None and state.left.found
+    if not chosen:
+        if dropout:
+            return "explained"
+        return "unexplained" if structured else "none"
+    if structured and share > REMAINDER:
+        return "unexplained"
+    first = chosen[0]
+    if len(first.equivalent) + 1 > SET or first.alone < CLEAR:
+        return "ambiguous"
+    return "explained"
+
+
+def parameter_errors(state: State) -> Mapping[str, float]:
+    """Standard errors of the final fit's numbers, by label."""
+    _, weight = state.bench.expected(state.base.problem)
+    sd = errors(state.base, state.lens, weight)
+    return dict(zip(state.base.labels, sd, strict=True))

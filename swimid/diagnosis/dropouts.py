@@ -1,0 +1,121 @@
+"""Samples that are no measurements: a marker lost, frozen, or taken for another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label, median_filter
+
+from swimid.models.base import Array, Trial
+
+#: A change of the residual between two samples beyond this many robust deviations is a jump: no body jumps.
+JUMP = 9.0
+#: As many equal values one after another, while the body moves by this many deviations, are frozen.
+FROZEN, MOVED = 4, 6.0
+#: Fewest samples in which anything is looked for.
+FEWEST = 60
+#: A displaced stretch is flagged when its mean is off by this many robust deviations.
+OFF = 6.0
+
+
+@dataclass(frozen=True)
+class Dropouts:
+    """Samples that failed.
+
+    Attributes
+    ----------
+    masks : dict of trial id to dict of channel to ndarray of bool
+    stretches : list of (trial, channel, start s, end s, kind)
+    """
+
+    masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
+    stretches: list[tuple[str, str, float, float, str]]
+
+    @property
+    def count(self) -> int:
+        """Failed samples in all."""
+        return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
+
+    def without(self, trials: Sequence[Trial]) -> list[Trial]:
+        """The trials with the failed samples blank."""
+        found = []
+        for trial in trials:
+            masks = self.masks.get(trial.id, {})
+            measured = {
+                c: np.where(masks[c], np.nan, v) if c in masks else v for c, v in trial.measured.items()
+            }
+            found.append(replace(trial, measured=measured))
+        return found
+
+
+def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> Dropouts:
+    """Failed samples, told from the residuals' jumps and from values that do not change.
+
+    Parameters
+    ----------
+    simulated : sequence of mappings
+        Channels of each trial as the model has them; it need not be right, only smooth.
+    """
+    masks: dict[str, dict[str, NDArray[np.bool_]]] = {}
+    stretches = []
+    for trial, model in zip(trials, simulated, strict=True):
+        for channel, values in trial.measured.items():
+            if channel not in model or np.isfinite(values).sum() < FEWEST or trial.stamps_uncertain:
+                continue
+            mask, kinds = _failed(values, model[channel])
+            if mask.any():
+                masks.setdefault(trial.id, {})[channel] = mask
+                parts, count = label(mask)
+                for i in range(1, count + 1):
+                    rows = np.flatnonzero(parts == i)
+                    kind = kinds[rows[0]]
+                    stretches.append(
+                        (trial.id, channel, float(trial.time_s[rows[0]]), float(trial.time_s[rows[-1]]), kind)
+                    )
+    return Dropouts(masks, stretches)
+
+
+def _robust(x: Array) -> float:
+    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) else 0.0
+
+
+def _failed(values: Array, simulated: Array) -> tuple[NDArray[np.bool_], list[str]]:
+    """Mask of failed samples of one channel, and what kind each is."""
+    n = len(values)
+    mask = np.zeros(n, dtype=bool)
+    kinds = [""] * n
+    there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
+    x, r = values[there], (values - simulated)[there]
+    steps = np.diff(r)
+    size = _robust(steps)
+    if size <= 0:
+        return mask, kinds
+    same = np.concatenate(([False], np.diff(x) == 0.0))
+    parts, count = label(same)
+    for i in range(1, count + 1):
+        rows = np.flatnonzero(parts == i)
+        if len(rows) + 1 >= FROZEN and np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1]) > MOVED * size:
+            mask[there[rows]] = True
+            for row in there[rows]:
+                kinds[row] = "frozen"
+    smooth = median_filter(r, size=5, mode="nearest")
+    spikes = np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))
+    for row in there[spikes]:
+        mask[row], kinds[row] = True, kinds[row] or "spike"
+    # a shift: between two jumps of the median-filtered residual, or from one to the end
+    jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * size)
+    if len(jumps):
+        edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
+        # the part that agrees with the start of the record is sound
+        sound = float(np.median(r[: edges[0]])) if edges[0] > 3 else float(np.median(r))
+        bounds = [0, *edges, len(r)]
+        for begin, end in zip(bounds[1:-1], bounds[2:], strict=True):
+            level = float(np.median(r[begin:end])) if end > begin else sound
+            before = float(np.median(r[max(begin - 8, 0) : begin])) if begin else sound
+            if abs(level - before) > OFF * size and end > begin:
+                for row in there[begin:end]:
+                    mask[row], kinds[row] = True, kinds[row] or "displaced"
+    return mask, kinds

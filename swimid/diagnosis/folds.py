@@ -1,0 +1,106 @@
+"""What is held out together: repeats of one setting, runs of a table, stretches of a single log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.models.base import Array, Trial
+
+#: Fewest settings for which whole trials are held out; below, stretches of trials are.
+FEWEST = 4
+#: Stretches a few long trials are cut into, in all at least.
+STRETCHES = 8
+#: Folds of a table of many runs.
+TABLE_FOLDS = 10
+
+
+@dataclass(frozen=True)
+class Folds:
+    """Parts of the data that are left out in turn.
+
+    Attributes
+    ----------
+    whole : bool
+        Whole trials are held out (their own start states are then estimated from themselves);
+        else stretches of trials.
+    owner : list of ndarray of int
+        For each trial the fold of each of its rows, shape (n_k,).
+    labels : list of str
+        By fold.
+    """
+
+    whole: bool
+    owner: list[Array]
+    labels: list[str]
+
+    @property
+    def count(self) -> int:
+        """Number of folds."""
+        return len(self.labels)
+
+
+def setting(trial: Trial) -> str:
+    """What was set in a trial, the same text for repeats of one setting."""
+    known = trial.settings
+    parts = []
+    beat = known.get("beat")
+    if beat is not None:
+        parts.append(repr(beat))
+    for key in ("force", "frequency_hz", "amplitude_rad", "coefficients"):
+        if key in known:
+            value = known[key]
+            parts.append(f"{key}={value:.6g}" if isinstance(value, float) else f"{key}={value}")
+    for key in ("frequency_hz", "amplitude_rad"):
+        if key in trial.inputs and len(trial.inputs[key]) == 1:
+            parts.append(f"{key}={trial.inputs[key][0]:.6g}")
+    return "; ".join(parts) or trial.id
+
+
+def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
+    """The folds of some trials.
+
+    Parameters
+    ----------
+    rows : sequence of int
+        Number of rows (samples of all channels) of each trial; channel after channel of equal length
+        is not assumed: a stretch is told by :func:`stretches`.
+    """
+    names = [setting(t) for t in trials]
+    groups = list(dict.fromkeys(names))
+    if len(groups) < FEWEST <= len(trials):
+        names = [t.id for t in trials]
+        groups = list(dict.fromkeys(names))
+    if len(groups) >= FEWEST:
+        place = {g: i for i, g in enumerate(groups)}
+        labels = [" ".join(t.id for t, n in zip(trials, names, strict=True) if n == g) for g in groups]
+        if all(n == 1 for n in rows) and len(groups) > TABLE_FOLDS:
+            # a table: runs far apart in it are left out together
+            place = {g: i % TABLE_FOLDS for i, g in enumerate(groups)}
+            labels = [f"part {i + 1}" for i in range(TABLE_FOLDS)]
+        return Folds(True, [np.full(n, place[name]) for n, name in zip(rows, names, strict=True)], labels)
+    per = -(-STRETCHES // len(trials))
+    labels = [f"{t.id}, part {i + 1}" for t in trials for i in range(per)]
+    owner = [np.zeros(n, dtype=int) + per * k for k, n in enumerate(rows)]
+    return Folds(False, owner, labels)
+
+
+def stretches(folds: Folds, k: int, times: Sequence[Array]) -> Array:
+    """Fold of each row of trial ``k``, cut into stretches of equal duration.
+
+    Parameters
+    ----------
+    times : sequence of ndarray
+        Times of the samples of each channel, in the order of the rows.
+    """
+    if folds.whole:
+        return folds.owner[k]
+    per = folds.count // len(folds.owner)
+    stacked = np.concatenate(list(times)) if len(times) else np.empty(0)
+    if not len(stacked):
+        return folds.owner[k]
+    low, high = float(stacked.min()), float(stacked.max())
+    part = np.minimum(((stacked - low) / max(high - low, 1e-12) * per).astype(int), per - 1)
+    return np.asarray(per * k + part)

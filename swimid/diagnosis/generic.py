@@ -1,0 +1,243 @@
+"""Effects of no particular physics: what is left, as smooth forces, strokes and sensor terms.
+
+They tell whether anything is left that some effect should explain, and where it acts; they are never a
+cause themselves. After Kennedy and O'Hagan (2001): a discrepancy with its own prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects.base import Effect, Stage
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+
+#: What a residual force may depend on, in the order of the force's factors.
+TERMS = (
+    "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
+    "sin 2 phase", "cos phase x time", "sin phase x time",
+)  # fmt: skip
+AXES = {"surge": 0, "sway": 1, "yaw": 2}
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Axis, beat frequency (Hz), start and length of the trial, typical speed and yaw rate, factors."""
+    u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2] / constants[5]
+    late = (t - constants[2]) / constants[3]
+    phase = 2.0 * math.pi * constants[1] * t
+    c, s = math.cos(phase), math.sin(phase)
+    f = constants[6] + constants[7] * u + constants[8] * u * abs(u) + constants[9] * v + constants[10] * r
+    f += constants[11] * late + constants[12] * c + constants[13] * s
+    f += constants[14] * math.cos(2.0 * phase) + constants[15] * math.sin(2.0 * phase)
+    f += (constants[16] * c + constants[17] * s) * late
+    wrench[int(constants[0])] += f
+
+
+class _Generic(Effect):
+    """A description without physics."""
+
+    stage: ClassVar[Stage] = "fluid"
+    meaning: ClassVar[str] = "what is left, without physics"
+    #: Words for where it acts.
+    place: str = ""
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Each parameter at its typical size: the change is nearly linear."""
+        return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
+
+
+class ResidualForce(_Generic):
+    """A smooth force on the base link, or on the body of a rig, along one axis."""
+
+    name: ClassVar[str] = "residual-force"
+    needs: ClassVar[frozenset[str]] = frozenset({"force"})
+
+    def __init__(self, axis: str, size: float, speed: float, turn: float) -> None:
+        self.axis, self.size, self.speed, self.turn = axis, size, speed, turn
+        self.place = f"{axis} {'moment' if axis == 'yaw' else 'force'}"
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        unit = "N m" if self.axis == "yaw" else "N"
+        return tuple(
+            Parameter(f"{self.axis} {term}", unit, -math.inf, math.inf, 0.0, self.size) for term in TERMS
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The force of one trial."""
+        constants = np.concatenate(
+            (
+                [AXES[self.axis], beat_hz(trial), trial.time_s[0]],
+                [max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9), self.speed, self.turn],
+                values,
+            )
+        )
+        return Hooks(force=(Force(smooth_force, constants),))
+
+
+class StrokeDeviation(_Generic):
+    """A smooth change of what the actuators do: harmonics of the command and their drift."""
+
+    name: ClassVar[str] = "residual-stroke"
+    stage: ClassVar[Stage] = "actuation"
+    needs: ClassVar[frozenset[str]] = frozenset({"command"})
+    place = "stroke"
+    terms: ClassVar[tuple[str, ...]] = ("gain", "gain x time", "bias", "bias x time", "quarter-beat", "cubic")
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        return tuple(Parameter(term, "1", -math.inf, math.inf, 0.0, 0.03) for term in self.terms)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The stroke of one trial."""
+        begin, length = float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+        quarter = 0.25 / beat_hz(trial)
+
+        def change(time: Array, angle: Array, joint: int) -> Array:
+            late = (time - begin) / length
+            ease = np.clip((time - begin) / 0.5, 0.0, 1.0)
+            ease = ease * ease * (3.0 - 2.0 * ease)
+            top = max(float(np.nanmax(np.abs(angle))), 1e-9)
+            shifted = np.interp(time - quarter, time, angle)
+            parts = (angle, angle * late, top * ease, top * ease * late, shifted, angle**3 / top**2)
+            return np.asarray(angle + sum(v * p for v, p in zip(values, parts, strict=True)))
+
+        return Hooks(command=(change,))
+
+
+class SensorTerm(_Generic):
+    """A smooth error of one channel."""
+
+    name: ClassVar[str] = "residual-sensor"
+    stage: ClassVar[Stage] = "sensing"
+    needs: ClassVar[frozenset[str]] = frozenset({"output"})
+    terms: ClassVar[tuple[str, ...]] = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
+
+    def __init__(self, channel: str, size: float, *, dynamic: bool) -> None:
+        self.channel, self.size = channel, size
+        self.used = self.terms if dynamic else ("gain", "quadratic")
+        self.place = f"sensor of {channel}"
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        return tuple(
+            Parameter(f"{self.channel} {term}", "1", -math.inf, math.inf, 0.0, 0.02) for term in self.used
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The channel of one trial."""
+        begin, length = float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+        turn = 2.0 * math.pi * beat_hz(trial)
+
+        def change(channels: dict[str, Array], time: Array) -> dict[str, Array]:
+            y = channels[self.channel]
+            late = (time - begin) / length
+            first = y[0] if len(y) > 1 else 0.0
+            by_name = {
+                "gain": y - first,
+                "drift": self.size * late,
+                "drift squared": self.size * late**2,
+                "cos phase": self.size * np.cos(turn * time),
+                "sin phase": self.size * np.sin(turn * time),
+                "quadratic": (y - first) * np.abs(y - first) / self.size,
+            }
+            error = sum(v * by_name[name] for v, name in zip(values, self.used, strict=True))
+            return {**channels, self.channel: y + error}
+
+        return Hooks(output=(change,))
+
+
+class StrokeTable(_Generic):
+    """A smooth factor on the thrust of a table of steady runs, by frequency, amplitude and order."""
+
+    name: ClassVar[str] = "residual-thrust"
+    stage: ClassVar[Stage] = "actuation"
+    needs: ClassVar[frozenset[str]] = frozenset({"stroke"})
+    place = "thrust"
+    terms: ClassVar[tuple[str, ...]] = ("frequency", "frequency squared", "amplitude", "amplitude squared", "product")
+
+    def __init__(self, frequency_hz: float, amplitude_rad: float) -> None:
+        self.frequency_hz, self.amplitude_rad = frequency_hz, amplitude_rad
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        return tuple(Parameter(term, "1", -math.inf, math.inf, 0.0, 0.1) for term in self.terms)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The thrust of one trial."""
+
+        def change(stroke):  # type: ignore[no-untyped-def]
+            from dataclasses import replace
+
+            f = np.log(stroke.frequency_hz / self.frequency_hz)
+            a = np.log(stroke.amplitude_rad / self.amplitude_rad)
+            parts = (f, f**2, a, a**2, f * a)
+            factor = np.exp(np.clip(sum(v * p for v, p in zip(values, parts, strict=True)), -3.0, 3.0))
+            return replace(stroke, thrust=stroke.thrust * factor)
+
+        return Hooks(stroke=(change,))
+
+
+def beat_hz(trial: Trial) -> float:
+    """Frequency of the drive, or the slowest one the trial resolves where there is none."""
+    beat = trial.settings.get("beat")
+    if beat is not None and beat.frequency_hz > 0:
+        return float(beat.frequency_hz)
+    known = trial.settings.get("frequency_hz")
+    if known:
+        return float(known)
+    length = float(trial.time_s[-1] - trial.time_s[0])
+    return 1.0 / length if length > 0 else 1.0
+
+
+def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
+    """All descriptions that a model's hooks allow and its trials can tell."""
+    found: list[_Generic] = []
+    dynamic = any(len(t.time_s) > 1 for t in trials)
+    channels = sorted({c for t in trials for c in t.measured})
+
+    def top(name: str, least: float) -> float:
+        values = [np.nanmax(np.abs(t.measured[name] - t.measured[name][np.isfinite(t.measured[name])][0]))
+                  for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 1]  # fmt: skip
+        return max(float(max(values, default=least)), least)
+
+    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
+    speed = max(distance / length, 1e-3)
+    if "force" in model.offers and dynamic:
+        mass, arm, axes = _size(model, trials)
+        push = 0.02 * mass * speed**2 / max(arm, 1e-3)
+        for axis in axes:
+            found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed, 1.0))
+    if "command" in model.offers and dynamic:
+        found.append(StrokeDeviation(0.03))
+    if "stroke" in model.offers:
+        f = [float(np.median(t.inputs["frequency_hz"])) for t in trials if "frequency_hz" in t.inputs]
+        a = [float(np.median(t.inputs["amplitude_rad"])) for t in trials if "amplitude_rad" in t.inputs]
+        if f and a:
+            found.append(StrokeTable(float(np.median(f)), float(np.median(a))))
+    for channel in channels:
+        found.append(SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic))
+    return found
+
+
+def _size(model: Model, trials: Sequence[Trial]) -> tuple[float, float, list[str]]:
+    """Mass (kg), length (m) and the axes along which a residual force may act."""
+    assembly = getattr(model, "assembly", None)
+    if assembly is None:
+        inertia = [float(t.settings["inertia"]) for t in trials if "inertia" in t.settings]
+        return float(np.median(inertia)) if inertia else 1.0, 1.0, ["surge"]
+    values = np.array([p.start for p in model.parameters])[: len(assembly.names)]
+    inertia = assembly.tables(values)["inertia"]
+    length = sum(link.length_m for link in assembly.links)
+    axes = ["surge", "sway", "yaw"] if assembly.free_base else []
+    return float(inertia[:, 0].sum()), length, axes

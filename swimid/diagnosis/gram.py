@@ -1,0 +1,177 @@
+"""Linear algebra of held-out comparisons.
+
+Near an optimum everything a comparison asks (refits without a fold, the misfit of that fold, what noise
+alone would do) follows from the inner products of a few columns in each fold: derivatives to shared
+numbers, changes by effects, residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.lens import Lens
+from swimid.models.base import Array
+
+#: Start states are known beforehand within this many of their typical sizes.
+START_PRIOR = 30.0
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Inner products of columns in each fold, start states of single trials projected out.
+
+    Attributes
+    ----------
+    products : ndarray, shape (folds, c, c)
+        Columns: shared numbers first (``shared`` of them), then others, the residual last.
+    prior : ndarray, shape (shared,)
+        Inverse variances of the shared numbers.
+    pull : ndarray, shape (shared,)
+        Prior mean less the present value, of the shared numbers.
+    samples : ndarray, shape (folds,)
+    """
+
+    products: Array
+    prior: Array
+    pull: Array
+    samples: Array
+
+    @property
+    def shared(self) -> int:
+        """How many columns are shared numbers."""
+        return len(self.prior)
+
+
+def folded(
+    bench: Bench,
+    fit: Fit,
+    lens: Lens,
+    columns: Sequence[Sequence[Array]] = (),
+    *,
+    own: Sequence[Sequence[Array]] = (),
+) -> Folded:
+    """Inner products of a fit's derivatives, further columns and its residuals, fold by fold.
+
+    Parameters
+    ----------
+    columns : sequence of lists of ndarray
+        Each a change of all trials, weighted, shape (n_k,) each.
+    own : sequence of lists of ndarray
+        Changes whose size each trial has for itself.
+    """
+    problem = fit.problem
+    whole = bench.folds.whole
+    mean, weight = bench.expected(problem)
+    single = np.array([owner is not None for _, owner in problem.slots], dtype=bool) & whole
+    shared = np.flatnonzero(~single)
+    count = bench.folds.count
+    width = len(shared) + len(columns) + 1
+    products = np.zeros((count, width, width))
+    samples = np.zeros(count)
+    for k in range(len(bench.trials)):
+        extra = [c[k] for c in columns]
+        mine = [j for j in np.flatnonzero(single) if problem.slots[j][1] == k]
+        apart = [fit.rows[k][:, j] * problem.scale[j] for j in mine] + [c[k] for c in own]
+        block = np.column_stack([fit.rows[k][:, shared], *extra, fit.residuals[k], *apart])
+        seen = lens.through(problem, k, block)
+        if apart:
+            nuisance = seen[:, width:]
+            normal = nuisance.T @ nuisance + np.eye(len(apart)) / START_PRIOR**2
+            seen = seen[:, :width] - nuisance @ np.linalg.solve(normal, nuisance.T @ seen[:, :width])
+        owner = bench.folds.owner[k]
+        if whole:
+            f = int(owner[0]) if len(owner) else 0
+            products[f] += seen.T @ seen
+            samples[f] += len(seen)
+        else:
+            for f in np.unique(owner):
+                part = seen[owner == f]
+                products[f] += part.T @ part
+                samples[f] += len(part)
+    return Folded(products, weight[shared] ** 2, (mean - fit.theta)[shared], samples)
+
+
+def held_out(
+    gram: Folded, chosen: Sequence[int] = (), prior: Sequence[float] = (), draws: Array | None = None
+) -> Array:
+    """Misfit of each fold with everything fitted on the other folds.
+
+    Parameters
+    ----------
+    chosen : sequence of int
+        Further columns that take part, counted from the first one after the shared numbers.
+    prior : sequence of float
+        Inverse variance of each of their factors.
+    draws : ndarray, shape (folds, c - 1, m), optional
+        Inner products of the columns with m other residuals; the misfit is then less that of the
+        residuals themselves.
+
+    Returns
+    -------
+    ndarray, shape (folds,) or (folds, m)
+        Squared residuals.
+    """
+    at = np.concatenate((np.arange(gram.shared), gram.shared + np.asarray(chosen, dtype=int))).astype(int)
+    inner = gram.products[:, at[:, None], at[None, :]]
+    ridge = np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
+    pull = np.concatenate((gram.prior * gram.pull, np.zeros(len(chosen))))[:, None]
+    right = gram.products[:, at, -1][:, :, None] if draws is None else draws[:, at, :]
+    if draws is not None:
+        pull = 0.0 * pull
+    total, total_right = inner.sum(axis=0), right.sum(axis=0)
+    misfit = np.empty((len(inner), right.shape[2]))
+    for f in range(len(inner)):
+        normal = total - inner[f] + ridge
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        theta = scale[:, None] * np.linalg.lstsq(
+            scale[:, None] * normal * scale, scale[:, None] * (total_right - right[f] + pull), rcond=1e-12
+        )[0]
+        misfit[f] = np.einsum("im,ij,jm->m", theta, inner[f], theta) - 2.0 * np.einsum(
+            "im,im->m", theta, right[f]
+        )
+    return misfit[:, 0] + gram.products[:, -1, -1] if draws is None else misfit
+
+
+def together(gram: Folded, chosen: Sequence[int], prior: Sequence[float]) -> Array:
+    """Factors of shared numbers and chosen columns fitted to all folds at once, shape (shared + chosen,)."""
+    at = np.concatenate((np.arange(gram.shared), gram.shared + np.asarray(chosen, dtype=int))).astype(int)
+    total = gram.products.sum(axis=0)
+    normal = total[np.ix_(at, at)] + np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
+    right = total[at, -1] + np.concatenate((gram.prior * gram.pull, np.zeros(len(chosen))))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(
+        scale * np.linalg.lstsq(scale[:, None] * normal * scale, scale * right, rcond=1e-12)[0]
+    )
+
+
+def projected(gram: Folded) -> Array:
+    """Inner products of the further columns and the residual with all shared numbers projected out.
+
+    Returns
+    -------
+    ndarray, shape (m + 1, m + 1)
+    """
+    total = gram.products.sum(axis=0)
+    s = gram.shared
+    normal = total[:s, :s] + np.diag(gram.prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    mixed = total[:s, s:]
+    solved = scale[:, None] * np.linalg.lstsq(
+        scale[:, None] * normal * scale, scale[:, None] * mixed, rcond=1e-12
+    )[0]
+    return np.asarray(total[s:, s:] - mixed.T @ solved)
+
+
+def noise(gram: Folded, rng: np.random.Generator, count: int) -> Array:
+    """Inner products of the columns with ``count`` draws of pure noise, shape (folds, c - 1, count)."""
+    found = np.empty((len(gram.products), gram.products.shape[1] - 1, count))
+    for f, inner in enumerate(gram.products[:, :-1, :-1]):
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        sizes, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
+        root = vectors * np.sqrt(np.maximum(sizes, 0.0))
+        found[f] = scale[:, None] * (root @ rng.standard_normal((len(scale), count)))
+    return found

@@ -1,0 +1,176 @@
+"""Residuals in units of the noise: coloured measurement noise and chance differences between trials.
+
+White-noise likelihoods are absurdly sure of themselves: residuals are first weighted by the size of the
+noise of each sample, then whitened by an autoregression of each channel, then by the covariance that
+random trims, gains and clocks of single trials add (a low-rank, Woodbury, whitening).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+
+from swimid.estimators.problem import Problem
+from swimid.estimators.residual_tests import fit_autoregression, joined
+from swimid.models.base import Array
+
+#: Largest order of the autoregression, and samples each coefficient needs.
+ORDER, PER_ORDER = 6, 25
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A linear map of each trial's weighted residuals to independent ones of unit variance.
+
+    Attributes
+    ----------
+    sd : list of list of ndarray
+        By trial and channel, standard deviation of each sample (:attr:`Problem.sd`).
+    colour : mapping of channel to ndarray
+        Autoregression of the weighted residuals.
+    size : mapping of channel to float
+        Standard deviation of its innovations.
+    spread : list of (ndarray, ndarray) or None
+        By trial: directions (n_k, q), orthonormal, in which chance differences of that trial act, and the
+        factor by which they are reduced.
+    """
+
+    sd: list[list[Array]]
+    colour: Mapping[str, Array] = field(default_factory=dict)
+    size: Mapping[str, float] = field(default_factory=dict)
+    spread: Sequence[tuple[Array, Array] | None] = ()
+
+    def install(self, problem: Problem) -> None:
+        """Give a problem of the same trials this noise's weights."""
+        problem.sd = [[sd.copy() for sd in sds] for sds in self.sd]
+
+    def through(self, problem: Problem, k: int, rows: Array) -> Array:
+        """Weighted residuals of trial ``k``, or columns of derivatives, as the lens shows them.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (n_k,) or (n_k, m)
+        """
+        found = np.array(rows, dtype=float)
+        at = 0
+        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
+            count = int(mask.sum())
+            part = slice(at, at + count)
+            found[part] = self._coloured(channel, mask, found[part])
+            at += count
+        if self.spread and self.spread[k] is not None:
+            directions, less = self.spread[k]  # type: ignore[misc]
+            inside = directions.T @ found
+            found = found - directions @ ((less[:, None] if found.ndim > 1 else less) * inside)
+        return found
+
+    def _coloured(self, channel: str, mask: Array, rows: Array) -> Array:
+        a = self.colour.get(channel, np.empty(0))
+        size = self.size.get(channel, 1.0)
+        if not len(a):
+            return rows / size
+        result = np.empty_like(rows)
+        # stretches without a missing sample; the first samples of each have no past and say nothing
+        at = np.flatnonzero(mask)
+        for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(at) > 1) + 1):
+            if not len(part):
+                continue
+            result[part] = lfilter(np.concatenate(([1.0], a)), [1.0], rows[part], axis=0)
+            result[part[: len(a)]] = 0.0
+        return result / size
+
+
+def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknowns: int = 0) -> Lens:
+    """The lens with autoregressions and sizes as the weighted residuals show them.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray
+        Of each trial, weighted by the lens's ``sd``.
+    unknowns : int
+        Numbers fitted to them, for the degrees of freedom.
+    """
+    parts: dict[str, list[Array]] = {}
+    for k, values in enumerate(residuals):
+        at = 0
+        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
+            series = np.full(len(mask), np.nan)
+            series[mask] = values[at : at + int(mask.sum())]
+            at += int(mask.sum())
+            parts.setdefault(channel, []).append(series)
+    total = sum(len(r) for r in residuals)
+    freedom = max(1.0 - unknowns / max(total, 1), 0.2)
+    colour, size = {}, {}
+    for channel, series_list in parts.items():
+        x = joined(series_list, gap=ORDER + 1)
+        n = int(np.isfinite(x).sum())
+        longest = max(int(np.isfinite(s).sum()) for s in series_list)
+        order = min(ORDER, longest // PER_ORDER)
+        centred = x - np.nanmean(x) if n else x
+        variance = float(np.nanmean(centred**2)) if n else 1.0
+        a = np.empty(0)
+        if order >= 1 and n > 3 * PER_ORDER and variance > 0:
+            fitted = fit_autoregression(x, max_order=order)
+            a, variance = fitted.coefficients, fitted.variance
+        else:
+            variance = float(np.nanmean(x**2)) if n else 1.0
+        colour[channel] = a
+        size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
+    return Lens(lens.sd, colour, size, lens.spread)
+
+
+def spread(
+    lens: Lens, problem: Problem, residuals: Sequence[Array], own: Sequence[Array], chance: Sequence[Array]
+) -> tuple[Lens, Array]:
+    """The lens with the chance differences between trials, as the trials show them.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray, shape (n_k,)
+        Weighted.
+    own : sequence of ndarray, shape (n_k, m)
+        Weighted derivatives to the trial's own start state, which is estimated.
+    chance : sequence of ndarray, shape (n_k, q)
+        Weighted derivatives to what may differ by chance, each per its typical size.
+
+    Returns
+    -------
+    lens : Lens
+    sd : ndarray, shape (q,)
+        Of each kind of difference, in its typical size: the variance of the trials' own least-squares
+        estimates, robustly, less its sampling variance.
+    """
+    plain = Lens(lens.sd, lens.colour, lens.size)
+    q = chance[0].shape[1] if len(chance) else 0
+    if q == 0 or len(residuals) < 3:
+        return plain, np.zeros(q)
+    estimates, errors = [], []
+    for k, r in enumerate(residuals):
+        columns = plain.through(problem, k, np.column_stack((chance[k], own[k], r)))
+        design, left = columns[:, :-1], columns[:, -1]
+        # a weak prior of ten typical sizes keeps what the trial does not see from running away
+        normal = design.T @ design
+        normal[np.arange(q), np.arange(q)] += 1e-2
+        normal[np.diag_indices(len(normal))] += 1e-12 * np.trace(normal)
+        inverse = np.linalg.inv(normal)
+        estimates.append((inverse @ (design.T @ left))[:q])
+        errors.append(np.diag(inverse)[:q])
+    b, c = np.array(estimates), np.array(errors)
+    centre = np.median(b, axis=0)
+    n = len(b)
+    # median absolute deviation against the standard deviation: one odd trial is not the rule
+    robust = (1.4826 * np.median(np.abs(b - centre), axis=0) * (1.0 + 0.8 / n)) ** 2
+    variance = np.minimum(np.maximum(robust, 0.0), np.var(b, axis=0, ddof=1)) - np.median(c, axis=0)
+    sd = np.sqrt(np.clip(variance, 0.0, 9.0))
+    found: list[tuple[Array, Array] | None] = []
+    for k in range(n):
+        seen = plain.through(problem, k, chance[k]) * sd
+        if not np.any(seen):
+            found.append(None)
+            continue
+        u, s, _ = np.linalg.svd(seen, full_matrices=False)
+        found.append((u, 1.0 - 1.0 / np.sqrt(1.0 + s**2)))
+    return Lens(lens.sd, lens.colour, lens.size, found), sd

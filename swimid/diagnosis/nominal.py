@@ -1,0 +1,118 @@
+"""The nominal model on its trials: which numbers are refitted, and what was known of them before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.models.base import Array, Channel, Model, Parameter, Trial
+
+#: Prior of a coefficient that these very trials told: a factor of its size. Of one from other trials: its
+#: standard error, and this share of its value on top, since days differ.
+OWN_PRIOR, OTHER_PRIOR = 0.6, 0.1
+#: A rate whose noise follows the differenced pose this closely was computed from it.
+DERIVED = 0.3
+
+
+@dataclass(frozen=True)
+class Given:
+    """A coefficient as the parameter file has it."""
+
+    value: float
+    stderr: float | None
+    status: str
+
+
+def refitted(
+    parameters: Sequence[Parameter], given: Mapping[str, Given], values: Array
+) -> tuple[Parameter, ...]:
+    """The model's parameters as the diagnosis refits them.
+
+    Those the file estimated are free and start there, those it fixed stay; start states are free where
+    the model says so.
+    """
+    found = []
+    for p, value in zip(parameters, values, strict=True):
+        if p.per_trial:
+            found.append(p)
+            continue
+        known = given.get(p.name)
+        free = p.free if known is None else known.status != "fixed"
+        start = float(np.clip(value, p.lower, p.upper))
+        found.append(replace(p, start=start, free=free))
+    return tuple(found)
+
+
+def prior(
+    parameters: Sequence[Parameter], given: Mapping[str, Given], *, own_data: bool
+) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of each refitted coefficient before these trials.
+
+    Parameters
+    ----------
+    own_data : bool
+        Whether the file was fitted to these very trials: then it says nothing beyond them.
+    """
+    found = {}
+    for p in parameters:
+        if p.per_trial or not p.free:
+            continue
+        size = max(abs(p.start), 0.1 * p.scale)
+        known = given.get(p.name)
+        sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
+        if known is not None and not own_data and known.stderr and math.isfinite(known.stderr):
+            sd = min(sd, math.hypot(known.stderr, OTHER_PRIOR * size))
+        elif known is not None and known.stderr and math.isfinite(known.stderr):
+            sd = max(sd, 3.0 * known.stderr)
+        found[p.name] = (p.start, sd)
+    return found
+
+
+def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
+    """The trial with every logged channel that says something of its own."""
+    measured = dict(trial.measured)
+    joints_drive = trial.settings.get("joints") is not None
+    for channel in channels:
+        name = channel.name
+        values = trial.inputs.get(name)
+        if name in measured or values is None or np.isfinite(values).sum() < 10:
+            continue
+        if name.startswith("joint") and joints_drive:
+            continue
+        if not name.startswith("joint") and _computed(name, values, trial):
+            continue
+        measured[name] = values
+    return replace(trial, measured=measured)
+
+
+def _computed(name: str, values: Array, trial: Trial) -> bool:
+    """Whether a velocity was computed from the logged pose."""
+    source = {"yaw_rate_rad_s": "yaw_rad", "pitch_rate_rad_s": "pitch_rad"}.get(name)
+    heading = next((c for c in ("yaw_rad", "pitch_rad") if c in trial.measured), None)
+    time = trial.time_s
+    if source is not None:
+        if source not in trial.measured:
+            return False
+        rate = np.gradient(trial.measured[source], time)
+    else:
+        across = next((c for c in ("y_m", "z_m") if c in trial.measured), None)
+        if heading is None or across is None or "x_m" not in trial.measured:
+            return False
+        vx = np.gradient(trial.measured["x_m"], time)
+        vy = np.gradient(trial.measured[across], time)
+        c, s = np.cos(trial.measured[heading]), np.sin(trial.measured[heading])
+        rate = c * vx + s * vy if name == "u_m_s" else c * vy - s * vx
+    rough, own = np.diff(rate, 2), np.diff(values, 2)
+    there = np.isfinite(rough) & np.isfinite(own)
+    if there.sum() < 20 or np.std(own[there]) == 0:
+        return True
+    return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > DERIVED
+
+
+def apart(model: Model, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials that are tables of runs, one trial a run; others as they are."""
+    split = getattr(model, "apart", None)
+    return [t for trial in trials for t in (split(trial) if split is not None else [trial])]

@@ -1,0 +1,237 @@
+"""Where the gap lies: channels, phase of the stroke, regime, time; and what it looks like without physics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from swimid.diagnosis import remainder
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.floor import split
+from swimid.diagnosis.generic import beat_hz
+from swimid.diagnosis.remainder import Left
+from swimid.diagnosis.result import Cell, Sketch
+from swimid.models.base import Array, Trial
+
+#: Bins of the stroke's phase, and of the time of a trial.
+PHASES, TIMES = 8, 6
+#: The start-up lasts this many beats, or this share of a trial without a beat.
+START_BEATS, START_SHARE = 3.0, 0.2
+#: A change point must lower the squared residual by this share of the excess.
+CHANGED = 0.3
+
+
+class Map:
+    """Squared residuals over the squared floor, sample by sample.
+
+    Parameters
+    ----------
+    floors : mapping of channel to float
+        In the channels' units.
+    """
+
+    def __init__(self, bench: Bench, fit: Fit, floors: Mapping[str, float]) -> None:
+        self.trials = bench.trials
+        self.excess: list[dict[str, Array]] = []
+        for k in range(len(bench.trials)):
+            series = split(fit, k, fit.residuals[k])
+            self.excess.append({c: (r / max(floors.get(c, 1.0), 1e-300)) ** 2 for c, r in series.items()})
+        self.channels = sorted({c for by in self.excess for c in by})
+        values = [v[np.isfinite(v)] - 1.0 for by in self.excess for v in by.values()]
+        self.total = max(float(np.concatenate(values).sum()) if values else 0.0, 1e-12)
+
+    def cell(self, kind: str, label: str, pick: list[tuple[int, Array]]) -> Cell | None:
+        """The gap in some samples: trial and mask over its samples."""
+        parts = [v[m & np.isfinite(v)] for k, m in pick for v in self.excess[k].values()]
+        values = np.concatenate(parts) if parts else np.empty(0)
+        if not len(values):
+            return None
+        share = float(np.sum(values - 1.0)) / self.total
+        return Cell(kind, label, float(np.sqrt(np.mean(values))), float(np.clip(share, 0.0, 1.0)))
+
+    def every(self, k: int) -> Array:
+        """All samples of a trial."""
+        return np.ones(len(self.trials[k].time_s), dtype=bool)
+
+
+def _ranked(cells: Sequence[Cell | None]) -> tuple[Cell, ...]:
+    return tuple(sorted((c for c in cells if c is not None), key=lambda c: -c.share))
+
+
+def knobs(trial: Trial) -> dict[str, str]:
+    """What was set in a trial, in words."""
+    found: dict[str, str] = {}
+    beat = trial.settings.get("beat")
+    if beat is not None:
+        found["frequency"] = f"{beat.frequency_hz:g} Hz"
+        found["amplitude"] = f"{math.degrees(beat.amplitude_rad):g} deg"
+        found["bias"] = f"{math.degrees(beat.bias_rad):g} deg"
+    for key, kind, unit, factor in (
+        ("frequency_hz", "frequency", "Hz", 1.0),
+        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi),
+    ):
+        if key in trial.settings:
+            found.setdefault(kind, f"{factor * float(trial.settings[key]):.3g} {unit}")
+        if len(trial.inputs.get(key, ())) == 1:
+            found[kind] = f"{factor * float(trial.inputs[key][0]):.3g} {unit}"
+    if "fin" in trial.settings:
+        found["fin"] = str(trial.settings["fin"])
+    if "force" in trial.settings:
+        found["force"] = f"{float(trial.settings['force']):.3g} N"
+    return found
+
+
+def regimes(where: Map) -> tuple[Cell, ...]:
+    """The gap by what was set, and by trial."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, trial in enumerate(where.trials):
+        for kind, label in knobs(trial).items():
+            groups.setdefault((kind, label), []).append(k)
+        groups[("trial", trial.id)] = [k]
+    kinds = {kind: sum(1 for other, _ in groups if other == kind) for kind, _ in groups}
+    few = len(where.trials) <= 30
+    return _ranked(
+        [
+            where.cell(kind, label, [(k, where.every(k)) for k in members])
+            for (kind, label), members in groups.items()
+            if kinds[kind] > 1 and (kind != "trial" or few)
+        ]
+    )
+
+
+def phases(where: Map) -> tuple[Cell, ...]:
+    """The gap by phase of the stroke; empty without a beat."""
+    if not any(t.settings.get("beat") is not None for t in where.trials):
+        return ()
+    cells = []
+    for i in range(PHASES):
+        pick = []
+        for k, t in enumerate(where.trials):
+            turn = (t.time_s * beat_hz(t)) % 1.0
+            pick.append((k, np.minimum((turn * PHASES).astype(int), PHASES - 1) == i))
+        low, high = round(360 * i / PHASES), round(360 * (i + 1) / PHASES)
+        cells.append(where.cell("phase", f"{low}-{high} deg", pick))
+    return _ranked(cells)
+
+
+def times(where: Map) -> tuple[Cell, ...]:
+    """Start-up against steady, and change points of single trials."""
+    early, late = [], []
+    for k, t in enumerate(where.trials):
+        if len(t.time_s) < 10:
+            return ()
+        span = float(t.time_s[-1] - t.time_s[0])
+        beat = t.settings.get("beat") is not None
+        start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
+        first = t.time_s <= t.time_s[0] + start
+        early.append((k, first))
+        late.append((k, ~first))
+    cells = [where.cell("time", "start-up", early), where.cell("time", "steady", late)]
+    for k, t in enumerate(where.trials):
+        at = _change(where, k)
+        if at is not None:
+            after = t.time_s >= at
+            cell = where.cell("change", f"{t.id} from {at:.3g} s", [(k, after)])
+            cells.append(cell)
+    return _ranked(cells)
+
+
+def _change(where: Map, k: int) -> float | None:
+    """When a trial's residual grows at once, if it does."""
+    series = [np.nan_to_num(v - 1.0) for v in where.excess[k].values()]
+    lengths = {len(s) for s in series}
+    if len(lengths) != 1 or not series:
+        return None
+    x = np.sum(series, axis=0)
+    n = len(x)
+    edge = max(n // 10, 5)
+    if n < 40 or x.sum() <= 3.0 * n:
+        return None
+    total = np.cumsum(x)
+    cut = np.arange(edge, n - edge)
+    before, after = total[cut - 1] / cut, (total[-1] - total[cut - 1]) / (n - cut)
+    between = cut * (n - cut) / n * (after - before) ** 2
+    best = int(np.argmax(between))
+    spread = float(np.sum((x - x.mean()) ** 2))
+    if after[best] > 4.0 * max(before[best], 1.0) and between[best] > CHANGED * spread:
+        return float(where.trials[k].time_s[cut[best]])
+    return None
+
+
+def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
+    """Heat maps of root-mean-square residual over floor."""
+    found: dict[str, tuple[list[str], list[str], Array]] = {}
+
+    def ratio(k: int, channel: str, mask: Array) -> float:
+        v = where.excess[k].get(channel)
+        if v is None:
+            return math.nan
+        there = v[mask & np.isfinite(v)]
+        return float(np.sqrt(np.mean(there))) if len(there) else math.nan
+
+    ids = [t.id for t in where.trials]
+    if len(ids) <= 30 and any(len(t.time_s) > 5 for t in where.trials):
+        grid = np.array([[ratio(k, c, where.every(k)) for c in where.channels] for k in range(len(ids))])
+        found["trial by channel"] = (ids, where.channels, grid)
+        thirds = []
+        for k, t in enumerate(where.trials):
+            part = np.minimum(
+                ((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9) * TIMES).astype(int), TIMES - 1
+            )
+            thirds.append(
+                [
+                    float(np.sqrt(np.nanmean([ratio(k, c, part == i) ** 2 for c in where.channels])))
+                    for i in range(TIMES)
+                ]
+            )
+        labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
+        found["trial by time"] = (ids, labels, np.array(thirds))
+    if any(t.settings.get("beat") is not None for t in where.trials):
+        rows = []
+        for channel in where.channels:
+            row = []
+            for i in range(PHASES):
+                parts = []
+                for k, t in enumerate(where.trials):
+                    if channel not in where.excess[k]:
+                        continue
+                    turn = (t.time_s * beat_hz(t)) % 1.0
+                    v = where.excess[k][channel]
+                    parts.append(v[(np.minimum((turn * PHASES).astype(int), PHASES - 1) == i) & np.isfinite(v)])
+                row.append(float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else math.nan)
+            rows.append(row)
+        labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
+        found["channel by phase"] = (where.channels, labels, np.array(rows))
+    return found
+
+
+def sketches(bench: Bench, fit: Fit, left: Left) -> tuple[Sketch, ...]:
+    """The residual force of each axis against speed, phase and time, as the generic description has it."""
+    found = []
+    for place, terms in remainder.force_terms(left).items():
+        unit = "N m" if place.endswith("moment") else "N"
+        gain = left.places.get(place, 0.0)
+        if gain <= 0:
+            continue
+        for against, against_unit, x, value in _curves(terms):
+            found.append(Sketch(place, unit, against, against_unit, x, value, np.zeros_like(value), gain))
+    return tuple(sorted(found, key=lambda s: -s.gain))
+
+
+def _curves(terms: Mapping[str, float]) -> list[tuple[str, str, Array, Array]]:
+    def get(name: str) -> float:
+        return terms.get(name, 0.0)
+
+    speed = np.linspace(-0.2, 1.0, 25)
+    time = np.linspace(0.0, 1.0, 21)
+    phase = np.linspace(0.0, 2.0 * np.pi, 49)
+    return [
+        ("phase", "deg", np.degrees(phase),
+         get("cos phase") * np.cos(phase) + get("sin phase") * np.sin(phase)
+         + get("cos 2 phase") * np.cos(2 * phase) + get("sin 2 phase") * np.sin(2 * phase)),
+        ("speed over the fastest mean speed", "1", speed,
+         get("constant") + get("speed") * speed + get("speed squared") * speed * np.abs(speed)),
+        ("time over the trial's length", "1", time, get("constant") + get("time") * time),
+    ]  # fmt: skip

@@ -1,0 +1,169 @@
+"""Is something left that an effect should explain, and where does it act?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from swimid.diagnosis import gram
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.candidates import DRAWS, QUANTILE
+from swimid.diagnosis.generic import TERMS, descriptions
+from swimid.diagnosis.lens import Lens
+from swimid.models.base import Array
+
+#: Widths of the prior of a generic term tried, in its typical sizes.
+WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a generic description finds beyond a fit.
+
+    Attributes
+    ----------
+    gain : float
+        Held-out drop of misfit, all terms together.
+    gains : ndarray, shape (folds,)
+    threshold : float
+        What noise alone gives once in twenty.
+    places : dict of place to float
+        Held-out gain of the terms of one place alone.
+    columns : list of lists of ndarray
+        Change of each trial by each term at its typical size, weighted.
+    prior : list of float
+        Inverse variances that were best.
+    names : list of (place, term)
+    factors : ndarray, shape (terms,)
+        Of all terms together, in their typical sizes, fitted to all trials.
+    sizes : ndarray, shape (terms,)
+        Typical sizes.
+    """
+
+    gain: float
+    gains: Array
+    threshold: float
+    places: dict[str, float]
+    columns: list[list[Array]]
+    prior: list[float]
+    names: list[tuple[str, str]]
+    factors: Array
+    sizes: Array
+
+    @property
+    def found(self) -> bool:
+        """Whether there is more than noise would give."""
+        return self.gain > self.threshold
+
+
+@dataclass(frozen=True)
+class Generic:
+    """Changes by every generic term at its typical size."""
+
+    columns: list[list[Array]]
+    names: list[tuple[str, str]]
+    sizes: Array
+
+
+def simulate(bench: Bench, base: Fit, *, jobs: int = 1) -> Generic:
+    """The changes all generic terms make."""
+    work = []
+    for description in descriptions(bench.model, bench.trials):
+        parameters = description.parameters(bench.model, bench.trials)
+        for p, point in zip(parameters, description.tries(parameters), strict=True):
+            work.append((description, p, point))
+
+    def one(item: tuple) -> list[Array]:  # type: ignore[type-arg]
+        return bench.change(base, item[0], item[2])
+
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        changes = list(pool.map(one, work))
+    kept = [
+        i
+        for i, c in enumerate(changes)
+        if all(np.isfinite(part).all() for part in c) and sum(float(part @ part) for part in c) > 1e-9
+    ]
+    columns = [changes[i] for i in kept]
+    names = [(work[i][0].place, work[i][1].name) for i in kept]
+    return Generic(columns, names, np.array([work[i][1].scale for i in kept]))
+
+
+def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.random.Generator) -> Left:
+    """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
+    columns, names = generic.columns, generic.names
+    inner = gram.folded(bench, base, lens, columns)
+    plain = gram.held_out(inner)
+    draws = gram.noise(inner, rng, DRAWS)
+    plain_drawn = gram.held_out(inner, draws=draws)
+    every = list(range(len(columns)))
+    best, best_prior = np.full(len(plain), -np.inf), [1.0] * len(columns)
+    largest = np.full(DRAWS, -np.inf)
+    for width in WIDTHS:
+        prior = [width**-2] * len(columns)
+        gains = plain - gram.held_out(inner, every, prior)
+        drawn = (plain_drawn - gram.held_out(inner, every, prior, draws)).sum(axis=0)
+        largest = np.maximum(largest, drawn)
+        if gains.sum() > best.sum():
+            best, best_prior = gains, prior
+    places = {}
+    for place in dict.fromkeys(n for n, _ in names):
+        mine = [i for i, (n, _) in enumerate(names) if n == place]
+        alone = [
+            float((plain - gram.held_out(inner, mine, [width**-2] * len(mine))).sum()) for width in WIDTHS
+        ]
+        places[place] = max(alone)
+    factors = gram.together(inner, every, best_prior)[inner.shared :]
+    return Left(
+        float(best.sum()),
+        best,
+        float(np.quantile(largest, QUANTILE)),
+        places,
+        columns,
+        best_prior,
+        names,
+        factors,
+        generic.sizes,
+    )
+
+
+def saturated(
+    bench: Bench, base: Fit, lens: Lens, columns: Sequence[Sequence[Array]], prior: Sequence[float]
+) -> list[Array]:
+    """Weighted residuals with every number and column fitted to all trials: what is noise, if anything.
+
+    Returns
+    -------
+    list of ndarray, shape (n_k,)
+    """
+    inner = gram.folded(bench, base, lens, columns)
+    problem = base.problem
+    single = np.array([owner is not None for _, owner in problem.slots], dtype=bool) & bench.folds.whole
+    shared = np.flatnonzero(~single)
+    factors = gram.together(inner, range(len(columns)), prior)
+    found = []
+    for k in range(len(bench.trials)):
+        r = base.residuals[k] - base.rows[k][:, shared] @ factors[: len(shared)]
+        for factor, column in zip(factors[len(shared) :], columns, strict=True):
+            r = r - factor * column[k]
+        mine = [j for j in np.flatnonzero(single) if problem.slots[j][1] == k]
+        if mine:
+            own = base.rows[k][:, mine] * problem.scale[mine]
+            seen = lens.through(problem, k, np.column_stack((own, r)))
+            normal = seen[:, :-1].T @ seen[:, :-1] + np.eye(len(mine)) / gram.START_PRIOR**2
+            r = r - own @ np.linalg.solve(normal, seen[:, :-1].T @ seen[:, -1])
+        found.append(r)
+    return found
+
+
+def force_terms(left: Left) -> dict[str, dict[str, float]]:
+    """Factors of the residual forces by axis and term, N or N m."""
+    found: dict[str, dict[str, float]] = {}
+    for (place, name), factor, size in zip(left.names, left.factors, left.sizes, strict=True):
+        if place.endswith(("force", "moment")):
+            term = name.split(" ", 1)[1]
+            if term in TERMS:
+                found.setdefault(place, {})[term] = float(factor * size)
+    return found

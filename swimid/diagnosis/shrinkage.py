@@ -1,0 +1,250 @@
+"""How far the gap shrinks on data that took no part in a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.diagnosis import gram
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.result import Overlay, Shrinkage
+from swimid.estimators import start_states
+from swimid.models.base import Array, Model, Trial
+
+#: Resamples of trials for the interval.
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Held-out samples of one trial in one channel.
+
+    Attributes
+    ----------
+    measured, shipped, before, after : ndarray, shape (n,)
+    held_out : bool
+        False where a trial had to be fitted, too.
+    """
+
+    trial: Trial
+    channel: str
+    time_s: Array
+    measured: Array
+    shipped: Array
+    before: Array
+    after: Array
+    held_out: bool = True
+
+
+def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
+    """Full parameter vector of a trial: shared numbers as given, its start state from itself."""
+    parameters = tuple(
+        p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
+    )
+    held = trial.settings.get("held", ())
+    parameters = tuple(replace(p, free=False) if p.name in held else p for p in parameters)
+    found = start_states.estimate(model, parameters, trial, sd)
+    return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
+
+
+def _shared(bench: Bench, fit: Fit, theta: Array) -> dict[str, float]:
+    return {
+        label: float(v)
+        for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
+        if owner is None
+    }
+
+
+def pieces(
+    bench: Bench,
+    before: Fit,
+    after: Fit,
+    lens: Lens,
+    sd: Mapping[str, float],
+    shipped: Mapping[str, float],
+    validation: Sequence[Trial],
+    *,
+    step: Callable[[], None] = lambda: None,
+) -> list[Piece]:
+    """Held-out predictions before and after: of validation trials, else of each fold in turn.
+
+    Parameters
+    ----------
+    before, after : Fit
+        Nominal model refitted, and with its causes; on all trials of the bench.
+    sd : mapping of channel to float
+        Noise, for the start states of held-out trials.
+    shipped : mapping of name to float
+        Coefficients as given.
+    """
+    found: list[Piece] = []
+    models = [bench.affected(f.effects) for f in (before, after)]
+    for m in models:
+        own = m.parameters[len(bench.parameters) :]
+        m.parameters = (*bench.parameters, *own)
+    nominal = models[0]
+    if validation:
+        shared = [_shared(bench, f, f.theta) for f in (before, after)]
+        for trial in validation:
+            found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd)
+            step()
+        return found
+    thetas = [_without(bench, f, lens) for f in (before, after)]
+    for f in range(bench.folds.count):
+        shared = [_shared(bench, fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+        for k, trial in enumerate(bench.trials):
+            inside = bench.folds.owner[k] == f
+            if not np.any(inside):
+                continue
+            if bench.folds.whole:
+                found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd)
+            else:
+                found += _stretch(bench, k, inside, nominal, models[1], (before, after), thetas, f, shipped)
+            step()
+    return found
+
+
+def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
+    """Numbers of a fit with each fold left out, by one Gauss-Newton step; within bounds."""
+    inner = gram.folded(bench, fit, lens)
+    whole = bench.folds.whole
+    single = np.array([owner is not None for _, owner in fit.problem.slots], dtype=bool) & whole
+    shared = np.flatnonzero(~single)
+    found = []
+    for f in range(bench.folds.count):
+        rest = replace(inner, products=np.delete(inner.products, f, axis=0))
+        theta = fit.theta.copy()
+        theta[shared] += gram.together(rest, (), ())
+        found.append(np.clip(theta, fit.problem.lower, fit.problem.upper))
+    return found
+
+
+def _whole(
+    trial: Trial,
+    nominal: Model,
+    model: Model,
+    shipped: Mapping[str, float],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    sd: Mapping[str, float],
+) -> list[Piece]:
+    runs = [
+        m.simulate(_own_start(m, values, trial, sd), trial)
+        for m, values in ((nominal, shipped), (nominal, before), (model, after))
+    ]
+    return [
+        Piece(trial, c, trial.time_s, y, runs[0][c], runs[1][c], runs[2][c])
+        for c, y in trial.measured.items()
+        if c in runs[0] and np.isfinite(y).any()
+    ]
+
+
+def _stretch(
+    bench: Bench,
+    k: int,
+    inside: Array,
+    nominal: Model,
+    model: Model,
+    fits: tuple[Fit, Fit],
+    thetas: list[list[Array]],
+    fold: int,
+    shipped: Mapping[str, float],
+) -> list[Piece]:
+    trial = bench.trials[k]
+    vectors = [fit.problem.vector(t[fold], k) for fit, t in zip(fits, thetas, strict=True)]
+    as_given = vectors[0].copy()
+    for i, p in enumerate(nominal.parameters):
+        if not p.per_trial and p.name in shipped:
+            as_given[i] = shipped[p.name]
+    runs = [nominal.simulate(as_given, trial), nominal.simulate(vectors[0], trial), model.simulate(vectors[1], trial)]
+    found, at = [], 0
+    for channel, mask in zip(bench.shape.channels[k], bench.shape.masks[k], strict=True):
+        count = int(mask.sum())
+        rows = np.flatnonzero(mask)[inside[at : at + count]]
+        at += count
+        if len(rows):
+            found.append(
+                Piece(trial, channel, trial.time_s[rows], trial.measured[channel][rows],
+                      runs[0][channel][rows], runs[1][channel][rows], runs[2][channel][rows])
+            )  # fmt: skip
+    return found
+
+
+def shrinkages(
+    found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator
+) -> tuple[Shrinkage, ...]:
+    """Before, after, floor and closed share of each channel, with a bootstrap interval over trials.
+
+    Parameters
+    ----------
+    floors : mapping of channel to float
+        Noise, in the channel's unit.
+    """
+    result = []
+    for channel in dict.fromkeys(p.channel for p in found):
+        mine = [p for p in found if p.channel == channel]
+        trials = list(dict.fromkeys(p.trial.id for p in mine))
+        squares = np.zeros((len(trials), 4))
+        for p in mine:
+            i = trials.index(p.trial.id)
+            for j, y in enumerate((p.shipped, p.before, p.after)):
+                error = (p.measured - y)[np.isfinite(p.measured)]
+                squares[i, j] += float(np.sum(np.minimum(np.nan_to_num(error**2, nan=1e12), 1e12)))
+            squares[i, 3] += np.isfinite(p.measured).sum()
+        values = np.concatenate([p.measured[np.isfinite(p.measured)] for p in mine])
+        span = float(np.ptp(values)) or 1.0
+        shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / span
+        floor = floors.get(channel, 0.0) / span
+        picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
+        drawn = squares[picks].sum(axis=1)
+        roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / span
+        shares = [closed(b, a, floor) for b, a in roots]
+        known = [s for s in shares if math.isfinite(s)]
+        ci = (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))) if len(known) > 20 else (
+            math.nan,
+            math.nan,
+        )
+        result.append(
+            Shrinkage(
+                channel, float(before), float(after), float(shipped), floor, closed(before, after, floor), ci
+            )
+        )
+    return tuple(result)
+
+
+def closed(before: float, after: float, floor: float) -> float:
+    """``(before - after) / (before - floor)``; NaN where there is no gap to close."""
+    gap = before - floor
+    return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
+
+
+def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6) -> tuple[Overlay, ...]:
+    """Traces of the trials in which the causes change most, each channel."""
+    whole: dict[tuple[str, str], list[Piece]] = {}
+    for p in found:
+        whole.setdefault((p.trial.id, p.channel), []).append(p)
+    gains: dict[str, float] = {}
+    for (trial, _), parts in whole.items():
+        for p in parts:
+            a, b = np.nansum((p.measured - p.before) ** 2), np.nansum((p.measured - p.after) ** 2)
+            size = np.nanvar(p.measured) * len(p.measured) or 1.0
+            gains[trial] = gains.get(trial, 0.0) + float((a - b) / size)
+    chosen = sorted(gains, key=lambda t: -gains[t])[: max(most // 2, 1)]
+    result = []
+    for (trial, channel), parts in whole.items():
+        if trial not in chosen or len(parts[0].time_s) < 3:
+            continue
+        order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
+
+        def joined(name: str, parts: list[Piece] = parts, order: Array = order) -> Array:
+            return np.asarray(np.concatenate([getattr(p, name) for p in parts])[order])
+
+        result.append(
+            Overlay(trial, channel, units.get(channel, ""), True, joined("time_s"), joined("measured"),
+                    joined("before"), joined("after"))
+        )  # fmt: skip
+    return tuple(result)

@@ -1,0 +1,1 @@
+"""Effects between the command and what the actuator does."""

@@ -1,0 +1,122 @@
+"""What the trials command, for the scales of the actuation effects."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from swimid.effects.base import Effect
+from swimid.models.arx import Arma
+from swimid.models.base import Array, Model, Trial
+from swimid.models.hooks import Command, Hooks
+from swimid.models.multilink.model import MultilinkModel, joint_motion
+
+#: Grid on which a drive's command is read, s.
+GRID = 0.0025
+#: Where no command says how large: an angle a servo turns, rad.
+USUAL_ANGLE = 0.3
+
+
+class Actuation(Effect, ABC):
+    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model."""
+
+    stage = "actuation"
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """The effect itself where some trial is driven by a command."""
+        return [self] if self.needs & model.offers and any(commanded(model, t) for t in trials) else []
+
+
+def commanded(model: Model, trial: Trial) -> bool:
+    """Whether a trial's actuators follow a command; a measured joint angle is past them already."""
+    if isinstance(model, Arma):
+        return not model.source.startswith("joint")
+    if not isinstance(model, MultilinkModel):
+        return True
+    if trial.settings.get("joints") is None:
+        return "beat" in trial.settings
+    return bool(trial.settings.get("commanded"))
+
+
+def hooks(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
+    """The hooks of ``change(time_s, angle)``, the same for every driven joint."""
+
+    def command(time_s: Array, angle: Array, joint: int) -> Array:
+        return bridged(change, time_s, angle)
+
+    found: Command = command
+    return Hooks(command=(found,)) if commanded(model, trial) else Hooks()
+
+
+def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
+    """``change`` of a signal whose missing samples are bridged by straight lines, and missing again after."""
+    there = np.isfinite(signal)
+    if there.all():
+        return change(time_s, signal)
+    if not there.any():
+        return signal
+    filled = np.interp(time_s, time_s[there], signal[there])
+    return np.where(there, change(time_s, filled), np.nan)
+
+
+def _signals(model: Model, trials: Sequence[Trial]) -> Iterator[tuple[Array, Array, float]]:
+    """Time, command and its fastest known rate, of each driven joint of each trial."""
+    for trial in trials:
+        if not commanded(model, trial):
+            continue
+        if isinstance(model, Arma):
+            time = np.asarray(trial.time_s, dtype=float)
+            signal = model.input_of(trial, time)
+            there = np.isfinite(signal)
+            yield time[there], signal[there], 0.0
+        elif isinstance(model, MultilinkModel):
+            time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + GRID, GRID)
+            for number, axis in enumerate(model.assembly.driven):
+                angle, rate, _ = joint_motion(axis, number, trial.settings, time, 0.0)
+                yield time, angle, float(np.max(np.abs(rate)))
+
+
+def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
+    """Frequency (Hz) and amplitude (rad) of every steady beat."""
+    found: list[list[Array]] = [[], []]
+    for trial in trials:
+        known = {**trial.settings, **trial.inputs}
+        if "frequency_hz" in known and "amplitude_rad" in known:
+            pair = np.broadcast_arrays(np.atleast_1d(known["frequency_hz"]), known["amplitude_rad"])
+            for values, part in zip(found, pair, strict=True):
+                values.append(part)
+    frequency, amplitude = (np.concatenate(v).astype(float) if v else np.zeros(0) for v in found)
+    there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
+    return frequency[there], amplitude[there]
+
+
+def amplitude(model: Model, trials: Sequence[Trial]) -> float:
+    """Typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
+    sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
+    if not sizes:
+        sizes = list(_strokes(trials)[1])
+    return float(np.median(sizes)) if sizes else USUAL_ANGLE
+
+
+def fastest(model: Model, trials: Sequence[Trial]) -> float:
+    """Largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
+    rates = [r for _, _, r in _signals(model, trials)]
+    for time, signal, _ in _signals(model, trials):
+        if len(time) > 1:
+            rates.append(float(np.max(np.abs(np.diff(signal) / np.diff(time)))))
+    frequency, amplitude_rad = _strokes(trials)
+    rates.extend(2 * math.pi * frequency * amplitude_rad)
+    return float(max(rates, default=0.0)) or 1.0
+
+
+def period(model: Model, trials: Sequence[Trial]) -> float:
+    """Typical period of the beat, s; one second where none is known."""
+    beats = [t.settings["beat"].frequency_hz for t in trials if "beat" in t.settings]
+    if isinstance(model, Arma) and model.sine is not None:
+        beats.append(model.sine[1])
+    beats.extend(_strokes(trials)[0])
+    beats = [f for f in beats if f > 0]
+    return 1.0 / float(np.median(beats)) if beats else 1.0

@@ -1,0 +1,67 @@
+"""A stroke that is off by a constant angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.effects.actuation import _commands
+from swimid.effects.base import Effect
+from swimid.models.arx import Arma
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks, Stroke
+from swimid.models.multilink import drive
+from swimid.models.multilink.model import MultilinkModel
+
+#: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
+EASE_S = 0.5
+
+
+class AmplitudeOffset(_commands.Actuation):
+    """A trim added to the angle of each driven joint; for a steady beat, the amplitude less a constant.
+
+    The latter is ``theta_off`` of the recoil law, and applies where that is not estimated.
+    """
+
+    name = "amplitude-offset"
+    meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
+    sources = ("boxfish, section 4.3 and Eq 27",)
+    needs = frozenset({"command", "stroke"})
+    scatters = True
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Nothing where the model estimates its own offset."""
+        own = any(p.name == "amplitude_offset_deg" and p.free for p in model.parameters)
+        return [] if own else super().variants(model, trials)
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The angle, of each driven joint, in the unit of its command."""
+        size = _commands.amplitude(model, trials)
+        return (
+            Parameter(
+                "offset_rad", "rad", -0.9 * size, 0.9 * size, 0.0, 0.05 * size, meaning="constant angle off"
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The command with the trim; less amplitude of a steady beat."""
+        offset = float(values[0])
+        driven = model.assembly.driven if isinstance(model, MultilinkModel) else []
+        moved = [axis.joint.driven is not None and axis.joint.driven.gain != 0 for axis in driven]
+        # a drive starts at time zero, a recorded command where its log begins
+        begin = 0.0 if "beat" in trial.settings else float(trial.time_s[0])
+
+        def command(time_s: Array, angle: Array, joint: int) -> Array:
+            if isinstance(model, Arma):
+                return angle + offset
+            if moved and not moved[joint]:
+                return angle
+            return angle + offset * drive.smoothstep(time_s - begin, EASE_S)[0]
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
+
+        found = Hooks(stroke=(beaten,))
+        return found + Hooks(command=(command,)) if _commands.commanded(model, trial) else found

@@ -1,0 +1,63 @@
+"""Play between servo and joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numba
+import numpy as np
+
+from swimid.effects.actuation import _commands
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks, Stroke
+
+
+class ServoBacklash(_commands.Actuation):
+    """The play operator: the joint rests until the servo has crossed the play, then is carried along.
+
+    A steady beat of the average models loses half the play.
+    """
+
+    name = "servo-backlash"
+    meaning = "The joints do not follow their servos across the play of gears, linkages or tendons."
+    sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
+    needs = frozenset({"command", "stroke"})
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The whole width of the play, of each joint, in the unit of its command."""
+        size = _commands.amplitude(model, trials)
+        return (
+            Parameter(
+                "backlash_rad", "rad", 0.0, 1.9 * size, 0.0, 0.1 * size, meaning="whole width of the play"
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Play in the command; half of it less amplitude of a steady beat."""
+        width = float(values[0])
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - 0.5 * width, 0.0))
+
+        return _commands.hooks(model, trial, lambda time, angle: play(angle, width)) + Hooks(stroke=(beaten,))
+
+
+@numba.njit(cache=True, nogil=True)
+def play(signal, width):  # type: ignore[no-untyped-def]
+    """Output of a play of the given whole width that starts in its middle.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+    width : float
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    found = signal.copy()
+    half = 0.5 * width
+    for i in range(1, len(signal)):
+        found[i] = min(max(found[i - 1], signal[i] - half), signal[i] + half)
+    return found

@@ -1,0 +1,48 @@
+"""A servo that does the right thing too late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import Akima1DInterpolator
+
+from swimid.effects.actuation import _commands
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+
+
+class ServoDelay(_commands.Actuation):
+    """A pure delay of the command; it changes nothing in a steady beat's average."""
+
+    name = "servo-delay"
+    meaning = "The joints move a constant time after their command."
+    sources = ("sea lion, section II (motion profiles taken as the motion of the joints)",)
+    needs = frozenset({"command"})
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The delay, s."""
+        beat = _commands.period(model, trials)
+        return (
+            Parameter("delay_s", "s", 0.0, beat, 0.0, 0.04 * beat, meaning="delay of the joints' commands"),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The command as it was a delay ago."""
+        delay = float(values[0])
+        return _commands.hooks(model, trial, lambda time, angle: delayed(time, angle, delay))
+
+
+def delayed(time_s: Array, signal: Array, delay_s: float) -> Array:
+    """A signal a constant time later; before its first sample it rests there.
+
+    Parameters
+    ----------
+    time_s, signal : ndarray, shape (n,)
+        Without missing samples; Akima's curve lies between them.
+    delay_s : float
+    """
+    if delay_s == 0.0 or len(time_s) < 3:
+        return signal
+    curve = Akima1DInterpolator(time_s, signal, method="makima")
+    return np.asarray(curve(np.clip(time_s - delay_s, time_s[0], time_s[-1])))

@@ -1,0 +1,178 @@
+"""The effects there are: those of the stage folders, and those of a user's own file."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import ModuleType
+
+from swimid.effects.base import STAGES, Effect
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.models.base import Model, Trial
+
+#: What an effect may hook into.
+PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
+#: What every effect states about itself.
+STATED = ("name", "stage", "meaning", "needs")
+
+
+def catalogue() -> list[Effect]:
+    """Every effect of the catalogue, along the chain, by name within a stage.
+
+    Raises
+    ------
+    ValueError
+        When two effects have one name.
+    """
+    return list(_catalogue())
+
+
+@functools.cache
+def _catalogue() -> tuple[Effect, ...]:
+    found: dict[str, Effect] = {}
+    for stage in STAGES:
+        package = importlib.import_module(f"swimid.effects.{stage}")
+        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            for kind in _kinds(importlib.import_module(module.name)):
+                if inspect.isabstract(kind):
+                    continue
+                if kind.name in found:
+                    raise ValueError(f"two effects are called '{kind.name}'")
+                found[kind.name] = kind()
+    return tuple(sorted(found.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
+
+
+def names() -> list[str]:
+    """Names of the catalogue, in its order."""
+    return [effect.name for effect in catalogue()]
+
+
+def chosen(names: Iterable[str]) -> list[Effect]:
+    """Effects by name, each once.
+
+    Raises
+    ------
+    UsageError
+        For a name that the catalogue does not have.
+    """
+    known = {effect.name: effect for effect in catalogue()}
+    wanted = list(dict.fromkeys(names))
+    for name in wanted:
+        if name not in known:
+            raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, list(known)))
+    return [known[name] for name in wanted]
+
+
+def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
+    """The effects in every form in which they apply to a model and its trials."""
+    return [variant for effect in effects for variant in effect.variants(model, trials)]
+
+
+def from_file(path: str | Path) -> list[Effect]:
+    """The effects that a Python file defines.
+
+    Parameters
+    ----------
+    path : path
+        It is run. Classes derived from :class:`Effect` that leave nothing abstract are effects;
+        they are made without arguments.
+
+    Raises
+    ------
+    InputError
+        With the file and the line, when it cannot be run, defines no effect, or one that is
+        incomplete, at a stage that there is not, or of a name that is taken.
+    """
+    path = Path(path)
+    module = _run(path)
+    found: dict[str, Effect] = {}
+    taken = set(names())
+    for kind in _kinds(module):
+        if inspect.isabstract(kind) and not hasattr(kind, "name"):
+            continue
+        _check(kind, path)
+        if kind.name in taken or kind.name in found:
+            raise InputError(
+                f"there is an effect '{kind.name}' already", file=path, line=_line(kind), column="name"
+            )
+        try:
+            found[kind.name] = kind()
+        except Exception as error:
+            raise InputError(
+                f"the effect {kind.__name__} cannot be made: {error}",
+                file=path,
+                line=_raised(error, path) or _line(kind),
+            ) from error
+    if not found:
+        raise InputError(
+            "defines no effect", file=path, hint="derive a class from swimid.effects.base.Effect"
+        )
+    return list(found.values())
+
+
+def _kinds(module: ModuleType) -> list[type[Effect]]:
+    """Subclasses of Effect that a module itself defines, in its order."""
+    return [
+        kind
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+    ]
+
+
+def _run(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise InputError("there is no such file", file=path)
+    name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise InputError("is no Python file", file=path, hint="effects are classes in a file ending in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise InputError(f"is no valid Python: {error.msg}", file=path, line=error.lineno) from error
+    except Exception as error:
+        raise InputError(
+            f"cannot be run: {type(error).__name__}: {error}", file=path, line=_raised(error, path)
+        ) from error
+    return module
+
+
+def _raised(error: Exception, path: Path) -> int | None:
+    """The last line of a file on the way to an error."""
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
+    return lines[-1] if lines else None
+
+
+def _line(kind: type[Effect]) -> int | None:
+    try:
+        return inspect.getsourcelines(kind)[1]
+    except (OSError, TypeError):
+        return None
+
+
+def _check(kind: type[Effect], path: Path) -> None:
+    """A user's effect states what it must."""
+    problem, hint = None, None
+    missing = [name for name in STATED if not hasattr(kind, name)]
+    unwritten = sorted(kind.__abstractmethods__)
+    if missing or unwritten:
+        problem = f"lacks {', '.join([*missing, *(f'{name}()' for name in unwritten)])}"
+    elif not isinstance(kind.name, str) or not kind.name or not isinstance(kind.meaning, str):
+        problem = "needs a name and a meaning in words"
+    elif kind.stage not in STAGES:
+        problem = f"is at the stage '{kind.stage}', which there is not"
+        hint = suggestion(str(kind.stage), STAGES)
+    elif isinstance(kind.needs, str) or not set(kind.needs) <= PLACES:
+        problem = f"needs {kind.needs!r}, which are no hooks"
+        hint = f"a set of: {', '.join(sorted(PLACES))}"
+    if problem:
+        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=_line(kind), hint=hint)

@@ -1,0 +1,1 @@
+"""Effects of the place the robot swims in."""

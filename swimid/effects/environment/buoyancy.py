@@ -1,0 +1,65 @@
+"""A robot that is not neutrally buoyant, and not level at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.rig import RigModel
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """A force upwards and a righting moment; constants force and moment per sine of pitch."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    wrench[0] += constants[0] * s
+    wrench[1] += constants[0] * c
+    wrench[2] -= constants[1] * s
+
+
+class Buoyancy(Effect):
+    """Buoyancy beyond weight, and its righting moment ``-m sin(pitch)``, on the heaviest link."""
+
+    name = "buoyancy"
+    stage = "environment"
+    meaning = "buoyancy beyond weight, and its righting moment"
+    sources = ("dolphin paper, section 4.1", "sea lion paper, discussion")
+    needs = frozenset({"force", "coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Free swimmers in the vertical plane; rigs along z whose rest position is known."""
+        if isinstance(model, RigModel):
+            known = not common.estimated(model, "rest_position")
+            return [self] if model.coordinate == "z_m" and known else []
+        return [self] if common.swims_freely(model) and common.vertical(model) else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Force upwards, N, and righting moment, N m."""
+        inf, size = math.inf, 0.03 * common.force(model, trials)
+        force = Parameter("force_N", "N", -inf, inf, 0.0, size, meaning="buoyancy beyond weight")
+        if isinstance(model, RigModel):
+            return (force,)
+        assert isinstance(model, MultilinkModel)
+        lever = model.assembly.links[common.hull(model)].length_m
+        words = "righting moment per sine of pitch"
+        return force, Parameter("righting_N_m", "N m", -inf, inf, 0.0, size * lever, meaning=words)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A constant force, and a moment."""
+        if isinstance(model, MultilinkModel):
+            hull = common.hull(model)
+            x, y = common.centre(model, hull)
+            return Hooks(force=(Force(rise, np.array(values, dtype=float), hull, x, y),))
+
+        def change(c: dict[str, float]) -> None:
+            c["force"] += values[0]
+
+        return Hooks(coefficients=(change,))

@@ -1,0 +1,58 @@
+"""A steady current."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.model import MultilinkModel
+
+#: Largest current, in typical speeds of the robot.
+MOST = 3.0
+
+
+class Current(Effect):
+    """Water that moves evenly and steadily in the world; along the track where the model has one axis."""
+
+    name = "current"
+    stage = "environment"
+    meaning = "steady current of the water"
+    sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 8.3",)
+    needs = frozenset({"flow"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Models of a body that moves from place to place."""
+        if common.rotates(model) or (isinstance(model, MultilinkModel) and not model.assembly.free_base):
+            return []
+        return super().variants(model, trials)
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Its components in the world, m/s."""
+        size = common.speed(model, trials)
+        return tuple(
+            Parameter(
+                f"c{axis}_m_s",
+                "m/s",
+                -MOST * size,
+                MOST * size,
+                0.0,
+                0.1 * size,
+                meaning=f"velocity of the water along {axis}",
+            )
+            for axis in common.axes(model)
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Water that moves."""
+        velocity = np.zeros(2)
+        velocity[: len(values)] = values
+
+        def flow(time_s: Array) -> tuple[Array, Array]:
+            return np.outer(time_s, velocity), np.tile(velocity, (len(time_s), 1))
+
+        return Hooks(flow=(flow,))

@@ -1,0 +1,90 @@
+"""A robot that comes out of the water and loses its buoyancy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import SIZES, Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.models.multilink.model import MultilinkModel
+
+#: Height over which the force sets in, m.
+ROUND = 0.002
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Weight of what has left the water; constants force per height and level."""
+    above = pose[1] - constants[1]
+    down = -0.5 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
+    wrench[0] += down * math.sin(pose[2])
+    wrench[1] += down * math.cos(pose[2])
+
+
+class SurfaceBreach(Effect):
+    """Above a level the hull is pulled down by the weight of the water it no longer displaces."""
+
+    name = "surface-breach"
+    stage = "environment"
+    meaning = "buoyancy lost above the surface"
+    sources = ("dolphin paper, section 4.1",)
+    needs = frozenset({"force"})
+
+    def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
+        """Take the levels at which it is tried."""
+        self.levels_m = levels_m
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Free swimmers in the vertical plane whose height is measured."""
+        heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
+        if not (common.swims_freely(model) and common.vertical(model) and heights):
+            return []
+        values = np.concatenate(heights)
+        return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Force per height, N/m, and level of the reference point, m."""
+        size = 0.2 * common.span(model, [_heights(t) for t in trials])
+        return (
+            Parameter(
+                "force_N_m",
+                "N/m",
+                0.0,
+                math.inf,
+                0.0,
+                0.1 * common.force(model, trials) / size,
+                meaning="buoyancy lost per height",
+            ),
+            Parameter(
+                "level_m",
+                "m",
+                -math.inf,
+                math.inf,
+                self.levels_m[0],
+                size,
+                meaning="height of the reference point above which buoyancy is lost",
+            ),
+        )
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Sizes of the force at each level."""
+        return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A force at the centre of mass of the heaviest link."""
+        assert isinstance(model, MultilinkModel)
+        hull = common.hull(model)
+        x, y = common.centre(model, hull)
+        return Hooks(force=(Force(sink, np.array(values, dtype=float), hull, x, y),))
+
+
+def _heights(trial: Trial) -> Trial:
+    """The trial with its height alone."""
+    measured = {name: value for name, value in trial.measured.items() if name == "z_m"}
+    return Trial(trial.id, trial.role, trial.time_s, measured)

@@ -1,0 +1,93 @@
+"""A cable that pulls the robot back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import SIZES, Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.propulsion import RecoilModel
+from swimid.models.rig import RigModel
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """A spring to a point of the world; constants stiffness, slack, and the point's coordinates."""
+    dx, dy = pose[0] - constants[2], pose[1] - constants[3]
+    distance = math.sqrt(dx * dx + dy * dy)
+    if distance > constants[1]:
+        pull = constants[0] * (distance - constants[1]) / distance
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        wrench[0] -= pull * (c * dx + s * dy)
+        wrench[1] -= pull * (c * dy - s * dx)
+
+
+class Tether(Effect):
+    """``-k (d - slack)`` towards the start, d the distance from it, once d exceeds the slack.
+
+    A cruise feels its mean over the run.
+    """
+
+    name = "tether"
+    stage = "environment"
+    meaning = "cable that pulls the robot back the more the farther it is"
+    sources = ("dolphin paper, section 1",)
+    needs = frozenset({"force", "coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Falling weights, towed bodies, cruises and free swimmers."""
+        rig = isinstance(model, RigModel) and model.name != "free-decay"
+        return [self] if rig or isinstance(model, RecoilModel) or common.swims_freely(model) else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Stiffness, N/m, and slack, m."""
+        size = _reach(model, trials)
+        return (
+            Parameter(
+                "stiffness_N_m",
+                "N/m",
+                0.0,
+                math.inf,
+                0.0,
+                0.3 * common.force(model, trials) / size,
+                meaning="pull of the tether per length",
+            ),
+            Parameter("slack_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="length before it pulls"),
+        )
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Sizes of the stiffness, without slack and with some."""
+        stiffness, slack = parameters
+        return [np.array([s * stiffness.scale, n * slack.scale]) for n in (0.0, 2.0) for s in SIZES]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A force on the base, or on the mean of a run."""
+        if isinstance(model, RecoilModel):
+            way = np.asarray(trial.inputs["distance_m"], dtype=float)
+            mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
+
+            def change(c: dict[str, float]) -> None:
+                c["dry"] += mean
+
+            return Hooks(coefficients=(change,))
+        if isinstance(model, MultilinkModel):
+            pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+            x, y = common.reference(model)
+            return Hooks(force=(Force(pull_back, np.array([*values, *pose[:2]]), x=x, y=y),))
+        origin = float(trial.settings.get("x0", 0.0))
+        return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
+
+
+def _reach(model: Model, trials: Sequence[Trial]) -> float:
+    """Typical distance from the start, m."""
+    if isinstance(model, RecoilModel):
+        ways = [w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])]
+        return float(np.median(ways)) or 1.0
+    return common.span(model, trials)

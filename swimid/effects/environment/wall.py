@@ -1,0 +1,136 @@
+"""A wall near the tracks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import SIZES, Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.rig import RigModel
+
+#: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
+STEEPEST = 2.0
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """A force along a world axis; constants force, decay length, axis, side and extreme coordinate."""
+    axis, side = constants[2], constants[3]
+    place = pose[0] if axis == 0.0 else pose[1]
+    gap = side * (constants[4] - place)
+    push = -side * constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    if axis == 0.0:
+        wrench[0] += push * c
+        wrench[1] -= push * s
+    else:
+        wrench[0] += push * s
+        wrench[1] += push * c
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """More drag towards the end of a run; constants drag, gain, decay length and end."""
+    grown = constants[1] * math.exp(min(-(constants[3] - pose[0]) / constants[2], STEEPEST))
+    wrench[0] -= constants[0] * grown * velocity[0] * abs(velocity[0])
+
+
+class Wall(Effect):
+    """A wall at one side of the pool, felt as ``exp(-d / l)``, d the distance from the tracks' extreme.
+
+    A swimmer is pushed away from it (drawn to it where the force is negative); the quadratic drag of a
+    body on a rig grows towards it by the factor ``1 + gain exp(-d / l)``.
+
+    Parameters
+    ----------
+    side : str
+        ``x_max``, ``x_min``, ``y_max`` and so on.
+    extreme_m : float
+        The tracks' extreme coordinate on that side.
+    """
+
+    name = "wall"
+    stage = "environment"
+    meaning = "wall near the tracks"
+    sources = ("tendon fish paper, section V", "dolphin paper, section 4.2.1")
+    needs = frozenset({"force"})
+
+    def __init__(self, side: str = "x_max", extreme_m: float = 0.0) -> None:
+        self.side = side
+        self.extreme_m = extreme_m
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """One per side for free swimmers; the far end for falling weights and towed bodies."""
+        if common.swims_freely(model):
+            names = tuple(f"{axis}_m" for axis in common.axes(model))
+            ends: tuple[str, ...] = ("max", "min")
+        elif isinstance(model, RigModel) and model.name != "free-decay":
+            names, ends = (model.coordinate,), ("max",)
+        else:
+            return []
+        found: list[Effect] = []
+        for name in names:
+            values = np.concatenate([np.zeros(0), *(t.measured[name] for t in trials if name in t.measured)])
+            values = values[np.isfinite(values)]
+            for end in ends if len(values) else ():
+                extreme = float(values.max() if end == "max" else values.min())
+                found.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
+        return found
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
+        inf = math.inf
+        if isinstance(model, MultilinkModel):
+            length = sum(link.length_m for link in model.assembly.links)
+            size = 0.05 * common.force(model, trials)
+            first = Parameter(
+                f"{self.side}_force_N", "N", -inf, inf, 0.0, size, meaning="push of the wall at the extreme"
+            )
+        else:
+            length = 0.4 * common.span(model, trials)
+            first = Parameter(
+                f"{self.side}_gain", "1", 0.0, inf, 0.0, 1.0, meaning="relative growth of drag at the extreme"
+            )
+        decay = Parameter(
+            f"{self.side}_decay_m",
+            "m",
+            0.1 * length,
+            3.0 * length,
+            0.5 * length,
+            0.2 * length,
+            meaning="length over which it decays",
+        )
+        return first, decay
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Sizes of the force at half and at twice its start decay length."""
+        force, decay = parameters
+        signs = (1.0, -1.0) if force.lower < 0 else (1.0,)
+        return [
+            np.array([sign * size * force.scale, share * decay.start])
+            for share in (0.5, 1.0, 2.0)
+            for size in SIZES[1:3]
+            for sign in signs
+        ]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A force at the centre of mass of the heaviest link."""
+        if isinstance(model, MultilinkModel):
+            axis, end = self.side.split("_")
+            place = [0.0 if axis == "x" else 1.0, 1.0 if end == "max" else -1.0, self.extreme_m]
+            hull = common.hull(model)
+            x, y = common.centre(model, hull)
+            return Hooks(force=(Force(push_off, np.array([*values, *place]), hull, x, y),))
+        constants = np.array([0.0, *values, self.extreme_m])
+
+        def take(c: dict[str, float]) -> None:
+            constants[0] = c["quadratic"]
+
+        return Hooks(coefficients=(take,), force=(Force(blockage, constants),))

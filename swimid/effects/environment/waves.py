@@ -1,0 +1,149 @@
+"""Water that moves to and fro: waves, and their reflections in a pool."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.rig import RigModel
+
+#: Frequencies looked at, Hz.
+LOWEST, HIGHEST = 0.15, 3.0
+#: Lines of the tracks' spectrum that are tried, and the order of the slow course taken out before.
+LINES, ORDER = 4, 5
+#: Most frequencies looked at.
+FINEST = 120
+
+
+class Waves(Effect):
+    """Orbital velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis of the world.
+
+    The frequency is common; amplitude and phase, counted from the start, are each trial's own. The cosine
+    sets in with ``1 - exp(-2 pi f t)``: a body that floats at the start moves with the water. It is
+    tried at the strongest lines of the measured track that are no harmonics of the beat.
+
+    Parameters
+    ----------
+    axis : str
+        ``x``, ``y`` or ``z``.
+    frequency_hz : float
+        Where it is tried.
+    """
+
+    name = "waves"
+    stage = "environment"
+    meaning = "water that moves to and fro: waves or their reflections"
+    sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
+    needs = frozenset({"flow"})
+
+    def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
+        self.axis = axis
+        self.frequency_hz = frequency_hz
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """One per axis and line of the track, for a body that moves in time from place to place."""
+        in_time = isinstance(model, RigModel) and not common.rotates(model)
+        if not (in_time or common.swims_freely(model)):
+            return []
+        return [Waves(axis, line) for axis in common.axes(model) for line in lines(trials, axis)]
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
+        size = 0.1 * common.speed(model, trials)
+        inf = math.inf
+        return (
+            Parameter(
+                "frequency_hz",
+                "Hz",
+                0.5 * LOWEST,
+                2.0 * HIGHEST,
+                self.frequency_hz,
+                0.2 / common.duration(trials),
+                meaning="frequency of the waves",
+            ),
+            *(
+                Parameter(
+                    f"{part}_{self.axis}_m_s",
+                    "m/s",
+                    -inf,
+                    inf,
+                    0.0,
+                    size,
+                    per_trial=True,
+                    meaning=f"{part} amplitude of the water's velocity along {self.axis}",
+                )
+                for part in ("cos", "sin")
+            ),
+        )
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """The scale of each amplitude: the answer is linear in these, and nothing without them."""
+        frequency, size = parameters[0].start, parameters[1].scale
+        return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Water that moves."""
+        frequency, a, b = (float(v) for v in values)
+        omega = 2.0 * math.pi * frequency
+        column = 0 if self.axis == "x" else 1
+        begin = float(trial.settings.get("release_s", trial.time_s[0]))
+
+        def flow(time_s: Array) -> tuple[Array, Array]:
+            moved, velocity = np.zeros((len(time_s), 2)), np.zeros((len(time_s), 2))
+            phase = omega * np.maximum(time_s - begin, 0.0)
+            c, s, onset = np.cos(phase), np.sin(phase), np.exp(-phase)
+            moved[:, column] = (a * (s + onset - 1.0) + b * (1.0 - c)) / omega
+            velocity[:, column] = a * (c - onset) + b * s
+            return moved, velocity
+
+        return Hooks(flow=(flow,))
+
+
+def lines(trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
+    """The strongest lines in the measured velocity along an axis, Hz, that no beat explains.
+
+    Each trial's track is freed of its slow course and its beat by least squares; the power of each
+    frequency is its sum over the trials for whose beat it is no harmonic.
+    """
+    name = f"{axis}_m"
+    use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
+    if not use:
+        return ()
+    length = common.duration(use)
+    count = min(max(int((HIGHEST - LOWEST) * 2.0 * length), 8), FINEST)
+    grid = np.linspace(max(LOWEST, 1.5 / length), HIGHEST, count)
+    power, weight = np.zeros(count), np.zeros(count)
+    for trial in use:
+        there = np.isfinite(trial.measured[name])
+        time = trial.time_s[there] - trial.time_s[0]
+        width = 1.0 / max(float(time[-1]), 1e-9)
+        beat = trial.settings.get("beat")
+        base = float(beat.frequency_hz) if beat is not None else 0.0
+        harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
+        slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
+        waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
+        known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
+        rest = trial.measured[name][there]
+        rest = rest - known @ (known.T @ rest)
+        highest = 0.5 / max(float(np.median(np.diff(time))), 1e-9)
+        for k, f in enumerate(grid):
+            if f > highest or any(abs(f - h) < width for h in harmonics):
+                continue
+            pair = np.column_stack([np.cos(2.0 * math.pi * f * time), np.sin(2.0 * math.pi * f * time)])
+            pair, _ = np.linalg.qr(pair - known @ (known.T @ pair))
+            power[k] += float(np.sum((pair.T @ rest) ** 2)) * f**2
+            weight[k] += 1.0
+    score = np.where(weight > 0, power / np.maximum(weight, 1.0), 0.0)
+    found: list[float] = []
+    for k in np.argsort(-score):
+        if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in found):
+            found.append(float(grid[k]))
+        if len(found) == LINES:
+            break
+    return tuple(found)

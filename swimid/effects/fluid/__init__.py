@@ -1,0 +1,1 @@
+"""Effects of the water on the body and its fins."""

@@ -1,0 +1,87 @@
+"""Water that moves with the body beyond the model's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.rig import RigModel
+
+#: The least of the inertia that may be left, as a share of the rigid body's.
+LEAST = 0.5
+
+
+class AddedMass(Effect):
+    """Added mass beyond the model's: a rig's, or a swimmer's along and across its links.
+
+    A swimmer's is shared out among the links as their masses are, at their centres of mass.
+    """
+
+    name = "added-mass"
+    stage = "fluid"
+    meaning = "added mass beyond the model's"
+    sources = ("boxfish paper, Eq 8", "tendon fish paper, Eq 6", "dolphin paper, Eq 7")
+    needs = frozenset({"coefficients", "tables"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Rigs and free swimmers."""
+        return [self] if isinstance(model, RigModel) or common.swims_freely(model) else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Added mass along and across all links, kg; or that of the rig's coordinate."""
+        if isinstance(model, MultilinkModel):
+            own = sum(_masses(model))
+            return tuple(
+                Parameter(
+                    name,
+                    "kg",
+                    -LEAST * own,
+                    math.inf,
+                    0.0,
+                    0.05 * own,
+                    meaning=f"{words} added mass",
+                )
+                for name, words in (("surge_kg", "surge"), ("sway_kg", model.plane.words[4]))
+            )
+        rotation = common.rotates(model)
+        size = common.inertia(model, trials)
+        own = size - common.start(model, "added_mass", "added_inertia")
+        return (
+            Parameter(
+                "added_kg_m2" if rotation else "added_kg",
+                "kg m^2" if rotation else "kg",
+                -LEAST * own,
+                math.inf,
+                0.0,
+                0.05 * size,
+                meaning="added inertia" if rotation else "added mass",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds to the inertia."""
+        if isinstance(model, MultilinkModel):
+            masses = _masses(model)
+            points = [common.centre(model, link) for link in range(len(masses))]
+
+            def carry(tables: dict[str, Any]) -> None:
+                for link, (mass, at) in enumerate(zip(masses, points, strict=True)):
+                    share = mass / sum(masses)
+                    common.weigh(tables, link, at, share * values[0], share * values[1])
+
+            return Hooks(tables=(carry,))
+
+        def change(c: dict[str, float]) -> None:
+            c["inertia"] += values[0]
+
+        return Hooks(coefficients=(change,))
+
+
+def _masses(model: MultilinkModel) -> list[float]:
+    return [float(common.rigid(model, link)[0]) for link in range(len(model.assembly.links))]

@@ -1,0 +1,75 @@
+"""A drag coefficient that changes with speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.models.multilink.model import MultilinkModel
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """What ``C = C_0 (|u| / u_ref)^-n`` adds to ``-k u |u|``; constants k, n and u_ref."""
+    u = velocity[0]
+    if u != 0.0:
+        wrench[0] -= constants[0] * u * abs(u) * ((abs(u) / constants[2]) ** -constants[1] - 1.0)
+
+
+class DragReynolds(Effect):
+    """``C = C_0 (|u| / u_ref)^-n``: 0.5 is a laminar boundary layer, 0.2 a turbulent one.
+
+    It acts on the axial drag, a swimmer's taken together at its heaviest link.
+
+    Parameters
+    ----------
+    reference_m_s : float
+        Speed u_ref at which the model's own coefficient holds (rad/s for an angle).
+    """
+
+    name = "drag-reynolds"
+    stage = "fluid"
+    meaning = "drag coefficient that falls with speed"
+    sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
+    needs = frozenset({"force"})
+
+    def __init__(self, reference_m_s: float = 0.3) -> None:
+        self.reference_m_s = reference_m_s
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Rigs and free swimmers with quadratic drag, about the typical speed of the trials."""
+        if isinstance(model, MultilinkModel):
+            fits = model.assembly.free_base and common.axial_drag(common.tables(model)) > 0
+        else:
+            fits = "force" in model.offers
+        return [DragReynolds(common.speed(model, trials))] if fits else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The exponent n."""
+        return (
+            Parameter("exponent", "1", -0.8, 0.8, 0.0, 0.2, meaning="the drag coefficient falls as speed^-n"),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds the difference to the model's own quadratic drag."""
+        constants = np.array([0.0, values[0], self.reference_m_s])
+        if isinstance(model, MultilinkModel):
+            hull = common.hull(model)
+            x, y = common.centre(model, hull)
+
+            def read(tables: dict[str, Any]) -> None:
+                constants[0] = common.axial_drag(tables)
+
+            return Hooks(tables=(read,), force=(Force(changed_drag, constants, hull, x, y),))
+
+        def take(c: dict[str, float]) -> None:
+            constants[0] = c["quadratic"]
+
+        return Hooks(coefficients=(take,), force=(Force(changed_drag, constants),))

@@ -1,0 +1,1 @@
+"""Effects of the test rig: pulley, string and how the run was started."""

@@ -1,0 +1,59 @@
+"""Dry friction of a pulley or bearing that the model does not have, or has too little of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.rig import RigModel
+
+OWN = ("pulley_friction", "dry_friction")
+
+
+class PulleyFriction(Effect):
+    """``F - f_c sgn(v)`` of the falling-weight rig, on top of the model's own (boxfish, Eq 7)."""
+
+    name = "pulley-friction"
+    stage = "rig"
+    meaning = "dry friction of the pulley or bearing"
+    sources = ("boxfish paper, Eq 7 and section 4.1",)
+    needs = frozenset({"coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Rigs whose model does not estimate it; a falling weight only where its string runs on a pulley."""
+        if not isinstance(model, RigModel) or common.estimated(model, *OWN):
+            return []
+        return [self] if model.name != "falling-weight" or _pulley(trials) else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Friction beyond the model's, N (N m for an angle)."""
+        rotation = common.rotates(model)
+        return (
+            Parameter(
+                "friction_N_m" if rotation else "friction_N",
+                "N m" if rotation else "N",
+                -common.start(model, *OWN),
+                math.inf,
+                0.0,
+                0.03 * common.force(model, trials),
+                meaning="dry friction beyond the model's",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds to the dry friction."""
+        if model.name == "falling-weight" and not trial.settings.get("pulley", False):
+            return Hooks()
+
+        def change(c: dict[str, float]) -> None:
+            c["dry"] += values[0]
+
+        return Hooks(coefficients=(change,))
+
+
+def _pulley(trials: Sequence[Trial]) -> bool:
+    return any(t.settings.get("pulley", False) for t in trials)

@@ -1,0 +1,54 @@
+"""Viscous friction of the pulley."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.rig import RigModel
+
+OWN = ("linear_drag", "linear_damping")
+
+
+class PulleyViscous(Effect):
+    """Friction that grows with the pulley's speed, ``-b v``: a lubricated bearing."""
+
+    name = "pulley-viscous"
+    stage = "rig"
+    meaning = "friction of the pulley that grows with its speed"
+    sources = ("boxfish paper, section 3.3",)
+    needs = frozenset({"coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Rigs with a pulley whose model estimates no linear drag."""
+        if not isinstance(model, RigModel) or common.estimated(model, *OWN):
+            return []
+        return [self] if any(t.settings.get("pulley", False) for t in trials) else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Force per speed, N s/m."""
+        return (
+            Parameter(
+                "viscous_N_s_m",
+                "N s/m",
+                -common.start(model, *OWN),
+                math.inf,
+                0.0,
+                0.1 * common.force(model, trials) / common.speed(model, trials),
+                meaning="friction of the pulley per speed",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds to the linear drag of trials with a pulley."""
+        if not trial.settings.get("pulley", False):
+            return Hooks()
+
+        def change(c: dict[str, float]) -> None:
+            c["linear"] += values[0]
+
+        return Hooks(coefficients=(change,))

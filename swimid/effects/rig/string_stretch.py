@@ -1,0 +1,124 @@
+"""A string that yields between the body and the pulley whose turns are counted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+
+from swimid.effects import common
+from swimid.effects.base import SIZES, Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.rig import RigModel
+
+#: Gravity that turns a pulling force into the mass of the weight, m/s2.
+GRAVITY = 9.81
+
+
+@numba.njit(cache=True, nogil=True)
+def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
+    """Answer of ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from ``start``, at rest there.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Increasing.
+    pull : ndarray, shape (n,)
+        Linear between the times.
+    omega, damping : float
+        Natural frequency, rad/s, and damping ratio, below 1.
+    start : float
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Exact for a pull that is linear between the samples.
+    """
+    found = np.empty(len(time))
+    s, w = start, 0.0
+    found[0] = start
+    ring = omega * math.sqrt(1.0 - damping * damping)
+    for i in range(1, len(time)):
+        h = time[i] - time[i - 1]
+        if h > 0.0:
+            slope = (pull[i] - pull[i - 1]) / (h * omega * omega)
+            rest = pull[i - 1] / (omega * omega) - 2.0 * damping * slope / omega
+            a = s - rest
+            b = (w - slope + damping * omega * a) / ring
+            decay = math.exp(-damping * omega * h)
+            c, d = math.cos(ring * h), math.sin(ring * h)
+            s = decay * (a * c + b * d) + rest + slope * h
+            w = decay * ((b * ring - damping * omega * a) * c - (a * ring + damping * omega * b) * d) + slope
+        found[i] = s
+    return found
+
+
+class StringStretch(Effect):
+    """The weight swings on the string while the body is pulled.
+
+    With the body's acceleration ``a``, the stretch against that under the weight at rest obeys
+    ``s'' + 2 zeta omega s' + omega^2 s = -a``, ``omega^2 = 1 / (compliance m_w)``; in the long run
+    ``s = -compliance m_w a``. A string that did not carry the whole weight before the release starts
+    at ``s_0 = -unloaded compliance m_w g``. The pulley shows ``x + s - s_0``. What the swinging does to
+    the body is smaller by the weight over the body, and left out.
+    """
+
+    name = "string-stretch"
+    stage = "rig"
+    meaning = "stretch of the string between the body and the counted pulley"
+    sources = ("boxfish paper, section 3.3",)
+    needs = frozenset({"coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Falling weights on a pulley."""
+        pulley = any(t.settings.get("pulley", False) for t in trials)
+        fits = isinstance(model, RigModel) and model.name == "falling-weight"
+        return [self] if fits and pulley else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
+        scale = 0.01 * common.span(model, trials) / common.force(model, trials)
+        words = "share of the weight that the string did not carry at release"
+        return (
+            Parameter(
+                "compliance_m_N", "m/N", 0.0, 100 * scale, 0.0, scale, meaning="compliance of the string"
+            ),
+            Parameter("unloaded", "1", 0.0, 1.0, 1.0, 0.5, meaning=words),
+            Parameter("damping", "1", 0.02, 0.95, 0.2, 0.2, meaning="damping ratio of the weight on it"),
+        )
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Sizes of the compliance, of a string that was slack and one that was taut."""
+        compliance, _, damping = parameters
+        return [
+            np.array([size * compliance.scale, unloaded, damping.start])
+            for unloaded in (1.0, 0.0)
+            for size in SIZES
+        ]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds the stretch to the displacement the pulley shows."""
+        compliance, unloaded, damping = (float(v) for v in values)
+        weight = float(trial.settings.get("force", 0.0)) / GRAVITY
+        if compliance <= 0 or weight <= 0 or not trial.settings.get("pulley", False):
+            return Hooks()
+        assert isinstance(model, RigModel)
+        omega = 1.0 / math.sqrt(compliance * weight)
+        start = -unloaded * compliance * weight * GRAVITY
+        release = float(trial.settings.get("release_s", 0.0))
+        coordinate, rate = model.coordinate, model.speed
+
+        def shown(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+            after = time_s > release
+            time = np.concatenate(([release], time_s[after]))
+            speed = np.concatenate(([0.0], channels[rate][after]))
+            stretch = np.zeros(len(time_s))
+            if len(time) > 2:
+                pull = -np.gradient(speed, time)
+                stretch[after] = oscillation(time, pull, omega, damping, start)[1:] - start
+            return {**channels, coordinate: channels[coordinate] + stretch}
+
+        return Hooks(output=(shown,))

@@ -1,0 +1,62 @@
+"""A camera turned against the axes of the heading."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from swimid.effects.base import Effect
+from swimid.effects.sensing import _channels
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.model import MultilinkModel
+
+
+class CameraRotation(Effect):
+    """Positions turned about where the trial starts, the heading as it is."""
+
+    name = "camera-rotation"
+    stage = "sensing"
+    meaning = "The axes of the measured positions are turned against those of the measured heading."
+    sources = ("sea lion, section II (a camera on a wall of the tank)",)
+    needs = frozenset({"output"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """The effect itself where both positions are measured and the model does not estimate it."""
+        if not isinstance(model, MultilinkModel) or _channels.estimates(model, "camera_rotation"):
+            return []
+        both = len(_channels.measured(model.plane.pose[:2], trials)) == 2
+        return super().variants(model, trials) if both else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The angle, rad."""
+        return (
+            Parameter(
+                "angle_rad",
+                "rad",
+                -math.pi,
+                math.pi,
+                0.0,
+                0.03,
+                meaning="axes of the positions against those of the heading",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Turned positions."""
+        assert isinstance(model, MultilinkModel)
+        angle = float(values[0])
+        first, second, _ = model.plane.pose
+        origin = _channels.origin(model, trial)
+
+        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+            a, b = channels[first] - origin[first], channels[second] - origin[second]
+            # minus the unturned, so that no angle changes nothing at all
+            c, s = math.cos(angle) - 1.0, math.sin(angle)
+            return {
+                **channels,
+                first: channels[first] + c * a - s * b,
+                second: channels[second] + s * a + c * b,
+            }
+
+        return Hooks(output=(seen,))

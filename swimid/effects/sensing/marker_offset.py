@@ -1,0 +1,73 @@
+"""Markers that do not sit where they are thought to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from swimid.effects.base import Effect
+from swimid.effects.sensing import _channels
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.model import MultilinkModel
+
+#: Farthest a marker may be off, m.
+FARTHEST_M = 0.5
+
+
+class MarkerOffset(Effect):
+    """The tracked point lies beside the reference point, the tracked direction beside the heading.
+
+    ``x + R(yaw) (along, across)`` less its value at the first sample, ``yaw + misalignment``, and
+    the velocity of that point in the axes of that direction.
+    """
+
+    name = "marker-offset"
+    stage = "sensing"
+    meaning = "The markers sit off the robot's reference point, or are not aligned with its axis."
+    sources = ("sea lion, section II (markers on the front and rear ends give pose and heading)",)
+    needs = frozenset({"output"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """The effect itself where a pose or a velocity of the body is measured."""
+        if not isinstance(model, MultilinkModel) or not model.assembly.free_base:
+            return []
+        body = _channels.measured((*model.plane.pose, *model.plane.velocity[:2]), trials)
+        return super().variants(model, trials) if body else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
+        far = FARTHEST_M
+        return (
+            Parameter("along_m", "m", -far, far, 0.0, 0.01, meaning="tracked point ahead of the reference"),
+            Parameter("across_m", "m", -far, far, 0.0, 0.01, meaning="tracked point beside the reference"),
+            Parameter(
+                "heading_rad", "rad", -math.pi, math.pi, 0.0, 0.03, meaning="tracked against true heading"
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Pose and velocity of the tracked point."""
+        assert isinstance(model, MultilinkModel)
+        along, across, turn = (float(v) for v in values)
+        (first, second, heading), (ahead, beside, rate) = model.plane.pose, model.plane.velocity
+
+        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+            yaw, r = channels[heading], channels[rate]
+            c, s = np.cos(yaw), np.sin(yaw)
+            a, b = along * c - across * s, along * s + across * c
+            u, v = channels[ahead] - across * r, channels[beside] + along * r
+            # minus the unturned, so that no angle changes nothing at all
+            cosine, sine = math.cos(turn) - 1.0, math.sin(turn)
+            return {
+                **channels,
+                first: channels[first] + a - a[0],
+                second: channels[second] + b - b[0],
+                heading: yaw + turn,
+                ahead: u + cosine * u + sine * v,
+                beside: v + cosine * v - sine * u,
+            }
+
+        return Hooks(output=(seen,))

@@ -1,0 +1,67 @@
+"""A log whose clock is late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swimid.effects.base import Effect
+from swimid.effects.sensing import _channels
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.propulsion import SPEED, RecoilModel
+
+#: Largest offset that is looked for, s.
+LARGEST_S = 2.0
+
+
+class TimeOffset(Effect):
+    """The log shows what happened a constant time earlier; a timed run takes that much longer."""
+
+    name = "time-offset"
+    stage = "sensing"
+    meaning = "The clock of the measurement is late, or early, against that of the drive."
+    sources = (
+        "boxfish, section 3.4 (time read from a video to 0.1 s)",
+        "sea lion, section II (time zero is the frame of release)",
+    )
+    needs = frozenset({"clock"})
+    scatters = True
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """The effect itself where there is a clock that the model does not estimate."""
+        if isinstance(model, RecoilModel):
+            return [self]
+        return [] if _channels.estimates(model, "clock_offset") else super().variants(model, trials)
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The time by which the log is late, s."""
+        typical = 0.1 if isinstance(model, RecoilModel) else 0.03
+        return (
+            Parameter(
+                "offset_s",
+                "s",
+                -LARGEST_S,
+                LARGEST_S,
+                0.0,
+                typical,
+                meaning="time by which the log is late",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A late clock; longer times of cruising runs."""
+        offset = float(values[0])
+        if not isinstance(model, RecoilModel):
+            return Hooks(clock_s=offset)
+        distance = trial.inputs["distance_m"]
+
+        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+            speed = channels[SPEED]
+            with np.errstate(divide="ignore"):
+                # no watch reads less than a tenth of the run
+                longer = np.maximum(1.0 + offset * speed / distance, 0.1)
+            return {**channels, SPEED: speed / longer}
+
+        return Hooks(output=(seen,))

@@ -1,0 +1,1 @@
+"""Effects of the robot's own mechanics: fins, passive joints, masses."""

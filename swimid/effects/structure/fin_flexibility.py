@@ -1,0 +1,133 @@
+"""A fin that bends under its load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import cfunc
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
+from swimid.models.multilink.model import MultilinkModel
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """What bending adds to the fin's normal force; constants compliance, quadratic and lift gain.
+
+    The straight fin's normal force ``N = -(k |w| + l u) w`` turns its chord by
+    ``delta = -c N / sqrt(1 + (c N)^2)``; the bent fin's acts across its own chord, on the motion across it.
+    """
+    compliance, quadratic, lift = constants[0], constants[1], constants[2]
+    u, w = velocity[0], velocity[1]
+    straight = -(quadratic * abs(w) + lift * abs(u)) * w
+    bend = -compliance * straight
+    bend /= math.sqrt(1.0 + bend * bend)
+    c, s = math.cos(bend), math.sin(bend)
+    along, across = c * u + s * w, c * w - s * u
+    bent = -(quadratic * abs(across) + lift * abs(along)) * across
+    wrench[0] -= bent * s
+    wrench[1] += bent * c - straight
+
+
+class FinFlexibility(Effect):
+    """The caudal fin bends in proportion to the force across it (quasi-static, first bending mode).
+
+    A swimmer's fin turns its chord by compliance times load, which tilts the force forwards and unloads
+    it; a model of the average over a beat loses thrust by ``1 / (1 + kappa L)`` with the load
+    ``L = I f^2 theta`` over its typical size.
+
+    Parameters
+    ----------
+    load, inertia_kg_m2 : float
+        Typical ``I f^2 theta`` of the trials, and the inertia taken for a fin whose own is not known.
+    """
+
+    name = "fin-flexibility"
+    stage = "structure"
+    meaning = "caudal fin that bends under its load"
+    sources = ("dolphin paper, section 1", "Katz and Weihs 1978, J. Fluid Mech. 88:485")
+    needs = frozenset({"force", "stroke"})
+
+    def __init__(self, load: float = 1.0, inertia_kg_m2: float = 1.0) -> None:
+        self.load, self.inertia_kg_m2 = load, inertia_kg_m2
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Swimmers whose last link has drag or lift across it, and models of the stroke."""
+        if isinstance(model, MultilinkModel):
+            return [self] if sum(_fin(model, common.tables(model))[:2]) > 0 else []
+        return [FinFlexibility(*_typical(trials))] if "stroke" in model.offers else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Chord angle per force, rad/N; or loss per load, 1."""
+        if isinstance(model, MultilinkModel):
+            quadratic, lift, _ = _fin(model, common.tables(model))
+            across = _stroke_speed(model, trials)
+            load = (quadratic * across + lift * common.speed(model, trials)) * across
+            words = "angle by which the fin bends per force across it"
+            return (Parameter("compliance_rad_N", "rad/N", 0.0, 30.0 / load, 0.0, 0.1 / load, meaning=words),)
+        return (Parameter("loss", "1", 0.0, 20.0, 0.0, 0.2, meaning="loss of thrust at the typical load"),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """A force on the last link, or a factor on the thrust."""
+        if isinstance(model, MultilinkModel):
+            constants = np.array([values[0], 0.0, 0.0])
+            x, y = _fin(model, common.tables(model))[2]
+
+            def read(tables: dict[str, Any]) -> None:
+                constants[1:3] = _fin(model, tables)[:2]
+
+            last = len(model.assembly.links) - 1
+            return Hooks(tables=(read,), force=(Force(bent_fin, constants, last, x, y),))
+
+        def weaken(stroke: Stroke) -> Stroke:
+            inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
+            load = inertia * stroke.frequency_hz**2 * np.abs(stroke.amplitude_rad) / self.load
+            return Stroke(
+                stroke.frequency_hz,
+                stroke.amplitude_rad,
+                stroke.thrust / (1.0 + values[0] * load),
+                stroke.inertia_kg_m2,
+            )
+
+        return Hooks(stroke=(weaken,))
+
+
+def _fin(model: MultilinkModel, tables: dict[str, Any]) -> tuple[float, float, tuple[float, float]]:
+    """Gains of the last link's normal force on |w| w and on |u| w, and the point it acts at."""
+    last = len(model.assembly.links) - 1
+    drag = tables["drag"][tables["drag_link"] == last]
+    foil = tables["foil"][tables["foil_link"] == last]
+    quadratic = np.concatenate([drag[:, 3], 2.0 * foil[:, 2] * foil[:, 5]])
+    lift = np.concatenate([np.zeros(len(drag)), 2.0 * foil[:, 2] * foil[:, 3]])
+    weight = quadratic + lift
+    if weight.sum() <= 0:
+        return 0.0, 0.0, (0.0, 0.0)
+    place = weight @ np.concatenate([drag[:, :2], foil[:, :2]]) / weight.sum()
+    return float(quadratic.sum()), float(lift.sum()), (float(place[0]), float(place[1]))
+
+
+def _stroke_speed(model: MultilinkModel, trials: Sequence[Trial]) -> float:
+    """Typical speed of the fin across itself, m/s."""
+    length = model.assembly.links[-1].length_m
+    beats = [t.settings["beat"] for t in trials if t.settings.get("beat") is not None]
+    found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
+    return (float(np.median(found)) if found else 0.0) or common.speed(model, trials)
+
+
+def _typical(trials: Sequence[Trial]) -> tuple[float, float]:
+    """Median load and median inertia of the fins, 1 where that is not known."""
+    known = [t.settings["inertia_kg_m2"] for t in trials if t.settings.get("inertia_kg_m2") is not None]
+    middle = float(np.median(known)) if known else 1.0
+    loads = []
+    for trial in trials:
+        about = {**trial.settings, **trial.inputs}
+        own = trial.settings.get("inertia_kg_m2")
+        load = np.square(about.get("frequency_hz", 1.0)) * np.abs(about.get("amplitude_rad", 1.0))
+        loads += list(np.atleast_1d(load) * (middle if own is None else own))
+    return float(np.median(loads)) if loads else 1.0, middle

@@ -1,0 +1,63 @@
+"""Viscous friction in the passive joints that the model does not have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.engine import PASSIVE
+from swimid.models.multilink.model import MultilinkModel
+
+COLUMN = PASSIVE.index("damping")
+
+
+class JointDamping(Effect):
+    """``-d phi'`` at every passive joint, on top of the model's."""
+
+    name = "joint-damping"
+    stage = "structure"
+    meaning = "viscous friction of the passive joints beyond the model's"
+    sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
+    needs = frozenset({"tables"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Swimmers with a passive joint."""
+        return [self] if isinstance(model, MultilinkModel) and model.assembly.passive else []
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
+        assert isinstance(model, MultilinkModel)
+        found = common.tables(model)
+        own = found["passive"][:, COLUMN]
+        sizes = [
+            math.sqrt(max(common.joint_stiffness(found, k), 1e-6) * common.joint_inertia(model, found, k))
+            for k in range(len(own))
+        ]
+        return (
+            Parameter(
+                "damping_N_m_s_rad",
+                "N m s/rad",
+                -float(own.min()),
+                math.inf,
+                0.0,
+                0.1 * float(np.median(sizes)),
+                meaning="damping of each passive joint beyond the model's",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds to the damping."""
+
+        def damp(tables: dict[str, Any]) -> None:
+            passive = tables["passive"].copy()
+            passive[:, COLUMN] += values[0]
+            tables["passive"] = passive
+
+        return Hooks(tables=(damp,))

@@ -1,0 +1,85 @@
+"""A joint that does not move, or less than it should."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.engine import PASSIVE
+from swimid.models.multilink.model import MultilinkModel
+
+COLUMN = PASSIVE.index("stiffness")
+#: The most a joint may be locked, and how much stiffer than its own spring half a lock makes it.
+MOST, STIFFER = 0.97, 10.0
+#: Largest ``omega h`` of a locked joint, well inside the stability of the integration.
+STABLE = 1.0
+
+
+class JointLocked(Effect):
+    """One joint is held: a driven one moves by ``1 - lock`` of its way, a passive one is stiffened.
+
+    A passive joint gains the stiffness ``K lock / (1 - lock)``, K ten times its own, or less where the
+    integration step could not follow.
+
+    Parameters
+    ----------
+    column : str
+        The joint's column in a log, ``joint1_rad`` say.
+    """
+
+    name = "joint-locked"
+    stage = "structure"
+    meaning = "a joint that is held fast, wholly or in part"
+    sources = ("dolphin paper, section 4.2.1",)
+    needs = frozenset({"command", "tables"})
+
+    def __init__(self, column: str = "joint1_rad") -> None:
+        self.column = column
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """One for each passive joint, and each driven one that is told to move and not measured."""
+        if not isinstance(model, MultilinkModel):
+            return []
+        columns = [axis.column for axis in model.assembly.passive]
+        given = any(t.settings.get("commanded") for t in trials)
+        beaten = any(t.settings.get("joints") is None for t in trials)
+        for axis in model.assembly.driven:
+            law = axis.joint.driven
+            assert law is not None
+            if given or (beaten and (law.gain != 0.0 or law.bias_gain)):
+                columns.append(axis.column)
+        return [JointLocked(column) for column in sorted(columns)]
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """How far it is locked, 0 to nearly 1."""
+        name = f"locked_{self.column.removesuffix('_rad')}"
+        return (Parameter(name, "1", 0.0, MOST, 0.0, 0.3, meaning=f"share to which {self.column} is held"),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Holds the joint."""
+        assert isinstance(model, MultilinkModel)
+        lock = float(values[0])
+        driven = [axis.column for axis in model.assembly.driven]
+        if self.column in driven:
+            number = driven.index(self.column)
+
+            def hold(time_s: Array, angle: Array, joint: int) -> Array:
+                return angle[0] + (1.0 - lock) * (angle - angle[0]) if joint == number else angle
+
+            return Hooks(command=(hold,))
+        number = [axis.column for axis in model.assembly.passive].index(self.column)
+        step = model.max_step
+
+        def stiffen(tables: dict[str, Any]) -> None:
+            passive = tables["passive"].copy()
+            own = max(common.joint_stiffness(tables, number), 0.0)
+            limit = (STABLE / step) ** 2 * common.joint_inertia(model, tables, number) * (1.0 - MOST) / MOST
+            gain = min(STIFFER * own, limit) if own > 0 else limit
+            passive[number, COLUMN] += gain * lock / (1.0 - lock)
+            tables["passive"] = passive
+
+        return Hooks(tables=(stiffen,))

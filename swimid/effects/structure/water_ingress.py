@@ -1,0 +1,62 @@
+"""Water that has come into the hull and moves with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from swimid.effects import common
+from swimid.effects.base import Effect
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.propulsion import SurgeModel
+
+
+class WaterIngress(Effect):
+    """Mass added to the heaviest link at its centre of mass; its weight is taken as trimmed out."""
+
+    name = "water-ingress"
+    stage = "structure"
+    meaning = "water inside the hull that moves with it"
+    sources = ("sea lion paper, discussion",)
+    needs = frozenset({"tables", "coefficients"})
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """Models with an inertia: not those per mass, nor of a base that is held."""
+        held = isinstance(model, MultilinkModel) and not model.assembly.free_base
+        if held or isinstance(model, SurgeModel):
+            return []
+        return super().variants(model, trials)
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Mass, kg; moment of inertia, kg m2, for an angle."""
+        rotation = common.rotates(model)
+        return (
+            Parameter(
+                "inertia_kg_m2" if rotation else "mass_kg",
+                "kg m^2" if rotation else "kg",
+                0.0,
+                math.inf,
+                0.0,
+                0.05 * common.inertia(model, trials),
+                meaning="inertia of the water inside" if rotation else "mass of the water inside",
+            ),
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Adds to the inertia."""
+        if isinstance(model, MultilinkModel):
+            hull = common.hull(model)
+            at = common.centre(model, hull)
+
+            def carry(tables: dict[str, Any]) -> None:
+                common.weigh(tables, hull, at, values[0], values[0])
+
+            return Hooks(tables=(carry,))
+
+        def change(c: dict[str, float]) -> None:
+            c["mass" if "mass" in c else "inertia"] += values[0]
+
+        return Hooks(coefficients=(change,))

@@ -1,0 +1,219 @@
+"""Blind cases of the falling-weight rig and of free roll decays, made without swimid.
+
+Centimetres, grams, seconds and dynes; adaptive Dormand-Prince 8(5,3). The logs are an encoder's clicks with
+uncertain stamps, or a camera's frames.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.blind import decays, rig_effects
+from tests.blind.common import Catalogue, left_by_refit, stages_of, write_parameters
+from tests.blind.rig_effects import AREA, DENSITY, GRAVITY, MASS, PULLEY, TRAVEL, Rig
+
+CLICK = 0.785
+#: Scatter of the body at its release, cm.
+START_SD = 0.05
+#: Effects the nominal coefficients can imitate: seen only against a calibration of another day.
+CONFOUNDED = (
+    "pulley-friction",
+    "pulley-viscous",
+    "pulley-inertia",
+    "linear-drag",
+    "drag-reynolds",
+    "added-mass",
+    "camera-scale",
+)
+
+CATALOGUE: dict[str, Catalogue] = {"falling-weight": rig_effects.EFFECTS, "free-decay": decays.EFFECTS}
+OUTSIDE: dict[str, Catalogue] = {"falling-weight": rig_effects.OUTSIDE, "free-decay": decays.OUTSIDE}
+
+
+def nominal(t: np.ndarray, weight: float, drag: float, added: float, friction: float) -> np.ndarray:
+    """Displacement of the nominal rig in closed form, cm (quadratic drag, constant friction)."""
+    total = MASS + added + weight + PULLEY
+    force = max(weight * GRAVITY - friction, 1.0)
+    phase = np.sqrt(drag * force) / total * t
+    return total / drag * (np.logaddexp(phase, -phase) - np.log(2.0))
+
+
+def make_case(folder: Path, *, robot: str, effect: str | tuple[str, ...] | None, size: float, rng) -> dict:
+    """Write one blind case.
+
+    Parameters
+    ----------
+    folder : Path
+        Where trials.yaml, the logs and perhaps params_prior.yaml go.
+    robot : {"falling-weight", "free-decay"}
+    effect : str, tuple of str or None
+        Of ``CATALOGUE[robot]`` or ``OUTSIDE[robot]``.
+    size : float
+        0.3 is barely visible, 1 clearly, 3 dominant.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    dict
+        The label, to be kept away from the folder.
+    """
+    names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
+    if robot == "free-decay":
+        return decays.make_case(Path(folder), names, size, rng)
+    return _falling_weight(Path(folder), names, size, rng)
+
+
+def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.random.Generator) -> dict:
+    folder.mkdir(parents=True, exist_ok=True)
+    cd, added, friction = (v * rng.uniform(0.8, 1.25) for v in (0.705, 685.0, 3080.0))
+    drag = 0.5 * DENSITY * cd * AREA
+    weights = np.sort(rng.choice(np.arange(10.0, 46.0, 2.5), rng.integers(7, 11), replace=False))
+    weights[0] = min(weights[0], 12.5)
+    clicks = bool(rng.random() < 0.5) and "marker-dropout" not in names
+    known = {**rig_effects.EFFECTS, **rig_effects.OUTSIDE}
+    acts = [known[name][0](size, rng) for name in names]
+    order = rng.permutation(len(weights)) / max(len(weights) - 1, 1)
+    spread, clock = rng.uniform(0.02, 0.03), rng.uniform(0.003, 0.008)
+    seeds = rng.integers(0, 2**31, (len(weights), 3))
+    rate, noise = rng.uniform(20.0, 50.0), rng.uniform(0.10, 0.20)
+    jitter, pitch = 0.004, 0.02
+
+    def rig(k: int, *, effects: bool, scatter: bool) -> Rig:
+        own, chance = Rig(weights[k], drag, added, friction, clicks, np.random.default_rng(seeds[k, 0])), None
+        own.order = float(order[k])
+        if scatter:
+            chance = np.random.default_rng(seeds[k, 1])
+            own.friction *= chance.normal(1.0, spread)
+            own.late += chance.normal(0.0, clock)
+            start = chance.normal(0.0, START_SD)
+            own.seen.append(lambda _, x: x + start)
+        for act in acts if effects else ():
+            act(own)
+        return own
+
+    arrays: dict[str, np.ndarray] = {}
+    squares: dict[str, list[np.ndarray]] = {"raw": [], "scatter": [], "noise": []}
+    grids, changes = [], []
+    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    held = rng.choice(len(weights), rng.integers(1, 3), replace=False) if rng.random() < 0.4 else []
+    for k, weight in enumerate(weights):
+        t, x = rig(k, effects=True, scatter=True).fall()
+        chance = np.random.default_rng(seeds[k, 2])
+        stamps, read = _clicks(t, x, chance, jitter, pitch) if clicks else _camera(t, x, chance, rate, noise)
+        name = f"run{k + 1:02d}"
+        head = "# encoder_resolution_m: 0.00785\n" if clicks else ""
+        rows = "\n".join(f"{a:.6f},{b / 100:.5f}" for a, b in zip(stamps, read, strict=True))
+        (folder / f"{name}.csv").write_text(f"{head}t_s,x_m\n{rows}\n")
+        role = ", role: validate" if k in held else ""
+        lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:.4f}{role}}}")
+        fair, plain, moved = (
+            rig(k, effects=e, scatter=s).fall() for e, s in ((True, False), (False, False), (False, True))
+        )
+        grid = np.linspace(0.0, min(fair[0][-1], plain[0][-1], moved[0][-1]), 150)
+        on = [np.interp(grid, *series) for series in (fair, plain, moved)]
+        speed = np.gradient(on[1], grid)
+        squares["raw"].append((on[0] - on[1]) ** 2)
+        squares["scatter"].append((on[2] - on[1]) ** 2)
+        squares["noise"].append((jitter * speed) ** 2 + pitch**2 if clicks else np.full(150, noise**2))
+        grids.append(grid)
+        changes.append(on[0] - on[1])
+        arrays |= {f"{name}/t_s": grid, f"{name}/x_m": on[0] / 100, f"{name}/x_m_nominal": on[1] / 100}
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    known_to = np.full(3, 0.6)
+    prior = bool(rng.random() < (0.85 if set(names) & set(CONFOUNDED) else 0.35))
+    if prior:
+        known_to = _write_prior(folder, np.array([cd, added, friction]), "pulley-friction" in names, rng)
+    size_of = {key: float(np.sqrt(np.mean(value))) for key, value in squares.items()}
+    floor = float(np.hypot(size_of["scatter"], size_of["noise"]))
+    truth = np.array([cd, added, friction])
+    sds = [np.sqrt(value) for value in squares["noise"]]
+    left, noncentrality = _refitted(weights, grids, changes, truth, sds, (spread, clock, START_SD), known_to)
+    fair_gap = left / floor
+    return {
+        "robot": "falling-weight",
+        "effects": list(names),
+        "stages": stages_of(names, OUTSIDE["falling-weight"]),
+        "size": size,
+        "prior": prior,
+        "clicks": clicks,
+        "truth": {"drag_coefficient": cd, "added_mass": added / 1000, "pulley_friction": friction / 1e5},
+        "noise_sd": {"x_m": size_of["noise"] / 100},
+        "floor": {"x_m": floor / 100},
+        "range": {"x_m": TRAVEL / 100},
+        "gap_over_floor": {"x_m": size_of["raw"] / floor, "overall": size_of["raw"] / floor},
+        "gap_refit": {"x_m": fair_gap, "overall": fair_gap},
+        "noncentrality": noncentrality,
+        "arrays": arrays,
+    }
+
+
+def _clicks(
+    t: np.ndarray, x: np.ndarray, rng: np.random.Generator, jitter: float, pitch: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and counts of an encoder: late or early stamps, uneven clicks."""
+    highest = np.maximum.accumulate(x) + 1e-9 * np.arange(len(x))
+    counts = np.arange(CLICK, highest[-1], CLICK)
+    counts = counts[counts > highest[0]]
+    times = np.interp(counts, highest, t)
+    speed = np.maximum(np.gradient(counts, np.maximum.accumulate(times + 1e-6 * np.arange(len(times)))), 0.1)
+    late = rng.normal(0.0, jitter, len(times)) + rng.normal(0.0, pitch, len(times)) / speed
+    stamps = np.concatenate([[0.0], np.sort(np.maximum(times + late, 1e-4))])
+    stamps = np.round(np.maximum.accumulate(stamps) + 2e-6 * np.arange(len(stamps)), 6)
+    return stamps, np.concatenate([[0.0], counts])
+
+
+def _camera(
+    t: np.ndarray, x: np.ndarray, rng: np.random.Generator, rate: float, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of a camera with white and slightly coloured noise."""
+    frames = np.arange(0.0, t[-1], 1.0 / rate)
+    white, slow = rng.normal(0.0, 0.9 * noise, len(frames)), np.zeros(len(frames))
+    for k in range(1, len(frames)):
+        slow[k] = 0.8 * slow[k - 1] + rng.normal(0.0, 0.6 * 0.44 * noise)
+    return np.round(frames, 6), np.interp(frames, t, x) + white + slow
+
+
+def _write_prior(
+    folder: Path, truth: np.ndarray, friction_known: bool, rng: np.random.Generator
+) -> np.ndarray:
+    """A calibration of another day; its relative errors of drag coefficient, added mass and friction."""
+    error = rng.uniform(0.02, 0.05, 3)
+    if friction_known:
+        error[2] = 0.015
+    value = truth * (1.0 + error * rng.normal(size=3))
+    rows = {}
+    units = {"drag_coefficient": ("1", 1.0), "added_mass": ("kg", 1e-3), "pulley_friction": ("N", 1e-5)}
+    for k, (name, (unit, si)) in enumerate(units.items()):
+        fixed = friction_known and name == "pulley_friction"
+        rows[name] = (value[k] * si, error[k] * value[k] * si, unit, "fixed" if fixed else "estimated")
+    write_parameters(folder / "params_prior.yaml", model="falling-weight", robot="boxfish", parameters=rows)
+    return error
+
+
+def _refitted(
+    weights: np.ndarray,
+    grids: list[np.ndarray],
+    changes: list[np.ndarray],
+    truth: np.ndarray,
+    noise: list[np.ndarray],
+    scatter: tuple[float, float, float],
+    known: np.ndarray,
+) -> tuple[float, float]:
+    """`left_by_refit` with drag, added mass and friction free within ``known`` (relative); rms in cm.
+
+    ``scatter``: standard deviations of friction (relative), clock (s) and start (cm).
+    """
+    shared, own = [], []
+    for t, weight in zip(grids, weights, strict=True):
+
+        def fall(cd: float, added: float, friction: float, t=t, weight=weight) -> np.ndarray:
+            return nominal(t, weight, 0.5 * DENSITY * cd * AREA, added, friction)
+
+        base = fall(*truth)
+        slopes = [(fall(*(truth * (1 + 0.01 * one))) - base) / 0.01 for one in np.eye(3)]
+        shared.append(np.stack(slopes, axis=1) * known)
+        late = -np.gradient(base, t) * scatter[1]
+        own.append(np.stack([slopes[2] * scatter[0], late, np.full(len(t), scatter[2])], axis=1))
+    return left_by_refit(changes, shared, own, noise)

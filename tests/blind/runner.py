@@ -1,0 +1,299 @@
+"""Plans blind cases, makes them, and has the command line diagnose each in a folder of its own.
+
+The labels never lie where a command runs: a case is copied to a temporary folder, the commands run there
+with a clean environment, and only what they wrote comes back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+#: Modules of generators, each with CATALOGUE, OUTSIDE and make_case.
+GENERATORS = ("rigs", "cruises", "swimmers")
+#: Share of the cases; a family's robots divide its share evenly unless they have their own.
+SHARES = {"falling-weight": 0.21, "free-decay": 0.04, "cruise": 0.15, "tfish": 0.35, "dolphin": 0.25}
+KINDS = {"clean": 0.12, "single": 0.60, "pair": 0.13, "outside": 0.15}
+FITS = {
+    "falling-weight": "fit-drag",
+    "towed": "fit-drag",
+    "free-decay": "fit-drag",
+    "cruise": "fit-propulsion",
+    "free-swim": "fit-graybox",
+    "multibody": "fit-graybox",
+}
+KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
+#: Exit status of a command that has written a result and does not trust it.
+UNTRUSTED = 4
+PROGRAM = (sys.executable, "-m", "swimid")
+
+
+def generators() -> dict[str, Any]:
+    """Module that makes the cases of each robot, of the generators that are there."""
+    found = {}
+    for name in GENERATORS:
+        try:
+            module = import_module(f"tests.blind.{name}")
+        except ModuleNotFoundError as error:
+            if error.name != f"tests.blind.{name}":
+                raise
+            print(f"tests/blind/{name}.py is not there; its robots are left out", file=sys.stderr)
+            continue
+        found.update(dict.fromkeys(module.CATALOGUE, module))
+    return found
+
+
+def counts(total: int, shares: dict[str, float]) -> dict[str, int]:
+    """Whole numbers of the given shares that add up to the total (largest remainders)."""
+    whole = sum(shares.values())
+    exact = {name: total * share / whole for name, share in shares.items()}
+    number = {name: int(value) for name, value in exact.items()}
+    by_rest = sorted(exact, key=lambda name: number[name] - exact[name])
+    for name in by_rest[: total - sum(number.values())]:
+        number[name] += 1
+    return number
+
+
+def plan(
+    total: int, seed: int, *, robots: Sequence[str] = (), effects: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """The cases of a run: number, robot, kind, effects and size of each.
+
+    With ``effects`` only single cases of these are made.
+    """
+    modules = generators()
+    unknown = set(robots) - set(modules)
+    if unknown:
+        raise SystemExit(f"no generator for {', '.join(sorted(unknown))}; there are {', '.join(modules)}")
+    shares = {name: SHARES.get(name, 0.05) for name in modules if not robots or name in robots}
+    if effects:
+        shares = {r: s for r, s in shares.items() if set(effects) & set(modules[r].CATALOGUE[r])}
+        if not shares:
+            raise SystemExit(f"no robot has the effects {', '.join(effects)}")
+    rng = np.random.default_rng([seed, 0])
+    cases = []
+    for robot, number in counts(total, shares).items():
+        catalogue = [e for e in modules[robot].CATALOGUE[robot] if not effects or e in effects]
+        outside = list(modules[robot].OUTSIDE[robot])
+        singles = itertools.cycle(rng.permutation(catalogue).tolist())
+        others = itertools.cycle(rng.permutation(outside).tolist())
+        kinds = {"single": 1.0} if effects else KINDS
+        for kind, many in counts(number, kinds).items():
+            for _ in range(many):
+                if kind == "pair":
+                    chosen = rng.choice(catalogue, 2, replace=False).tolist()
+                else:
+                    chosen = {"clean": [], "single": [singles], "outside": [others]}[kind]
+                    chosen = [next(names) for names in chosen]
+                low = 0.7 if kind in ("outside", "pair") else 0.3
+                size = float(np.exp(rng.uniform(np.log(low), np.log(4.0)))) if chosen else 0.0
+                cases.append({"robot": robot, "kind": kind, "effects": chosen, "size": round(size, 4)})
+    order = rng.permutation(len(cases))
+    return [{"number": i, **cases[int(k)]} for i, k in enumerate(order)]
+
+
+def separated(label: dict[str, Any], place: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What of a label JSON can hold, and its arrays by the place where they were."""
+    arrays: dict[str, np.ndarray] = {}
+    rest: dict[str, Any] = {}
+    for key, value in label.items():
+        path = f"{place}{key}"
+        if isinstance(value, np.ndarray):
+            arrays[path] = value
+        elif isinstance(value, dict):
+            kept, inner = separated(value, f"{path}/")
+            arrays |= inner
+            rest |= {key: kept} if kept else {}
+        else:
+            value = value.item() if isinstance(value, np.generic) else value
+            if _plain(value):
+                rest[key] = value
+    return rest, arrays
+
+
+def _plain(value: Any) -> bool:
+    """Whether JSON can hold it: what else a generator's label has serves the generator itself."""
+    if isinstance(value, list | tuple):
+        return all(_plain(v) for v in value)
+    return value is None or isinstance(value, str | int | float | bool)
+
+
+def make(case: dict[str, Any], out: Path, seed: int) -> Path:
+    """Write a case's folder and, apart from it, its label."""
+    name = f"{case['number']:04d}"
+    folder, labels = out / "cases" / name, out / "labels"
+    shutil.rmtree(folder, ignore_errors=True)
+    labels.mkdir(parents=True, exist_ok=True)
+    effects = case["effects"]
+    label = generators()[case["robot"]].make_case(
+        folder,
+        robot=case["robot"],
+        effect=None if not effects else effects[0] if len(effects) == 1 else tuple(effects),
+        size=case["size"],
+        rng=np.random.default_rng([seed, 1, case["number"]]),
+    )
+    rest, arrays = separated({**label, **_left_by_refit(label)})
+    np.savez_compressed(labels / f"{name}.npz", **arrays)  # type: ignore[arg-type]
+    # what was asked for says what is true; the generator adds what it knows of it
+    (labels / f"{name}.json").write_text(json.dumps({**rest, **case}, indent=1) + "\n")
+    return folder
+
+
+def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
+    """What a refit of the nominal model leaves, of a generator that does not say so itself."""
+    if "noncentrality" in label or not np.isfinite(label["gap_over_floor"]["overall"]):
+        return {}
+    from tests.blind.swim_gap import refit_gap
+
+    found = refit_gap(label)
+    return {"noncentrality": found["noncentrality"], "gap_refit": found["refit_over_floor"]}
+
+
+def commands(folder: Path) -> list[list[str]]:
+    """What is run on a case: a fit where no parameter file is given, then the diagnosis."""
+    prior = folder / "params_prior.yaml"
+    steps = []
+    if not prior.exists():
+        lines = (folder / "trials.yaml").read_text().splitlines()
+        experiment = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("experiment:"))
+        steps.append([FITS[experiment], "trials.yaml", "-o", "params.yaml", "--no-progress"])
+        if experiment == "cruise":
+            steps[-1] += ["--drag", "drag.yaml"]
+    params = prior.name if prior.exists() else "params.yaml"
+    steps.append(["diagnose", "trials.yaml", "--params", params, "-o", "gap.yaml", "--no-progress"])
+    return steps
+
+
+def diagnose(
+    folder: Path, results: Path, *, program: Sequence[str] = PROGRAM, timeout_s: float = 900.0
+) -> dict[str, Any]:
+    """Run a case's commands in a copy of its folder; exit statuses, times and messages.
+
+    What the commands wrote comes into ``results``, with result.json.
+    """
+    record: dict[str, Any] = {"steps": [], "ended": False}
+    with tempfile.TemporaryDirectory(prefix="trials_") as temporary:
+        work = Path(temporary) / "run"
+        shutil.copytree(folder, work)
+        given = {path.name for path in work.iterdir()}
+        environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ}
+        environment |= {"HOME": temporary, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        for command in commands(work):
+            begun = time.perf_counter()
+            try:
+                done = subprocess.run(
+                    [*program, *command],
+                    cwd=work,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    timeout=timeout_s,
+                    check=False,
+                )
+                status, said = done.returncode, done.stderr
+            except subprocess.TimeoutExpired:
+                status, said = "timeout", ""
+            step = {"command": command, "status": status, "wall_s": round(time.perf_counter() - begun, 2)}
+            record["steps"].append({**step, "stderr": said[-3000:]})
+            wrote = (work / command[command.index("-o") + 1]).exists()
+            if status != 0 and not (status == UNTRUSTED and wrote):
+                break
+        else:
+            record["ended"] = True
+        shutil.rmtree(results, ignore_errors=True)
+        results.mkdir(parents=True)
+        for path in work.iterdir():
+            if path.name not in given and path.is_file():
+                shutil.copy2(path, results)
+    (results / "result.json").write_text(json.dumps(record, indent=1) + "\n")
+    return record
+
+
+def run(
+    cases: Sequence[dict[str, Any]],
+    out: Path,
+    seed: int,
+    *,
+    jobs: int = 2,
+    keep: bool = False,
+    program: Sequence[str] = PROGRAM,
+    timeout_s: float = 900.0,
+) -> None:
+    """Make and diagnose the cases that have no result yet."""
+    begun = time.perf_counter()
+
+    def one(case: dict[str, Any]) -> None:
+        name = f"{case['number']:04d}"
+        results = out / "results" / name
+        if (results / "result.json").exists():
+            return
+        folder = make(case, out, seed)
+        record = diagnose(folder, results, program=program, timeout_s=timeout_s)
+        if not keep:
+            shutil.rmtree(folder)
+        told = " + ".join(case["effects"]) or "clean"
+        last = record["steps"][-1]
+        took = sum(step["wall_s"] for step in record["steps"])
+        state = "" if record["ended"] else f"  {last['command'][0]} ended with {last['status']}"
+        clock = time.perf_counter() - begun
+        print(f"{clock:6.0f} s  {name} {case['robot']:15} {told:34} {took:6.1f} s{state}", flush=True)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(one, cases))
+
+
+def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
+    """The command line of ``python -m tests.blind``."""
+    parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
+    parser.add_argument("--cases", type=int, default=160, help="how many")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--robots", nargs="+", default=[], help="only these")
+    parser.add_argument("--effects", nargs="+", default=[], help="only single cases of these")
+    parser.add_argument("--only", nargs="+", type=int, default=[], help="only the cases of these numbers")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--timeout", type=float, default=900.0, help="per command, s")
+    parser.add_argument("--out", type=Path, required=True, help="folder; a run there is taken up again")
+    parser.add_argument("--keep", action="store_true", help="keep the case folders")
+    parser.add_argument("--score", action="store_true", help="score what is there, run nothing")
+    return parser.parse_args(argv)
+
+
+def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM) -> None:
+    """Plan, run and score."""
+    from tests.blind import score
+
+    chosen = arguments(argv)
+    out: Path = chosen.out.resolve()
+    if not chosen.score:
+        cases = plan(chosen.cases, chosen.seed, robots=chosen.robots, effects=chosen.effects)
+        out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"seed": chosen.seed, "cases": cases}, indent=1) + "\n"
+        kept = out / "plan.json"
+        if kept.exists() and kept.read_text() != text:
+            raise SystemExit(f"{out} holds a run of another plan")
+        kept.write_text(text)
+        picked = [c for c in cases if not chosen.only or c["number"] in chosen.only]
+        run(
+            picked,
+            out,
+            chosen.seed,
+            jobs=chosen.jobs,
+            keep=chosen.keep,
+            program=program,
+            timeout_s=chosen.timeout,
+        )
+    print(score.write(out))

@@ -1,0 +1,106 @@
+"""How visible a hidden cause is once the nominal coefficients have been fitted again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular, toeplitz
+
+from tests.blind.swim_case import Channels, Trial
+from tests.blind.swim_sensing import UP
+from tests.blind.swimmers import Noise, swim
+
+#: Step of the differences in the logarithm of a coefficient, and its prior's standard deviation.
+STEP, PRIOR = 0.03, 0.6
+#: Standard deviations of the scatter between trials: amplitude, thrust, trim (rad), clock (s).
+SCATTER = {"amplitude": 0.01, "thrust": 0.01, "trim": np.radians(0.35), "late": 0.005}
+COARSE_S = 0.004
+
+
+def _whitener(noise: Noise, name: str, n: int) -> np.ndarray:
+    column = noise.coloured[name] ** 2 * noise.pole ** np.arange(n)
+    column[0] += noise.white[name] ** 2
+    return cholesky(toeplitz(column), lower=True)
+
+
+def _started(trial: Trial, base: Channels) -> list[Channels]:
+    """What a shift or turn of the start pose does to the channels."""
+    up, angle, _ = UP[trial.robot]
+    off = base["x_m"] - base["x_m"][0] + 1j * (base[up] - base[up][0])
+    one = np.ones(len(off))
+    return [{"x_m": one}, {up: one}, {"x_m": -off.imag, up: off.real, angle: one}]
+
+
+class Refit:
+    """What a refit of the nominal model and the scatter between trials can imitate, to first order.
+
+    Parameters
+    ----------
+    label : dict
+        Of `swimmers.make_case`.
+    """
+
+    def __init__(self, label: dict[str, Any]) -> None:
+        self.trials, self.noise, self.names = label["trials"], label["noise"], label["channels"]
+        keys = list(label["coefficients"])
+        self.width = len(keys) + 7 * len(self.trials)
+        self.blocks: dict[tuple[str, str], np.ndarray] = {}
+        self.roots: dict[tuple[str, int], np.ndarray] = {}
+        self.penalty = np.ones(self.width)
+        for place, trial in enumerate(self.trials):
+            at = len(keys) + 7 * place
+            self.penalty[at + 4 : at + 7] = 1e-4
+            for column, change in self._changes(trial, label["coefficients"], at).items():
+                for name in self.names:
+                    n = len(label["with"][trial.id]["t_s"])
+                    block = self.blocks.setdefault((trial.id, name), np.zeros((n, self.width)))
+                    block[:, column] = change.get(name, 0.0)
+                    if (name, n) not in self.roots:
+                        self.roots[name, n] = _whitener(self.noise, name, n)
+        whitened = [self._whiten(key[1], block) for key, block in self.blocks.items()]
+        self.system = np.vstack([*whitened, np.diag(self.penalty)])
+
+    def _changes(self, trial: Trial, coefficients: dict[str, float], at: int) -> dict[int, Channels]:
+        base = swim(trial, coefficients, step_s=COARSE_S)
+        found: dict[int, Channels] = {}
+        for k, (key, value) in enumerate(coefficients.items()):
+            moved = swim(trial, {**coefficients, key: value * np.exp(STEP)}, step_s=COARSE_S)
+            found[k] = {n: (moved[n] - base[n]) * PRIOR / STEP for n in self.names}
+        for k, (key, spread) in enumerate(SCATTER.items()):
+            other = replace(trial, **{key: getattr(trial, key) + spread})
+            moved = swim(other, coefficients, step_s=COARSE_S)
+            found[at + k] = {n: moved[n] - base[n] for n in self.names}
+        for k, change in enumerate(_started(trial, base)):
+            found[at + 4 + k] = change
+        return found
+
+    def _whiten(self, name: str, values: np.ndarray) -> np.ndarray:
+        return solve_triangular(self.roots[name, len(values)], values, lower=True)
+
+    def left(self, with_it: dict[str, Channels], without: dict[str, Channels]) -> dict[str, Any]:
+        """Linearised gap after the refit.
+
+        Returns
+        -------
+        dict
+            ``noncentrality``, the squared whitened length of what is left: that of a chi-square test; ``raw``,
+            the same before the refit; ``refit_over_floor`` per channel, rms of what is left over the noise.
+        """
+        change = {key: with_it[key[0]][key[1]] - without[key[0]][key[1]] for key in self.blocks}
+        white = [self._whiten(key[1], values) for key, values in change.items()]
+        whole = np.concatenate([*white, np.zeros(self.width)])
+        answer, *_ = np.linalg.lstsq(self.system, whole, rcond=None)
+        rest = whole - self.system @ answer
+        over = {}
+        for name in self.names:
+            off = [change[k] - self.blocks[k] @ answer for k in self.blocks if k[1] == name]
+            over[name] = float(np.sqrt(np.mean(np.concatenate(off) ** 2)) / self.noise.sd(name))
+        total = {"noncentrality": float(rest @ rest), "raw": float(whole @ whole)}
+        return {**total, "refit_over_floor": over}
+
+
+def refit_gap(label: dict[str, Any]) -> dict[str, Any]:
+    """`Refit.left` of a case's own causes."""
+    return Refit(label).left(label["with"], label["without"])

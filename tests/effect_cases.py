@@ -1,0 +1,115 @@
+"""Models and trials on which effects are tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from swimid.effects.affected import Affected
+from swimid.effects.base import Effect
+from swimid.formats import robot as robots
+from swimid.formats.robot import Robot
+from swimid.models import rig
+from swimid.models.base import Model, Trial
+from swimid.models.multilink.drive import Beat
+from swimid.models.multilink.model import MultilinkModel
+
+INERTIA, FORCE = 1.25, 0.2
+TIME = np.linspace(0.0, 4.0, 161)
+
+
+def weight_trial(**settings: Any) -> Trial:
+    """A falling weight, measured as a steady run."""
+    known = {"inertia": INERTIA, "area_factor": 0.0, "force": FORCE, "pulley": True, "release_s": 0.0}
+    return Trial("w", "fit", TIME, {"x_m": 0.2 * TIME}, settings={**known, **settings})
+
+
+def weight_model(**values: float) -> rig.RigModel:
+    """A falling weight without drag, added mass or friction but for what is given."""
+    model = rig.falling_weight(mass_kg=INERTIA, force_N=FORCE, area_known=False, pulley=True)
+    start = {"quadratic_drag": 0.0, "added_mass": 0.0, "pulley_friction": 0.0, **values}
+    model.parameters = tuple(
+        replace(p, start=start.get(p.name, p.start), free=p.free and p.name != "pulley_friction")
+        for p in model.parameters
+    )
+    return model
+
+
+def swimmer(name: str, **coefficients: float) -> MultilinkModel:
+    """A built-in swimmer, some of its coefficients changed."""
+    return changed(robots.read(name), lambda robot: None, **coefficients)
+
+
+def changed(robot: Robot, change: Callable[[Any], None], **coefficients: float) -> MultilinkModel:
+    """A swimmer whose robot file was changed in place by a function."""
+    robot = robot.model_copy(deep=True)
+    change(robot.multilink)
+    model = MultilinkModel(robot)
+    model.parameters = tuple(
+        replace(p, start=coefficients.get(p.name, _value(robot, p.name, p.start))) for p in model.parameters
+    )
+    return model
+
+
+def _value(robot: Robot, name: str, otherwise: float) -> float:
+    assert robot.multilink is not None
+    coefficient = robot.multilink.coefficients.get(name)
+    return otherwise if coefficient is None else coefficient.value
+
+
+def swim(
+    model: MultilinkModel,
+    *,
+    frequency_hz: float = 1.2,
+    amplitude_rad: float = 0.4,
+    pose: tuple[float, float, float] = (0.3, -0.2, 0.7),
+    duration_s: float = 3.0,
+) -> Trial:
+    """A beat from rest, measured as the model has it."""
+    time = np.arange(0.0, duration_s, 0.025)
+    beat = Beat("sine", frequency_hz, amplitude_rad)
+    name = f"{frequency_hz} {amplitude_rad} {pose} {duration_s}"
+    trial = Trial(name, "fit", time, {}, settings={"beat": beat, "pose": pose})
+    return replace(trial, measured=model.simulate(start(model), trial))
+
+
+def start(model: Model, **values: float) -> np.ndarray:
+    """Start values, some replaced."""
+    return np.array([values.get(p.name, p.start) for p in model.parameters])
+
+
+def acted(model: Model, trial: Trial, effects: Sequence[tuple[Effect, Any]], **values: float) -> dict:
+    """What a model shows under effects with these parameter values."""
+    affected = Affected(model, [effect for effect, _ in effects], [trial])
+    own = np.concatenate([np.atleast_1d(np.asarray(v, dtype=float)) for _, v in effects])
+    return affected.simulate(np.concatenate([start(model, **values), own]), trial)
+
+
+def check_null(model: Model, trial: Trial, effect: Effect) -> None:
+    """Hold every variant to what the interface asks: exact null, bounds, a change at each try."""
+    values = start(model)
+    plain = model.simulate(values, trial)
+    variants = effect.variants(model, [trial])
+    assert variants, f"{effect.name} does not apply"
+    for variant in variants:
+        own = variant.parameters(model, [trial])
+        null = np.array([p.start for p in own])
+        low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
+        assert np.all((low <= null) & (null <= high))
+        assert all(p.scale > 0 and np.isfinite(p.scale) for p in own)
+        affected = Affected(model, [variant], [trial])
+        seen = affected.simulate(np.concatenate([values, null]), trial)
+        hooked = model.hooked(values, trial, variant.hooks(null, trial, model))
+        for name in plain:
+            assert np.array_equal(plain[name], seen[name])
+            np.testing.assert_allclose(hooked[name], plain[name], rtol=1e-9, atol=1e-9)
+        tries = variant.tries(own)
+        assert tries
+        for point in tries:
+            assert np.all((low <= point) & (point <= high))
+        moved = affected.simulate(np.concatenate([values, tries[-1]]), trial)
+        assert all(np.isfinite(moved[name]).all() for name in moved)
+        assert any(np.abs(moved[name] - plain[name]).max() > 1e-7 for name in trial.measured)

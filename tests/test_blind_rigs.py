@@ -1,0 +1,272 @@
+"""The blind cases of rigs and cruises: their own physics against closed forms, and the runner and scorer."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.blind import cruises, decays, rig_effects, rigs, runner, score
+from tests.blind.common import STAGE_OF, left_by_refit
+
+BLIND = Path(rigs.__file__).parent
+
+
+def _rig(**changes) -> rig_effects.Rig:
+    known = {"weight": 25.0, "drag": 24.5, "added": 685.0, "friction": 3080.0, "clicks": False}
+    return rig_effects.Rig(**(known | changes), rng=np.random.default_rng(0))
+
+
+def _session(**changes) -> cruises.Session:
+    fin = np.array(["2925Rect", "2925Rect", "3825Rect"])
+    known = {
+        "fin": fin,
+        "frequency": np.array([1.5, 3.0, 4.0]),
+        "command": np.radians([16.0, 12.0, 16.0]),
+        "inertia": np.array([cruises.plate_inertia(*cruises.FINS[f]) for f in fin]),
+        "distance": 115.0,
+        "drag": 0.5 * 0.997 * 0.705 * 69.8,
+        "added": 685.0,
+        "efficiency": 0.341,
+        "offset": np.radians(5.42),
+    }
+    return cruises.Session(**(known | changes), rng=np.random.default_rng(0))
+
+
+def test_the_generators_do_not_know_the_package() -> None:
+    for path in BLIND.glob("*.py"):
+        assert not re.search(r"^\s*(from|import) swimid", path.read_text(), re.MULTILINE), path.name
+
+
+@pytest.mark.parametrize("weight", [10.0, 40.0])
+def test_a_rig_without_effects_falls_as_the_closed_form(weight: float) -> None:
+    t, x = _rig(weight=weight).fall()
+    assert x == pytest.approx(rigs.nominal(t, weight, 24.5, 685.0, 3080.0), abs=1e-2)
+    assert x[-1] == pytest.approx(rigs.TRAVEL, abs=0.05)
+
+
+def test_without_drag_and_friction_a_rig_falls_as_galilei_says() -> None:
+    t, x = _rig(drag=0.0, friction=0.0).fall()
+    total = rigs.MASS + 685.0 + 25.0 + rigs.PULLEY
+    assert x == pytest.approx(0.5 * 25.0 * rigs.GRAVITY / total * t**2, rel=1e-5, abs=1e-5)
+
+
+def test_moving_water_carries_the_terminal_speed_along() -> None:
+    still, moved = _rig(weight=40.0), _rig(weight=40.0)
+    moved.flow.append(lambda _, __: (-2.0, 0.0))
+    speeds = []
+    for rig in (still, moved):
+        t, x = rig.fall()
+        speeds.append(np.gradient(x, t)[-10:].mean())
+    assert speeds[1] - speeds[0] == pytest.approx(-2.0, abs=0.3)
+
+
+def test_a_stiff_string_is_a_rod_and_a_soft_one_stretches_by_its_tension() -> None:
+    rod, stiff, soft = _rig(), _rig(string=4e6), _rig(string=2e4)
+    (t, x), (ts, xs), (_, xw) = (rig.fall() for rig in (rod, stiff, soft))
+    assert np.interp(t[:-20], ts, xs) == pytest.approx(x[:-20], abs=0.1)
+    # at terminal speed the string holds what the weight pulls with
+    assert xw[-1] - rigs.TRAVEL == pytest.approx((25.0 * rigs.GRAVITY - 3080.0) / 2e4, abs=0.15)
+
+
+def test_an_undamped_roll_swings_at_its_natural_frequency() -> None:
+    swing = decays.Decay(0.002, 0.12, 0.0, 0.0, 0.2, np.random.default_rng(0))
+    t, roll = swing.swing()
+    assert roll == pytest.approx(0.2 * np.cos(np.sqrt(0.12 / 0.002) * t), abs=1e-5)
+
+
+def test_a_linear_damping_decays_exponentially() -> None:
+    t, roll = decays.Decay(0.002, 0.12, 0.0, 0.0008, 0.2, np.random.default_rng(0)).swing()
+    envelope = 0.2 * np.exp(-0.0008 / 0.004 * t)
+    peaks = (roll[1:-1] > roll[:-2]) & (roll[1:-1] > roll[2:])
+    assert roll[1:-1][peaks] == pytest.approx(envelope[1:-1][peaks], rel=2e-3)
+
+
+def test_a_cruise_reaches_the_published_speed() -> None:
+    # 3825Rect at 4 Hz: 14.06 cm/s published at 31 % efficiency, of which R_v = 0.688 on the average
+    mean = 115.0 / _session(efficiency=0.31).times()[2]
+    assert mean == pytest.approx(0.688 * 14.06, rel=0.02)
+
+
+def test_cruise_speed_goes_as_the_cube_root_of_power() -> None:
+    whole, half = _session().times(), _session(efficiency=0.341 / 8).times()
+    assert half == pytest.approx(2 * whole, rel=1e-3)
+
+
+@pytest.mark.parametrize("robot", ["falling-weight", "free-decay", "cruise"])
+def test_every_effect_has_a_pinned_name(robot: str) -> None:
+    module = cruises if robot == "cruise" else rigs
+    assert set(module.CATALOGUE[robot]) <= set(STAGE_OF)
+    assert not set(module.OUTSIDE[robot]) & set(STAGE_OF)
+
+
+@pytest.mark.parametrize(("robot", "name"), [("falling-weight", "wall"), ("free-decay", "waves")])
+def test_a_dominant_effect_shows_in_its_label(robot: str, name: str, tmp_path) -> None:
+    label = rigs.make_case(tmp_path, robot=robot, effect=name, size=3.0, rng=np.random.default_rng(4))
+    assert label["stages"] == [STAGE_OF[name]]
+    assert label["gap_over_floor"]["overall"] > 3.0
+    assert label["noncentrality"] > 150.0
+
+
+@pytest.mark.parametrize("name", ["servo-lag", "current"])
+def test_a_larger_effect_shows_more(name: str, tmp_path) -> None:
+    small, large = (
+        cruises.make_case(
+            tmp_path / str(size), robot="cruise", effect=name, size=size, rng=np.random.default_rng(4)
+        )
+        for size in (0.3, 3.0)
+    )
+    for figure in ("gap_over_floor", "gap_refit"):
+        assert large[figure]["overall"] > 2 * small[figure]["overall"] > 0
+
+
+def test_a_clean_case_has_no_gap_and_tells_nothing_in_its_folder(tmp_path) -> None:
+    label = rigs.make_case(
+        tmp_path, robot="falling-weight", effect=None, size=0.0, rng=np.random.default_rng(1)
+    )
+    assert label["gap_over_floor"]["overall"] == 0.0
+    assert label["noncentrality"] == 0.0
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files <= {"trials.yaml", "params_prior.yaml"} | {f"run{k:02d}.csv" for k in range(1, 12)}
+
+
+def test_a_refit_takes_all_that_lies_in_its_columns_and_nothing_else() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    column, sd = np.stack([1e3 * t], axis=1), [np.full(50, 0.1)]
+    none = [np.zeros((50, 1))]
+    rms, noncentrality = left_by_refit([3.0 * t], [column], none, sd)
+    assert rms < 1e-5
+    assert noncentrality < 1e-4
+    # a wave over whole periods about its mean is left by a constant
+    wave = np.sin(2 * np.pi * np.arange(50) / 25)
+    rms, noncentrality = left_by_refit([wave], [np.full((50, 1), 1e3)], none, sd)
+    assert rms == pytest.approx(np.sqrt(0.5))
+    assert noncentrality == pytest.approx(25.0 / 0.1**2)
+
+
+# ------------------------------------------------------------ runner and scorer
+
+FAKE = """
+import os, sys
+from pathlib import Path
+verb, output = sys.argv[1], Path(sys.argv[sys.argv.index("-o") + 1])
+assert not any("labels" in part for part in Path.cwd().parts), "labels are near"
+if verb == "diagnose":
+    assert Path(sys.argv[sys.argv.index("--params") + 1]).exists()
+    output.write_text('''
+verdict: explained
+where: {channels: [{channel: x_m, nrmse: 0.1, floor: 0.02, share: 1.0, rmse: 0.115}]}
+causes:
+- {effect: wall, probability: 0.97, equivalent: [tether], parameters: {}, shrinkage: [
+    {channel: x_m, before: 0.1, after: 0.03, floor: 0.02, closed: 0.875, ci95: [0.8, 0.9]}]}
+''')
+else:
+    output.write_text("parameters")
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("blind")
+    program = folder / "fake.py"
+    program.write_text(FAKE)
+    out = folder / "out"
+    cases = [
+        {"number": 0, "robot": "cruise", "kind": "clean", "effects": [], "size": 0.0},
+        {"number": 1, "robot": "cruise", "kind": "single", "effects": ["tether"], "size": 1.0},
+        {"number": 2, "robot": "cruise", "kind": "single", "effects": ["servo-lag"], "size": 1.0},
+        {"number": 3, "robot": "cruise", "kind": "pair", "effects": ["tether", "current"], "size": 1.0},
+        {"number": 4, "robot": "cruise", "kind": "outside", "effects": ["loose-fin"], "size": 1.0},
+    ]
+    runner.run(cases, out, 1, program=(sys.executable, str(program)))
+    return out
+
+
+def test_a_case_runs_apart_from_its_label(finished: Path) -> None:
+    record = json.loads((finished / "results" / "0001" / "result.json").read_text())
+    assert [step["status"] for step in record["steps"]] == [0] * len(record["steps"])
+    assert record["steps"][-1]["command"][:2] == ["diagnose", "trials.yaml"]
+    assert not list((finished / "cases").iterdir())
+    label = json.loads((finished / "labels" / "0001.json").read_text())
+    assert label["effects"] == ["tether"]
+    assert "arrays" not in label
+    assert "arrays/runs/mean_speed_m_s" in np.load(finished / "labels" / "0001.npz")
+
+
+def test_a_finished_case_is_not_run_again(finished: Path) -> None:
+    case = {"number": 1, "robot": "cruise", "kind": "single", "effects": ["tether"], "size": 1.0}
+    runner.run([case], finished, 1, program=("/nowhere",))
+
+
+def test_right_and_wrong_are_told_apart(finished: Path) -> None:
+    rows = {row["number"]: row for row in score.read(finished)}
+    assert [rows[k]["first"] for k in range(5)] == [False] * 5
+    assert [rows[k]["within"] for k in range(5)] == [False, True, False, True, False]
+    assert rows[3]["found"] == 1
+    assert rows[1]["tool_ratio"] == pytest.approx(5.0)
+    found = score.summary(list(rows.values()))
+    assert found["false_alarms"] == 1.0
+    assert found["in_set"] == 0.5
+    assert found["first"] == 0.0
+    assert found["wrong_explained"] == 0.5
+    assert found["outside_sure"] == 1.0
+    assert found["outside_abstained"] == 0.0
+    text = score.write(finished)
+    assert "| servo-lag | 1 |" in text
+    assert (finished / "score.json").exists()
+
+
+def test_a_set_of_more_than_three_names_nothing() -> None:
+    gap = {
+        "verdict": "ambiguous",
+        "where": {"channels": []},
+        "causes": [{"effect": "wall", "probability": 0.5, "equivalent": ["tether", "waves", "current"]}],
+    }
+    label = {"number": 0, "robot": "x", "kind": "single", "effects": ["tether"], "size": 1.0}
+    record = {"steps": [{"status": 0, "wall_s": 1.0}], "ended": True}
+    assert not score.scored(label, gap, record)["within"]
+    gap["causes"][0]["equivalent"].pop()
+    assert score.scored(label, gap, record)["within"]
+
+
+def test_closed_is_recomputed_with_the_labels_floor() -> None:
+    gap = {
+        "verdict": "explained",
+        "where": {"channels": [{"channel": "x_m", "nrmse": 0.10, "rmse": 0.2, "floor": 0.01}]},
+        "causes": [
+            {
+                "effect": "wall",
+                "probability": 1.0,
+                "shrinkage": [
+                    {"channel": "x_m", "before": 0.1, "after": 0.05, "floor": 0.01, "closed": 0.556}
+                ],
+            }
+        ],
+    }
+    label = {
+        "number": 0,
+        "robot": "x",
+        "kind": "single",
+        "effects": ["wall"],
+        "size": 1.0,
+        "floor": {"x_m": 0.04},
+    }
+    row = score.scored(label, gap, {"steps": [{"status": 0, "wall_s": 1.0}], "ended": True})
+    assert row["closed"] == pytest.approx((0.1 - 0.05) / (0.1 - 0.04 / 2.0))
+
+
+def test_shares_add_up() -> None:
+    number = runner.counts(160, runner.SHARES)
+    assert sum(number.values()) == 160
+    assert all(abs(number[k] - 160 * v) < 1 for k, v in runner.SHARES.items())
+
+
+def test_a_plan_is_the_same_for_the_same_seed_and_cycles_through_all_effects() -> None:
+    cases = runner.plan(60, 5, robots=["falling-weight"])
+    assert cases == runner.plan(60, 5, robots=["falling-weight"])
+    assert cases != runner.plan(60, 6, robots=["falling-weight"])
+    singles = {c["effects"][0] for c in cases if c["kind"] == "single"}
+    assert singles == set(rigs.CATALOGUE["falling-weight"])
+    assert {len(c["effects"]) for c in cases if c["kind"] == "pair"} == {2}

@@ -1,0 +1,310 @@
+"""What a diagnosis says: on the terminal, in the report, on the command line and in the manual."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swimid.diagnosis.result import Absorbed, Number
+from swimid.effects import catalogue
+from swimid.effects.affected import Affected
+from swimid.errors import InputError
+from swimid.formats import evidence as ev
+from swimid.models.base import Model, Trial
+from swimid.models.hooks import Hooks
+from swimid.reporting import figures, heat
+from swimid.verbs import diagnose_evidence, diagnose_figures, diagnose_summary
+from swimid.verbs.outcome import Outcome
+from swimid.verbs.report import report
+from tests import gap_cases as cases
+from tests.conftest import ROOT, Ran
+
+Run = Callable[..., Ran]
+LEVELS = {
+    "none": "good",
+    "explained": "good",
+    "pair": "good",
+    "ambiguous": "caution",
+    "unexplained": "bad",
+    "partly": "caution",
+}
+
+
+def said(name: str) -> str:
+    return diagnose_summary.summary(cases.gap_file(cases.ALL[name]))
+
+
+def flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+# ---------------------------------------------------------------- the terminal
+
+
+@pytest.mark.parametrize("name", sorted(cases.ALL))
+def test_the_summary_fits_one_screen(name: str) -> None:
+    lines = said(name).split("\n")
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 100
+
+
+def test_a_long_answer_is_cut_and_its_advice_kept() -> None:
+    long = replace(
+        cases.CURRENT,
+        meaning="The water moves " + "very slowly " * 30,
+        parameters={f"p{k}": Number(1.0 + k, 0.1, "N") for k in range(12)},
+        equivalent=tuple(f"some-other-effect-{k}" for k in range(9)),
+    )
+    gap = replace(cases.AMBIGUOUS, causes=(long, long, long))
+    text = diagnose_summary.summary(cases.gap_file(gap))
+    lines = text.split("\n")
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 100
+    assert "the rest is in the gap file" in text
+    assert "next     Swim at 1.0 Hz" in lines[-1]
+
+
+def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
+    text = flat(said("explained"))
+    assert "servo-backlash explains it on trials that took no part in the fit" in text
+    assert "u_m_s 14.2 % of its range, noise alone 2.1 % (71 % of the gap)" in text
+    assert "servo-backlash (actuation, probability 94 %)" in text
+    assert "backlash_rad 0.0351 ± 0.0021 rad (2.01°)" in text
+    assert "closed u_m_s 89 % (95 %: 81 … 94 %)" in text
+    assert "absorbed c_d0 0.920 ± 0.020 without, 0.710 ± 0.030 with the effect" in text
+    assert "c_ma" not in text
+    assert "next Swim at 1.0 Hz" in text
+
+
+def test_the_summary_does_not_choose_where_the_data_cannot() -> None:
+    text = flat(said("ambiguous"))
+    assert "these trials cannot tell current from tether or linear-drag" in text
+    assert "explains" not in text
+    assert "at its bound" in text
+
+
+def test_the_other_verdicts_in_words() -> None:
+    assert "No gap above the noise floor" in said("none")
+    assert "cause" not in said("none")
+    assert "servo-backlash and current together explain it" in flat(said("pair"))
+    assert "no effect in the catalogue closes it" in said("unexplained")
+    assert "servo-backlash closes part of it, no known effect the rest" in said("partly")
+
+
+def test_an_explanation_names_its_rivals() -> None:
+    rivalled = replace(cases.BACKLASH, equivalent=("amplitude-loss",))
+    text = flat(diagnose_summary.summary(cases.gap_file(replace(cases.EXPLAINED, causes=(rivalled,)))))
+    assert "servo-backlash (or amplitude-loss, which these trials cannot tell from it) explains it" in text
+    assert "not to be told from it: amplitude-loss; one of these: probability 94 %" in text
+
+
+@pytest.mark.parametrize(
+    "without, error, with_effect, found",
+    [(1.3, 0.1, 1.0, True), (1.15, 0.1, 1.0, False), (1.05, 0.01, 1.0, False), (0.7, 0.1, 1.0, True)],
+)
+def test_a_coefficient_moved_by_two_errors_and_a_tenth(
+    without: float, error: float, with_effect: float, found: bool
+) -> None:
+    a = Absorbed("c", "1", None, Number(without, error, "1"), Number(with_effect, error, "1"))
+    file = cases.gap_file(replace(cases.EXPLAINED, causes=(replace(cases.BACKLASH, absorbed=(a,)),)))
+    assert bool(diagnose_summary.moved(file.causes)) is found
+
+
+# ---------------------------------------------------------------- the report
+
+
+@pytest.mark.parametrize("name", sorted(cases.ALL))
+def test_every_verdict_is_rendered(tmp_path: Path, name: str) -> None:
+    path = cases.written(tmp_path, name)
+    for ending in ("md", "html") if name not in ("pair", "partly") else ("md",):
+        page = tmp_path / f"r.{ending}"
+        report(inputs=[path], output=page)
+        text = page.read_text()
+        assert "<script" not in text
+        assert not re.search(r"[>|]\s*(nan|None|inf)\s*[<|]", text)
+        assert "Gap between trials and model: tfish, free-swim" in text
+        assert "Where the gap is" in text
+        assert "The gap by channel" in text
+        assert ("Size of the cause" in text) == bool(cases.ALL[name].causes)
+        assert len(text) < 3_000_000
+
+
+@pytest.mark.parametrize("name", sorted(cases.ALL))
+def test_the_level_follows_from_the_verdict(name: str) -> None:
+    assert diagnose_evidence.verdict(cases.gap_file(cases.ALL[name])).level == LEVELS[name]
+
+
+def test_a_gap_file_alone_is_shown_too(tmp_path: Path) -> None:
+    path = cases.written(tmp_path, "explained")
+    ev.sidecar(path).unlink()
+    with pytest.warns(Warning, match="no evidence beside it"):
+        report(inputs=[path], output=tmp_path / "r.html")
+    assert "No evidence file" in (tmp_path / "r.html").read_text()
+
+
+def test_checks_warn_of_what_weakens_an_answer() -> None:
+    def verdicts(gap: Any) -> dict[str, str]:
+        return {c.name: c.verdict for c in diagnose_evidence.checks(cases.gap_file(gap))}
+
+    assert set(verdicts(cases.EXPLAINED).values()) == {"pass", "info"}
+    assert verdicts(cases.AMBIGUOUS)["rivals"] == "warn"
+    assert verdicts(cases.PARTLY)["what remains"] == "warn"
+    weak = replace(cases.BACKLASH, gain=60.0)
+    assert verdicts(replace(cases.EXPLAINED, causes=(weak,)))["held-out gain of servo-backlash"] == "warn"
+    (first, *rest) = cases.BACKLASH.extrapolations
+    lost = replace(cases.BACKLASH, extrapolations=(replace(first, after=9.0), *rest))
+    assert verdicts(replace(cases.EXPLAINED, causes=(lost,)))["carries over to settings left out"] == "warn"
+
+
+def test_the_methods_cite_what_was_done() -> None:
+    made = diagnose_evidence.evidence(cases.EXPLAINED, cases.gap_file(cases.EXPLAINED))
+    text = " ".join(made.methods)
+    for name in ("Kennedy", "Klein", "Westfall", "Box"):
+        assert name in text
+        assert any(name in r for r in made.references)
+    assert "each of 9 candidate effects, 8 of which" in text
+    silent = diagnose_evidence.evidence(cases.NONE, cases.gap_file(cases.NONE))
+    assert not any("Box" in r for r in silent.references)
+
+
+def test_parts_of_the_data_stand_in_their_order() -> None:
+    """A diagnosis ranks them by size; a figure goes from low to high."""
+    ranked = tuple(reversed(cases.EXPLAINED.phase))
+    gap = replace(cases.EXPLAINED, phase=ranked)
+    (figure,) = (f for f in diagnose_figures.figures(gap, cases.gap_file(gap)) if f.id == "gap-parts")
+    shown = {panel.title: panel.x_categories for panel in figure.panels}
+    assert shown["phase"] == [c.label for c in cases.EXPLAINED.phase]
+    assert shown["frequency"] == ["1.0 Hz", "1.4 Hz", "1.8 Hz"]
+    assert shown["time"] == ["start-up", "steady"]
+
+
+def test_every_figure_says_what_good_looks_like() -> None:
+    for gap in cases.ALL.values():
+        made = diagnose_evidence.evidence(gap, cases.gap_file(gap))
+        for part in (*made.figures, *made.tables):
+            assert "Good:" in part.caption, part.id
+
+
+# ---------------------------------------------------------------- heat maps
+
+
+def _svg(drawn: ev.Heat) -> str:
+    panel = ev.Panel(x_label="", y_label="ratio", heat=drawn)
+    (drawing,) = figures.draw(ev.Figure(id="h", title="t", caption="c", panels=[panel]), "p-")
+    assert drawing.wide is not None
+    return drawing.wide
+
+
+def test_a_heat_map_prints_every_number_and_shades_by_size() -> None:
+    drawn = _svg(ev.Heat(rows=["first", "<b>"], columns=["x", "y"], values=[[0.5, 1.0], [np.nan, 8.25]]))
+    for text in ("0.5", "8.2", "–", "first", "&lt;b&gt;"):
+        assert f">{text}<" in drawn, text
+    assert not re.search(r"#[0-9a-f]{6}\b", drawn)
+    # up to the noise nothing is shaded; the largest is darkest
+    shades = [float(o) for o in re.findall(r"fill: var\(--s1\); (?:fill-)?opacity: ([\d.]+)", drawn)]
+    assert shades == [heat._DARKEST]
+
+
+def test_a_heat_map_shades_by_the_logarithm() -> None:
+    full = heat._shade(16.0, 1.0, 16.0)
+    assert heat._shade(4.0, 1.0, 16.0) == pytest.approx(full / 2)
+    assert heat._shade(1.0, 1.0, 16.0) == 0.0
+    assert heat._shade(0.0, 1.0, 16.0) == 0.0
+
+
+@pytest.mark.parametrize("values", [[[1.0, 2.0]], [[1.0], [2.0]]])
+def test_a_heat_map_must_fit_its_labels(values: list[list[float | None]]) -> None:
+    with pytest.raises(InputError, match=r"values"):
+        _svg(ev.Heat(rows=["a", "b"], columns=["x", "y"], values=values))
+
+
+# ---------------------------------------------------------------- the command line
+
+
+def test_the_command_hands_over_what_was_asked(
+    swimid: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, Any] = {}
+
+    def diagnose(trials: Path, **options: Any) -> Outcome:
+        seen.update(options, trials=trials)
+        return Outcome("diagnose", said("explained"), {"verdict": "explained"})
+
+    monkeypatch.setitem(sys.modules, "swimid.verbs.diagnose", SimpleNamespace(diagnose=diagnose))
+    ran = swimid(
+        "diagnose", "t.yaml", "--params", "p.yaml", "--effects", "servo-lag, current", "--effects", "waves",
+        "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--budget-s", 60, "--seed", 7,
+        "--reading", "a=b", "-o", tmp_path / "gap.yaml",
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    assert ran.out.startswith("tfish, free-swim")
+    assert seen["effects"] == ("servo-lag", "current", "waves")
+    assert seen["own"] == (Path("mine.py"),)
+    assert (seen["most_causes"], seen["jobs"], seen["budget_s"], seen["seed"]) == (2, 2, 60.0, 7)
+    assert seen["readings"] == {"a": "b"}
+    assert seen["parameters"] == Path("p.yaml")
+    assert seen["max_step"] == 0.005
+    assert swimid("diagnose", "t.yaml", "--params", "p.yaml", "--json").json["result"] == {
+        "verdict": "explained"
+    }
+
+
+def test_the_help_has_an_example(swimid: Run) -> None:
+    text = swimid("diagnose", "--help").out
+    assert "swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml" in text
+    assert swimid("diagnose", "t.yaml").status == 2
+
+
+# ---------------------------------------------------------------- the manual
+
+
+def test_the_manual_lists_the_catalogue() -> None:
+    manual = (ROOT / "docs" / "diagnose.md").read_text()
+    table = manual.split("## The catalogue")[1].split("## ")[0]
+    stage, listed = "", {}
+    for row in re.findall(r"^\| *(\w*) *\| `([a-z-]+)` \|", table, flags=re.M):
+        stage = row[0] or stage
+        listed[row[1]] = stage
+    assert listed == {effect.name: effect.stage for effect in catalogue.catalogue()}
+
+
+class Steady(Model):
+    """One joint that does as it is told, with nothing behind it."""
+
+    name = "steady"
+    parameters = ()
+    channels = ()
+    offers = frozenset({"command"})
+
+    def simulate(self, values: np.ndarray, trial: Trial) -> dict[str, np.ndarray]:
+        return self.hooked(values, trial, Hooks())
+
+    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+        angle = np.sin(trial.time_s)
+        return {"angle_rad": hooks.actuated(trial.time_s, angle)}
+
+
+def test_the_example_of_the_manual_works() -> None:
+    """Half the amplitude is left after ln 2 over the rate; at its start value it vanishes exactly."""
+    (droop,) = catalogue.from_file(ROOT / "docs" / "examples" / "effect" / "my_effect.py")
+    rate = 0.1
+    time = np.array([2.0, 2.0 + 1.0, 2.0 + math.log(2) / rate])
+    trial = Trial("a", "fit", time, {})
+    model = Steady()
+    (form,) = droop.variants(model, [trial])
+    affected = Affected(model, [form], [trial])
+    (parameter,) = affected.parameters
+    assert parameter.name == "drive-droop/rate_1_s"
+    plain = model.simulate(np.array([]), trial)["angle_rad"]
+    np.testing.assert_array_equal(affected.simulate(np.array([0.0]), trial)["angle_rad"], plain)
+    weak = affected.simulate(np.array([rate]), trial)["angle_rad"]
+    np.testing.assert_allclose(weak / plain, [1.0, math.exp(-rate), 0.5], rtol=1e-12)

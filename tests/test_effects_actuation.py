@@ -1,0 +1,422 @@
+"""Actuation effects against closed forms, and the average models they and others act on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_backlash, servo_delay
+from swimid.effects.actuation import rate_limit as limit
+from swimid.effects.actuation import servo_lag as lag
+from swimid.effects.affected import Affected
+from swimid.formats import robot as robot_format
+from swimid.models.arx import Arma
+from swimid.models.base import Trial
+from swimid.models.difference import Orders
+from swimid.models.hooks import Hooks, Stroke
+from swimid.models.multilink import drive
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.propulsion import (
+    SPEED,
+    RecoilModel,
+    SurgeModel,
+    mean_speed,
+    terminal_speed,
+    velocity_ratio,
+)
+
+EFFECTS = [
+    lag.ServoLag(),
+    servo_delay.ServoDelay(),
+    servo_backlash.ServoBacklash(),
+    amplitude_loss.AmplitudeLoss(),
+    limit.RateLimit(),
+    amplitude_offset.AmplitudeOffset(),
+]
+TIME = np.arange(0.0, 8.0, 0.0025)
+OMEGA = 2 * np.pi * 1.5
+DRAG_AREA, MASS = 2.45, 1.881
+
+
+def recoil():
+    model = RecoilModel(drag_area_kg_m=DRAG_AREA, moving_mass_kg=MASS, fins={"rect": 1.27e-4})
+    # the offset is known, so that another one is an effect
+    model.parameters = tuple(
+        replace(p, free=False) if p.name == "amplitude_offset_deg" else p for p in model.parameters
+    )
+    inputs = {
+        "frequency_hz": np.array([1.5, 2.0, 2.5, 3.0, 3.5]),
+        "amplitude_rad": np.deg2rad([16.0, 16.0, 12.0, 16.0, 10.0]),
+        "distance_m": np.array([1.15, 1.15, 1.15, 1.0, 0.5]),
+    }
+    trial = Trial(
+        "rect",
+        "fit",
+        np.arange(5.0),
+        {SPEED: np.full(5, 0.1)},
+        inputs=inputs,
+        settings={"fin": "rect", "inertia_kg_m2": 1.27e-4, "middle": (2.5, 0.2), "rows": np.arange(5)},
+        value_sd={SPEED: np.arange(1.0, 6.0)},
+    )
+    return model, trial
+
+
+def surge():
+    model = SurgeModel(amplitudes_rad=[0.2, 0.35], frequencies_hz=[1.0, 2.0], speed_m_s=0.2)
+    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.5, "start_s": 0.3}
+    return model, Trial("s", "fit", 0.3 + np.arange(12) / 1.5, {"u_m_s": np.full(12, 0.1)}, settings=settings)
+
+
+def black_box(source=None):
+    model = Arma(
+        Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=np.array([-1.5, 0.7, 0.5, 0.25])
+    )
+    time = np.arange(200) * 0.05
+    column = 0.4 * np.sin(2 * np.pi * 0.8 * time) if source is None else source
+    trial = Trial("a", "fit", time, {"u_m_s": np.zeros(200)}, inputs={"cmd1_rad": column})
+    return model, trial
+
+
+@pytest.fixture(scope="module")
+def fish():
+    model = MultilinkModel(robot_format.read("tfish"))
+    time = np.arange(0.0, 2.51, 0.04)
+    settings = {"beat": drive.Beat("sine", 1.5, 0.35), "pose": (0.3, -0.2, 0.5)}
+    return model, Trial("f", "fit", time, dict.fromkeys(model.plane.pose, time), settings=settings)
+
+
+def starts(model):
+    return np.array([p.start for p in model.parameters])
+
+
+class TestOperators:
+    @pytest.mark.parametrize("tau", [0.004, 0.05, 0.3])
+    def test_lag_of_a_sine(self, tau):
+        """1 / (1 + i w tau) once the start has died away."""
+        found = lag.lagged(TIME, np.sin(OMEGA * TIME), tau)
+        answer = np.exp(1j * OMEGA * TIME) / (1 + 1j * OMEGA * tau)
+        late = 20 * tau < TIME
+        np.testing.assert_allclose(found[late], answer.imag[late], atol=1e-4)
+
+    def test_lag_of_a_ramp_on_any_grid(self, rng):
+        time = np.sort(rng.uniform(0, 5, 60))
+        since = time - time[0]
+        expected = 2.0 * (since - 0.4 * -np.expm1(-since / 0.4)) + 1.0
+        np.testing.assert_allclose(lag.lagged(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
+
+    def test_delay(self):
+        found = servo_delay.delayed(TIME, np.sin(OMEGA * TIME), 0.0333)
+        expected = np.where(TIME < 0.0333, 0.0, np.sin(OMEGA * (TIME - 0.0333)))
+        inside = np.abs(TIME - 0.0333) > 0.01
+        np.testing.assert_allclose(found[inside], expected[inside], atol=3e-5)
+
+    def test_play(self):
+        """Past the first crossing: flat while the servo crosses the play, else half of it behind."""
+        width, size = 0.08, 0.3
+        signal = size * np.sin(OMEGA * TIME)
+        found = servo_backlash.play(signal, width)
+        assert found[0] == 0
+        assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
+        steady = TIME > 1 / 1.5
+        assert found[steady].max() == pytest.approx(size - 0.5 * width, abs=1e-4)
+        phase = np.mod(OMEGA * TIME, 2 * np.pi)
+        crossing = math.acos(1 - width / size)
+        flat = steady & (phase > 0.5 * np.pi + 0.02) & (phase < 0.5 * np.pi + crossing - 0.02)
+        assert np.ptp(found[flat]) < 1e-4
+        falling = steady & (phase > 0.5 * np.pi + crossing + 0.02) & (phase < 1.5 * np.pi - 0.02)
+        np.testing.assert_allclose(found[falling], signal[falling] + 0.5 * width, atol=1e-12)
+
+    def test_far_limited_sine_is_a_triangle(self):
+        rate = 0.3 * OMEGA
+        found = limit.limited(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
+        assert np.abs(np.diff(found)).max() <= rate * 0.0025 * (1 + 1e-9)
+        assert 0.5 * np.ptp(found) == pytest.approx(rate / (4 * 1.5), rel=5e-3)
+
+    def test_a_limit_above_every_rate_does_nothing(self):
+        signal = np.sin(OMEGA * TIME)
+        np.testing.assert_array_equal(limit.limited(TIME, signal, OMEGA), signal)
+
+    @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.55, 0.7, 0.85, 0.97])
+    def test_describing_function_is_the_fundamental(self, ratio):
+        time = np.arange(80_000) / 10_000
+        found = limit.limited(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
+        fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
+        assert float(limit.describing(ratio)) == pytest.approx(fundamental, abs=5e-4)
+
+    def test_describing_function_begins_smoothly(self):
+        ratio = np.linspace(0.5, 1.0, 2001)
+        gain = limit.describing(ratio)
+        assert np.all(np.diff(gain) > 0)
+        assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
+
+
+class TestNull:
+    @pytest.mark.parametrize("effect", EFFECTS, ids=repr)
+    @pytest.mark.parametrize("kind", ["recoil", "surge", "black box", "fish"])
+    def test_vanishes_at_its_start_and_nowhere_else(self, effect, kind, fish):
+        model, trial = {"recoil": recoil, "surge": surge, "black box": black_box, "fish": lambda: fish}[
+            kind
+        ]()
+        variants = effect.variants(model, [trial])
+        assert bool(variants) == bool(effect.needs & model.offers)
+        for variant in variants:
+            both = Affected(model, [variant], [trial])
+            null, nominal = starts(both), model.simulate(starts(model), trial)
+            for name, values in both.simulate(null, trial).items():
+                np.testing.assert_array_equal(values, nominal[name])
+            own = both.own[0]
+            for point in variant.tries(own):
+                assert all(p.lower <= v <= p.upper for p, v in zip(own, point, strict=True))
+            moved = variant.tries(own)[-1]
+            near = np.concatenate([starts(model), starts_of(own) + 1e-7 * (moved - starts_of(own))])
+            far = np.concatenate([starts(model), moved])
+            close, apart = (both.simulate(v, trial) for v in (near, far))
+            change = {n: np.nanmax(np.abs(apart[n] - nominal[n])) for n in nominal}
+            assert max(change.values()) > 0
+            for name in nominal:
+                assert np.nanmax(np.abs(close[name] - nominal[name])) <= 1e-4 * change[name] + 1e-12
+
+
+def starts_of(parameters):
+    return np.array([p.start for p in parameters])
+
+
+class TestFish:
+    def angles(self, fish, effect, values):
+        model, trial = fish
+        both = Affected(model, [effect], [trial])
+        found = both.simulate(np.concatenate([starts(model), values]), trial)
+        return np.array([found[a.column] for a in model.assembly.driven])
+
+    def told(self, fish, time):
+        model, trial = fish
+        gains = [a.joint.driven.gain for a in model.assembly.driven]
+        return np.outer(gains, trial.settings["beat"].motion(time)[0])
+
+    def test_loss_of_every_joint(self, fish):
+        np.testing.assert_allclose(
+            self.angles(fish, EFFECTS[3], [0.2]), 0.8 * self.told(fish, fish[1].time_s), atol=1e-4
+        )
+
+    def test_delay_of_every_joint(self, fish):
+        time = fish[1].time_s - 0.05
+        expected = np.where(time > 0, self.told(fish, np.maximum(time, 0)), 0.0)
+        found = self.angles(fish, EFFECTS[1], [0.05])
+        np.testing.assert_allclose(found[:, :-1], expected[:, :-1], atol=1e-4)
+
+    def test_trim_comes_on_gently_and_stays(self, fish):
+        off = self.angles(fish, EFFECTS[5], [0.03]) - self.told(fish, fish[1].time_s)
+        assert np.all(np.abs(off[:, 0]) < 1e-6)
+        np.testing.assert_allclose(off[:, fish[1].time_s > 0.55], 0.03, atol=1e-5)
+
+    def test_measured_joints_are_past_the_actuator(self, fish):
+        model, trial = fish
+        joints = [lambda t: (np.sin(t), np.cos(t), -np.sin(t))] * 3
+        settings = {"joints": joints, "pose": (0, 0, 0)}
+        measured = replace(trial, settings=settings)
+        told = replace(trial, settings=settings | {"commanded": True})
+        for effect in EFFECTS:
+            assert not effect.variants(model, [measured])
+            assert effect.variants(model, [told])
+            values = np.array([p.scale for p in effect.parameters(model, [trial])])
+            assert not effect.hooks(values, measured, model).command
+
+    def test_scales_are_of_the_command(self, fish):
+        model, trial = fish
+        largest = max(abs(a.joint.driven.gain) for a in model.assembly.driven) * 0.35
+        (p,) = EFFECTS[2].parameters(model, [trial])
+        assert p.scale == pytest.approx(0.1 * largest, rel=0.02)
+        (p,) = EFFECTS[4].parameters(model, [trial])
+        assert p.start == pytest.approx(largest * OMEGA, rel=0.01)
+        assert p.start >= np.abs(np.diff(self.told(fish, TIME[TIME < 2.5]), axis=1)).max() / 0.0025 - 1e-9
+
+
+class TestBlackBox:
+    def answer(self, effect, values, column=None):
+        model, trial = black_box(column)
+        return model.hooked(starts(model), trial, effect.hooks(np.array(values), trial, model))["u_m_s"]
+
+    def test_delay_by_whole_samples_is_a_shift(self, rng):
+        """From rest, and an input that starts at rest."""
+        column = np.concatenate([np.zeros(20), rng.normal(size=180)])
+        model, trial = black_box(column)
+        nominal = model.simulate(starts(model), trial)["u_m_s"]
+        found = self.answer(EFFECTS[1], [0.15], column)
+        np.testing.assert_allclose(found[20:], nominal[17:-3], atol=1e-9)
+
+    def test_loss_is_a_smaller_gain(self):
+        model, trial = black_box()
+        nominal = model.simulate(starts(model), trial)["u_m_s"]
+        np.testing.assert_allclose(self.answer(EFFECTS[3], [0.3]), 0.7 * nominal, atol=1e-12)
+
+    def test_missing_input_stays_missing(self):
+        model, trial = black_box()
+        column = trial.inputs["cmd1_rad"].copy()
+        column[40:44] = np.nan
+        holed = replace(trial, inputs={"cmd1_rad": column})
+        for effect in EFFECTS:
+            (p,) = effect.parameters(model, [holed])
+            hooks = effect.hooks(np.array([p.start + (-1 if p.start else 1) * p.scale]), holed, model)
+            np.testing.assert_array_equal(
+                np.isnan(hooks.actuated(trial.time_s, column)), np.isnan(column), repr(effect)
+            )
+
+    def test_a_late_clock_shifts_the_output(self):
+        model, trial = black_box()
+        nominal = model.simulate(starts(model), trial)["u_m_s"]
+        found = model.hooked(starts(model), trial, Hooks(clock_s=0.1))["u_m_s"]
+        np.testing.assert_allclose(found[2:], nominal[:-2], atol=1e-12)
+
+
+class TestAverageModels:
+    """Strokes, and what acts on a body that is driven by them."""
+
+    def speeds(self, effect, values, nominal=None):
+        model, trial = recoil()
+        return model.hooked(
+            starts(model) if nominal is None else nominal, trial, effect.hooks(np.array(values), trial, model)
+        )[SPEED]
+
+    def with_amplitude(self, change):
+        model, trial = recoil()
+        told = trial.inputs
+        inputs = {**told, "amplitude_rad": change(told["amplitude_rad"], told["frequency_hz"])}
+        return model.simulate(starts(model), replace(trial, inputs=inputs))[SPEED]
+
+    @pytest.mark.parametrize(
+        "effect, value, change",
+        [
+            (EFFECTS[0], 0.03, lambda a, f: a / np.sqrt(1 + (2 * np.pi * f * 0.03) ** 2)),
+            (EFFECTS[2], 0.04, lambda a, f: a - 0.02),
+            (EFFECTS[3], 0.1, lambda a, f: 0.9 * a),
+            (EFFECTS[4], 1.0, lambda a, f: np.minimum(4 / np.pi / (2 * np.pi * f), a)),
+        ],
+        ids=["lag", "backlash", "loss", "limit"],
+    )
+    def test_strokes_are_smaller(self, effect, value, change):
+        np.testing.assert_allclose(self.speeds(effect, [value]), self.with_amplitude(change), rtol=1e-12)
+
+    def test_offset_is_that_of_the_law(self):
+        model, trial = recoil()
+        values = starts(model)
+        values[model.index("amplitude_offset_deg")] += math.degrees(0.03)
+        np.testing.assert_allclose(
+            self.speeds(EFFECTS[5], [0.03]), model.simulate(values, trial)[SPEED], rtol=1e-12
+        )
+        free = tuple(replace(p, free=True) for p in model.parameters)
+        model.parameters = free
+        assert not EFFECTS[5].variants(model, [trial])
+
+    def test_a_factor_on_the_thrust_is_one_on_the_power(self):
+        model, trial = recoil()
+        double = Hooks(stroke=(lambda s: Stroke(s.frequency_hz, s.amplitude_rad, 8 * s.thrust),))
+        nominal = model.simulate(starts(model), trial)[SPEED]
+        # a stroke that says nothing of the fin's inertia leaves no answer
+        assert np.isnan(model.hooked(starts(model), trial, double)[SPEED]).all()
+        double = Hooks(stroke=(lambda s: replace(s, thrust=8 * s.thrust),))
+        np.testing.assert_allclose(model.hooked(starts(model), trial, double)[SPEED], 2 * nominal, rtol=1e-12)
+
+    @pytest.mark.parametrize("linear, dry", [(0.3, 0.0), (0.0, 0.004), (0.2, 0.003), (1e-9, 0.0)])
+    def test_other_drag(self, linear, dry):
+        """Power balance for the terminal speed, then a run from rest under its thrust, integrated."""
+        model, trial = recoil()
+
+        def change(c):
+            c["linear"] += linear
+            c["dry"] += dry
+
+        found = model.hooked(starts(model), trial, Hooks(coefficients=(change,)))[SPEED]
+        nominal = model.simulate(starts(model), trial)[SPEED]
+        ratio = velocity_ratio(DRAG_AREA / MASS, 0.0, trial.inputs["distance_m"])
+        for speed, plain, distance in zip(found, nominal / ratio, trial.inputs["distance_m"], strict=True):
+            power = DRAG_AREA * plain**3
+
+            def drag(v):
+                return dry + linear * v + DRAG_AREA * v * v
+
+            v1 = brentq(lambda v, power=power: v * drag(v) - power, 1e-9, 1.0, xtol=1e-15)
+            run = solve_ivp(
+                lambda _, s, v1=v1: [s[1], (drag(v1) - drag(s[1])) / MASS],
+                (0, 200),
+                [0, 0],
+                rtol=1e-10,
+                atol=1e-13,
+                events=lambda _, s, distance=distance: s[0] - distance,
+            )
+            assert speed == pytest.approx(distance / run.t_events[0][0], rel=1e-7)
+
+    def test_general_run_is_the_paper_s_without_linear_drag(self):
+        v1, x = np.array([0.05, 0.1, 0.3]), np.array([0.02, 1.15, 40.0])
+        found = mean_speed(v1, x, mass=MASS, quadratic=DRAG_AREA, linear=0.0)
+        np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, 0.0, x), rtol=1e-11)
+        power = np.array([0.0, 1e-6, 1e-2])
+        found = terminal_speed(power, quadratic=2.0, linear=0.0, dry=0.0)
+        np.testing.assert_allclose(found, np.cbrt(power / 2.0), rtol=1e-13)
+
+    def test_current_carries_both_models(self):
+        def current(time_s):
+            return np.outer(time_s, [0.02, 0.5]), np.tile([0.02, 0.5], (len(time_s), 1))
+
+        hooks = Hooks(flow=(current,))
+        model, trial = recoil()
+        nominal = model.simulate(starts(model), trial)[SPEED]
+        np.testing.assert_allclose(
+            model.hooked(starts(model), trial, hooks)[SPEED], nominal + 0.02, rtol=1e-12
+        )
+        model, trial = surge()
+        values = starts(model)
+        values[-1] = 0.1
+        slower = values - [0, 0, 0, 0, 0.02]
+        found = model.hooked(values, trial, hooks)["u_m_s"]
+        np.testing.assert_allclose(found, model.simulate(slower, trial)["u_m_s"] + 0.02, atol=1e-9)
+
+    def test_surge_with_linear_drag_alone(self):
+        model, trial = surge()
+        values = starts(model)
+        values[model.index("initial_speed")] = 0.3
+
+        def change(c):
+            c["quadratic"] = 0.0
+            c["linear"] = 0.4
+            c["mass"] *= 2.0
+
+        found = model.hooked(values, trial, Hooks(coefficients=(change,)))["u_m_s"]
+        push = (
+            values[0] * (0.3 / model.reference_amplitude_rad) ** 2 * (1.5 / model.reference_frequency_hz) ** 2
+        )
+        t = trial.time_s - 0.3
+        expected = push / 0.4 + (0.3 - push / 0.4) * np.exp(-0.2 * t)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+
+    def test_surge_through_waves(self):
+        """Against quadrature of the linear equation it is without quadratic drag."""
+        model, trial = surge()
+
+        def change(c):
+            c["quadratic"], c["linear"] = 0.0, 0.7
+
+        def waves(time_s):
+            speed = np.column_stack([0.05 * np.sin(2 * time_s), 0 * time_s])
+            return np.cumsum(speed, axis=0), speed
+
+        values = starts(model)
+        values[0] = 0.0
+        found = model.hooked(values, trial, Hooks(coefficients=(change,), flow=(waves,)))["u_m_s"]
+        for t, u in zip(trial.time_s, found, strict=True):
+            expected = quad(lambda s, t=t: 0.035 * math.sin(2 * s) * math.exp(-0.7 * (t - s)), 0.3, t)[0]
+            assert u == pytest.approx(expected, abs=1e-8)
+
+    def test_runs_apart_are_the_fin_s(self):
+        model, trial = recoil()
+        whole = model.simulate(starts(model), trial)[SPEED]
+        apart = model.apart(trial)
+        assert [t.id for t in apart] == [f"rect/{k}" for k in range(1, 6)]
+        for k, run in enumerate(apart):
+            assert model.simulate(starts(model), run)[SPEED] == pytest.approx([whole[k]], rel=1e-15)
+            assert run.value_sd[SPEED] == [k + 1]
+            assert run.settings["rows"] == [k]

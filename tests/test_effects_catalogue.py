@@ -1,0 +1,114 @@
+"""The catalogue of effects, and a user's own."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+import pytest
+
+from swimid.effects import catalogue
+from swimid.effects.base import STAGES
+from swimid.errors import InputError, UsageError
+from tests.toy_models import DECAY, Toy, decay
+
+#: Names that reports, files and other programs rely on.
+PINNED = {
+    "actuation": "servo-lag servo-delay servo-backlash amplitude-loss rate-limit amplitude-offset",
+    "structure": "fin-flexibility joint-stiffness joint-damping joint-locked water-ingress com-offset",
+    "fluid": "linear-drag drag-reynolds added-mass wake-lift",
+    "environment": "current waves tether wall surface-breach buoyancy",
+    "sensing": "camera-scale camera-rotation time-offset marker-dropout marker-offset imu-tilt imu-bias",
+    "rig": "pulley-friction pulley-viscous pulley-inertia string-stretch start-offset initial-speed",
+}
+OWN = """
+from swimid.effects.base import Effect
+from swimid.models.base import Parameter
+from swimid.models.hooks import Hooks
+
+
+class Common(Effect):
+    stage = "sensing"
+    needs = frozenset({"output"})
+
+    def parameters(self, model, trials):
+        return (Parameter("size", "m", -1.0, 1.0, 0.0, 0.1),)
+
+
+class Tick(Common):
+    name = "tick"
+    meaning = "A tick."
+
+    def hooks(self, values, trial, model):
+        return Hooks(output=(lambda channels, time: {n: v + values[0] for n, v in channels.items()},))
+"""
+
+
+def own(tmp_path, text):
+    path = tmp_path / "own.py"
+    path.write_text(textwrap.dedent(text))
+    return path
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_pinned_names(stage):
+    found = {e.name for e in catalogue.catalogue() if e.stage == stage}
+    assert set(PINNED[stage].split()) <= found
+
+
+def test_order_folders_and_words():
+    found = catalogue.catalogue()
+    assert catalogue.names() == [e.name for e in found]
+    assert found == sorted(found, key=lambda e: (STAGES.index(e.stage), e.name))
+    for effect in found:
+        assert type(effect).__module__.split(".")[2] == effect.stage
+        assert type(effect).__module__.split(".")[3] == effect.name.replace("-", "_")
+        assert len(effect.meaning.split()) > 2
+        assert isinstance(effect.sources, tuple)
+        assert effect.needs <= catalogue.PLACES
+
+
+def test_chosen():
+    assert [e.name for e in catalogue.chosen(["waves", "servo-lag", "waves"])] == ["waves", "servo-lag"]
+    with pytest.raises(UsageError, match="did you mean 'servo-lag'"):
+        catalogue.chosen(["servo-lagg"])
+
+
+def test_own_effects_are_used(tmp_path):
+    (effect,) = catalogue.from_file(own(tmp_path, OWN))
+    assert effect.name == "tick"
+    model = Toy(decay, DECAY, ("y", "v"))
+    assert catalogue.applicable([effect], model, []) == [effect]
+    assert not catalogue.applicable(catalogue.chosen(["servo-lag", "current"]), model, [])
+    seen = effect.hooks(np.array([0.5]), None, model).seen({"y": np.zeros(2)}, np.zeros(2))
+    assert seen["y"].tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    "text, line, words",
+    [
+        ("x = 1\n", None, "defines no effect"),
+        ("x = 1\ny = = 2\n", 2, "no valid Python"),
+        ("x = 1\n\ny = x / 0\n", 3, "ZeroDivisionError"),
+        (OWN.replace('meaning = "A tick."', ""), 15, "lacks meaning"),
+        (OWN.replace("def hooks", "def hook"), 15, r"lacks hooks\(\)"),
+        (OWN.replace('"sensing"', '"sencing"'), 15, "did you mean 'sensing'"),
+        (OWN.replace('{"output"}', '{"putout"}'), 15, "which are no hooks"),
+        (OWN.replace('"tick"', '"waves"'), 15, "'waves' already"),
+        (OWN + "\n    def __init__(self):\n        raise RuntimeError('no')\n", 23, "cannot be made: no"),
+    ],
+)
+def test_own_effects_that_cannot_be_used(tmp_path, text, line, words):
+    path = own(tmp_path, text)
+    with pytest.raises(InputError, match=words) as caught:
+        catalogue.from_file(path)
+    assert caught.value.line == line
+    assert str(path) in str(caught.value)
+
+
+def test_own_file_that_is_none(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        catalogue.from_file(tmp_path / "none.py")
+    (tmp_path / "own.txt").write_text("")
+    with pytest.raises(InputError, match="no Python file"):
+        catalogue.from_file(tmp_path / "own.txt")

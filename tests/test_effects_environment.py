@@ -1,0 +1,220 @@
+"""Effects of the place the robot swims in, against closed forms and identities."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swimid.effects.base import Effect
+from swimid.effects.environment.buoyancy import Buoyancy, rise
+from swimid.effects.environment.current import Current
+from swimid.effects.environment.surface_breach import SurfaceBreach, sink
+from swimid.effects.environment.tether import Tether, pull_back
+from swimid.effects.environment.wall import Wall, push_off
+from swimid.effects.environment.waves import Waves, lines
+from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.formats import robot as robots
+from swimid.formats.multilink import Force
+from swimid.models import rig
+from swimid.models.base import Trial
+from swimid.models.multilink.drive import Beat
+from swimid.models.propulsion import RecoilModel
+from tests.effect_cases import (
+    INERTIA,
+    TIME,
+    acted,
+    changed,
+    check_null,
+    start,
+    swim,
+    swimmer,
+    weight_model,
+    weight_trial,
+)
+
+ALL = [Buoyancy(), Current(), SurfaceBreach(), Tether(), Wall(), Waves()]
+
+
+@pytest.mark.parametrize("robot", ["tfish", "dolphin"])
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_null_and_tries_of_swimmers(effect: Effect, robot: str) -> None:
+    model = swimmer(robot)
+    trial = swim(model)
+    if robot == "tfish" and effect.name in ("buoyancy", "surface-breach"):
+        assert not effect.variants(model, [trial])
+    else:
+        check_null(model, trial, effect)
+
+
+@pytest.mark.parametrize("effect", [Current(), Tether(), Wall(), Waves()], ids=lambda e: e.name)
+def test_null_and_tries_of_rigs(effect: Effect) -> None:
+    check_null(weight_model(quadratic_drag=2.0, added_mass=0.4), weight_trial(), effect)
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_nothing_flows_past_an_angle(effect: Effect) -> None:
+    model = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
+    trial = Trial("d", "fit", TIME, {"roll_rad": np.cos(TIME)}, settings={"inertia": 0.01, "x0": 0.3})
+    assert not effect.variants(model, [trial])
+
+
+# ------------------------------------------------------------ water that moves
+
+
+def test_current_is_a_galilean_shift() -> None:
+    model = swimmer("tfish")
+    current, heading = np.array([0.05, -0.08]), 0.7
+    trial = swim(model, pose=(0.3, -0.2, heading))
+    seen = acted(model, trial, [(Current(), current)])
+    c, s = np.cos(heading), np.sin(heading)
+    values = start(
+        model,
+        initial_surge=-(c * current[0] + s * current[1]),
+        initial_sway=-(c * current[1] - s * current[0]),
+    )
+    relative = model.simulate(values, trial)
+    np.testing.assert_allclose(seen["x_m"], relative["x_m"] + current[0] * trial.time_s, atol=1e-9)
+    np.testing.assert_allclose(seen["y_m"], relative["y_m"] + current[1] * trial.time_s, atol=1e-9)
+    np.testing.assert_allclose(seen["yaw_rad"], relative["yaw_rad"], atol=1e-10)
+
+
+def test_a_body_on_a_rig_drifts_with_current_and_waves() -> None:
+    a, b, f = 0.12, -0.07, 0.8
+    effects: list[tuple[Effect, Any]] = [
+        (Current(), 0.1),
+        (Waves("x", f), (f, a, b)),
+        (InitialSpeed(), 0.1),
+    ]
+    seen = acted(weight_model(quadratic_drag=3.0), weight_trial(force=0.0), effects)
+    w = 2 * np.pi * f
+    expected = 0.1 * TIME + (a * (np.sin(w * TIME) + np.exp(-w * TIME) - 1) + b * (1 - np.cos(w * TIME))) / w
+    np.testing.assert_allclose(seen["x_m"], expected, atol=2e-4)
+
+
+def test_current_carries_a_cruise() -> None:
+    model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    inputs = {name: np.full(2, v) for name, v in (("frequency_hz", 2.0), ("amplitude_rad", 0.4))}
+    inputs["distance_m"] = np.array([0.5, 1.0])
+    settings = {"fin": "a", "inertia_kg_m2": 1e-4, "middle": (2.0, 0.4)}
+    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, settings=settings)
+    plain = model.simulate(start(model), trial)["mean_speed_m_s"]
+    seen = acted(model, trial, [(Current(), 0.02)])["mean_speed_m_s"]
+    np.testing.assert_allclose(seen, plain + 0.02, rtol=1e-12)
+
+
+def test_lines_of_a_track_are_found_beside_the_beat() -> None:
+    rng = np.random.default_rng(3)
+    trials = []
+    for beat in (0.9, 1.2):
+        time = np.arange(0.0, 12.0, 0.04)
+        track = 0.2 * time + 0.01 * time**2 + 0.02 * np.sin(2 * np.pi * beat * time)
+        track += 0.004 * np.cos(2 * np.pi * 0.63 * time + rng.uniform(0, 6))
+        track += 1e-3 * rng.standard_normal(len(time))
+        settings = {"beat": Beat("sine", beat, 0.3)}
+        trials.append(Trial(str(beat), "fit", time, {"x_m": track}, settings=settings))
+    assert lines(trials, "x")[0] == pytest.approx(0.63, abs=0.05)
+    assert lines(trials, "y") == ()
+
+
+# ------------------------------------------------------------ forces
+
+
+def test_a_tether_is_a_spring() -> None:
+    k = 5.0
+    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (k, 0.0)), (InitialSpeed(), 0.2)])
+    rate = np.sqrt(k / INERTIA)
+    np.testing.assert_allclose(seen["x_m"], 0.2 / rate * np.sin(rate * TIME), atol=1e-7)
+
+
+def test_a_slack_tether_pulls_only_when_it_is_out() -> None:
+    k, slack = 5.0, 0.3
+    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (k, slack)), (InitialSpeed(), 0.2)])
+    free = TIME < 1.5
+    np.testing.assert_allclose(seen["x_m"][free], 0.2 * TIME[free], atol=1e-12)
+    energy = 0.5 * INERTIA * seen["u_m_s"] ** 2 + 0.5 * k * np.maximum(seen["x_m"] - slack, 0) ** 2
+    np.testing.assert_allclose(energy, 0.5 * INERTIA * 0.04, rtol=1e-3)
+
+
+def test_a_tether_pulls_home_whatever_the_heading() -> None:
+    wrench = np.zeros(3)
+    pull_back._pyfunc(0.0, np.array([1.3, 2.4, 0.5]), np.zeros(3), np.array([2.0, 0.1, 1.0, 2.0]), wrench)
+    c, s = np.cos(0.5), np.sin(0.5)
+    world = np.array([c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]])
+    np.testing.assert_allclose(world, -2.0 * (0.5 - 0.1) * np.array([0.6, 0.8]), rtol=1e-12)
+
+
+def test_a_tether_takes_its_work_from_a_cruise() -> None:
+    model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    trial = Trial("a", "fit", np.arange(1.0), {}, inputs={"distance_m": np.array([2.0])})
+    c = {"dry": 0.0}
+    Tether().hooks(np.array([0.3, 0.5]), trial, model).changed(c, "coefficients")
+    assert c["dry"] * 2.0 == pytest.approx(0.5 * 0.3 * 1.5**2)
+
+
+def test_blockage_before_a_wall_in_closed_form() -> None:
+    drag, gain, decay, end, v0 = 2.0, 3.0, 0.1, 0.5, 0.17
+    seen = acted(
+        weight_model(quadratic_drag=drag),
+        weight_trial(force=0.0),
+        [(Wall("x_max", end), (gain, decay)), (InitialSpeed(), v0)],
+    )
+    x = seen["x_m"]
+    assert 0.3 < x[-1] < end
+    grown = gain * decay * (np.exp(-(end - x) / decay) - np.exp(-end / decay))
+    np.testing.assert_allclose(seen["u_m_s"], v0 * np.exp(-drag / INERTIA * (x + grown)), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "axis, side, outwards", [(0, 1, (1, 0)), (0, -1, (-1, 0)), (1, 1, (0, 1)), (1, -1, (0, -1))]
+)
+def test_a_wall_pushes_off_and_fades(axis: int, side: int, outwards: tuple[int, int]) -> None:
+    def push(distance: float) -> np.ndarray:
+        wrench, heading = np.zeros(3), 0.8
+        place = (2.0 - distance) * np.array(outwards, dtype=float)
+        constants = np.array([0.3, 0.25, axis, side, 2.0 * side])
+        push_off._pyfunc(0.0, np.array([*place, heading]), np.zeros(3), constants, wrench)
+        c, s = np.cos(heading), np.sin(heading)
+        return np.array([c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]])
+
+    np.testing.assert_allclose(push(0.0), -0.3 * np.array(outwards), atol=1e-12)
+    np.testing.assert_allclose(push(0.5), -0.3 * np.exp(-2.0) * np.array(outwards), atol=1e-12)
+
+
+def test_walls_stand_at_the_extremes_of_the_tracks() -> None:
+    model = swimmer("tfish")
+    trial = swim(model)
+    found = {wall.side: wall.extreme_m for wall in Wall().variants(model, [trial])}  # type: ignore[attr-defined]
+    assert found["x_max"] == trial.measured["x_m"].max()
+    assert found["y_min"] == trial.measured["y_m"].min()
+    assert len(found) == 4
+
+
+def test_breaching_costs_the_weight_of_the_water() -> None:
+    wrench = np.zeros(3)
+    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4]), wrench)
+    world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
+    assert world == pytest.approx(-4.0, rel=1e-3)
+    wrench[:] = 0.0
+    sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4]), wrench)
+    assert np.abs(wrench).max() < 1e-3
+
+
+def test_buoyancy_is_a_force_of_the_robot_file() -> None:
+    def lifted(body: Any) -> None:
+        body.elements.append(
+            Force(kind="force", name="lift", link="trunk", at_m=0.14631, port_N=0.05, frame="world")
+        )
+
+    model, built = swimmer("dolphin"), changed(robots.read("dolphin"), lifted)
+    trial = swim(model, pose=(0.0, 0.0, 0.2))
+    seen, expected = acted(model, trial, [(Buoyancy(), (0.05, 0.0))]), built.simulate(start(built), trial)
+    for name in ("x_m", "z_m", "pitch_rad"):
+        np.testing.assert_allclose(seen[name], expected[name], atol=1e-9)
+
+
+def test_righting_moment_rights() -> None:
+    wrench = np.zeros(3)
+    rise._pyfunc(0.0, np.array([0.0, 0.0, 0.3]), np.zeros(3), np.array([0.0, 2.0]), wrench)
+    np.testing.assert_allclose(wrench, [0.0, 0.0, -2.0 * np.sin(0.3)])

@@ -1,0 +1,175 @@
+"""Effects of the water on the body, against closed forms and against robots that have them built in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swimid.effects.base import Effect
+from swimid.effects.environment.tether import Tether
+from swimid.effects.fluid.added_mass import AddedMass
+from swimid.effects.fluid.drag_reynolds import DragReynolds
+from swimid.effects.fluid.linear_drag import LinearDrag
+from swimid.effects.fluid.wake_lift import WakeLift
+from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.formats import robot as robots
+from swimid.formats.multilink import AddedMass as AddedMassElement
+from swimid.formats.multilink import TrailingEdge
+from swimid.models.base import Trial
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.propulsion import RecoilModel, SurgeModel
+from tests.effect_cases import (
+    INERTIA,
+    TIME,
+    acted,
+    changed,
+    check_null,
+    start,
+    swim,
+    swimmer,
+    weight_model,
+    weight_trial,
+)
+
+ALL = [AddedMass(), DragReynolds(), LinearDrag(), WakeLift()]
+
+
+def dry_fish() -> MultilinkModel:
+    """The tendon fish without water."""
+    names = ("c_ma", "c_Ia", "c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
+    return swimmer("tfish", **dict.fromkeys(names, 0.0))
+
+
+def coasting(model: MultilinkModel) -> Trial:
+    """A straight run without a beat."""
+    return swim(model, amplitude_rad=0.0, pose=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("robot", ["tfish", "dolphin"])
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_null_and_tries_of_swimmers(effect: Effect, robot: str) -> None:
+    model = swimmer(robot)
+    check_null(model, swim(model), effect)
+
+
+@pytest.mark.parametrize("effect", ALL[:3], ids=lambda e: e.name)
+def test_null_and_tries_of_rigs(effect: Effect) -> None:
+    check_null(weight_model(quadratic_drag=2.0, added_mass=0.4), weight_trial(), effect)
+
+
+def test_linear_drag_of_a_model_that_estimates_it_is_no_effect() -> None:
+    model = weight_model()
+    model.parameters = tuple(
+        replace(p, free=True) if p.name == "linear_drag" else p for p in model.parameters
+    )
+    assert not LinearDrag().variants(model, [weight_trial()])
+
+
+def test_linear_drag_of_a_coasting_fish_brakes_exponentially() -> None:
+    model = dry_fish()
+    mass = 2.133 + 3 * 0.081 + 0.096
+    seen = acted(model, coasting(model), [(LinearDrag(), 0.8)], initial_surge=0.3)
+    time = coasting(model).time_s
+    np.testing.assert_allclose(seen["u_m_s"], 0.3 * np.exp(-0.8 / mass * time), rtol=1e-7)
+
+
+def test_linear_drag_of_a_cruise_takes_its_share_of_the_power() -> None:
+    model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    inputs = {
+        "frequency_hz": np.array([2.0, 3.0]),
+        "amplitude_rad": np.array([0.4, 0.4]),
+        "distance_m": np.full(2, 1e4),
+    }
+    settings = {"fin": "a", "inertia_kg_m2": 1e-4, "middle": (2.5, 0.4)}
+    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, settings=settings)
+    free = model.simulate(start(model), trial)["mean_speed_m_s"]
+    slow = acted(model, trial, [(LinearDrag(), 0.5)])["mean_speed_m_s"]
+    np.testing.assert_allclose(2.4 * slow**3 + 0.5 * slow**2, 2.4 * free**3, rtol=2e-3)
+
+
+def test_linear_drag_of_a_surge_model_is_per_mass() -> None:
+    model = SurgeModel(amplitudes_rad=[0.3], frequencies_hz=[1.0], speed_m_s=0.3)
+    time = np.linspace(0.0, 200.0, 400)
+    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.0, "start_s": 0.0}
+    trial = Trial("s", "fit", time, {"u_m_s": 0.3 + 0 * time}, settings=settings)
+    (own,) = LinearDrag().parameters(model, [trial])
+    assert own.unit == "1/s"
+    slow = acted(model, trial, [(LinearDrag(), 0.4)], thrust_acceleration=0.1, surge_drag=1.2)["u_m_s"][-1]
+    assert 1.2 * slow**2 + 0.4 * slow == pytest.approx(0.1, rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [-0.5, 0.2, 0.5])
+def test_drag_that_changes_with_speed_in_closed_form(n: float) -> None:
+    drag, v0, ref = 3.0, 0.4, 0.25
+    seen = acted(
+        weight_model(quadratic_drag=drag),
+        weight_trial(force=0.0),
+        [(DragReynolds(ref), n), (InitialSpeed(), v0)],
+    )
+    gain = drag * ref**n / INERTIA
+    speed = (v0 ** (n - 1) + (1 - n) * gain * TIME) ** (1 / (n - 1))
+    np.testing.assert_allclose(seen["u_m_s"], speed, rtol=1e-6)
+
+
+def test_drag_of_a_coasting_fish_that_changes_with_speed_in_closed_form() -> None:
+    n, ref, v0 = 0.5, 0.2, 0.3
+    model = dry_fish()
+    model = swimmer("tfish", **{p.name: 0.0 for p in model.parameters[:8]} | {"c_f0": 1.0})
+    area = 0.5 * 1000 * 0.012727
+    seen = acted(model, coasting(model), [(DragReynolds(ref), n)], initial_surge=v0)
+    mass = 2.133 + 3 * 0.081 + 0.096
+    gain = area * ref**n / mass
+    speed = (v0 ** (n - 1) + (1 - n) * gain * coasting(model).time_s) ** (1 / (n - 1))
+    np.testing.assert_allclose(seen["u_m_s"], speed, rtol=1e-6)
+
+
+def test_added_mass_slows_a_swing_on_a_tether() -> None:
+    model = dry_fish()
+    mass, k, extra = 2.133 + 3 * 0.081 + 0.096, 30.0, 1.1
+    trial = coasting(model)
+    seen = acted(model, trial, [(Tether(), (k, 0.0)), (AddedMass(), (extra, 0.0))], initial_surge=0.3)
+    rate = np.sqrt(k / (mass + extra))
+    np.testing.assert_allclose(seen["x_m"], 0.3 / rate * np.sin(rate * trial.time_s), atol=1e-7)
+
+
+def test_added_mass_of_a_swimmer_is_that_of_the_robot_file() -> None:
+    def heavier(body: Any) -> None:
+        masses = {link.name: link.mass_kg for link in body.links}
+        whole = sum(masses.values())
+        for name, mass in masses.items():
+            share = mass / whole
+            body.elements.append(
+                AddedMassElement(
+                    kind="added-mass",
+                    name=f"{name}-more",
+                    link=name,
+                    surge_kg=0.4 * share,
+                    sway_kg=0.7 * share,
+                )
+            )
+
+    model, built = swimmer("tfish"), changed(robots.read("tfish"), heavier)
+    trial = swim(model)
+    seen = acted(model, trial, [(AddedMass(), (0.4, 0.7))])
+    expected = built.simulate(start(built), trial)
+    for name in ("x_m", "y_m", "yaw_rad"):
+        np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
+
+
+def test_added_mass_of_a_rig_weighs() -> None:
+    seen = acted(weight_model(), weight_trial(), [(AddedMass(), 0.6)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * 0.2 / (INERTIA + 0.6) * TIME**2, atol=1e-12)
+
+
+def test_wake_is_the_trailing_edge_of_the_robot_file() -> None:
+    def edge(body: Any) -> None:
+        body.elements.append(TrailingEdge(kind="trailing-edge", name="edge", link="fin", added_mass_kg_m=0.8))
+
+    model, built = swimmer("tfish"), changed(robots.read("tfish"), edge)
+    trial = swim(model)
+    seen, expected = acted(model, trial, [(WakeLift(), 0.8)]), built.simulate(start(built), trial)
+    for name in ("x_m", "y_m", "yaw_rad"):
+        np.testing.assert_array_equal(seen[name], expected[name])

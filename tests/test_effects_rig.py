@@ -1,0 +1,143 @@
+"""Effects of the test rig, and the rig's kernel with forces and moving water, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swimid.effects.base import Effect
+from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.effects.rig.pulley_friction import PulleyFriction
+from swimid.effects.rig.pulley_inertia import PulleyInertia
+from swimid.effects.rig.pulley_viscous import PulleyViscous
+from swimid.effects.rig.start_offset import StartOffset
+from swimid.effects.rig.string_stretch import StringStretch, oscillation
+from swimid.models import rig
+from swimid.models.base import Trial
+from swimid.models.hooks import Hooks
+from swimid.models.propulsion import RecoilModel
+from tests.effect_cases import FORCE, INERTIA, TIME, acted, check_null, start, weight_model, weight_trial
+
+ALL = [InitialSpeed(), PulleyFriction(), PulleyInertia(), PulleyViscous(), StartOffset(), StringStretch()]
+
+
+def _still(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((len(time_s), 2)), np.zeros((len(time_s), 2))
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_null_and_tries(effect: Effect) -> None:
+    check_null(weight_model(quadratic_drag=2.0, added_mass=0.4), weight_trial(), effect)
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_rig_effects_leave_other_models_alone(effect: Effect) -> None:
+    cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    assert not effect.variants(cruise, [])
+
+
+def test_what_the_model_estimates_itself_is_no_effect() -> None:
+    model = rig.falling_weight(mass_kg=1.0, force_N=0.2, area_known=False, pulley=True)
+    assert not PulleyFriction().variants(model, [weight_trial()])
+    assert PulleyViscous().variants(model, [weight_trial()])
+    assert not PulleyViscous().variants(model, [weight_trial(pulley=False)])
+    decay = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
+    assert not StartOffset().variants(decay, [])
+    assert PulleyFriction().variants(decay, [])
+
+
+def test_friction_takes_from_the_force() -> None:
+    seen = acted(weight_model(), weight_trial(), [(PulleyFriction(), 0.05)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * (FORCE - 0.05) / INERTIA * TIME**2, atol=1e-12)
+
+
+def test_friction_may_be_less_than_the_models() -> None:
+    model = weight_model(pulley_friction=0.08)
+    (own,) = PulleyFriction().parameters(model, [weight_trial()])
+    assert own.lower == -0.08
+    seen = acted(model, weight_trial(), [(PulleyFriction(), -0.08)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
+
+
+def test_pulley_inertia_weighs() -> None:
+    seen = acted(weight_model(), weight_trial(), [(PulleyInertia(), 0.3)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / (INERTIA + 0.3) * TIME**2, atol=1e-12)
+
+
+def test_viscous_pulley_brakes_exponentially() -> None:
+    seen = acted(weight_model(), weight_trial(force=0.0), [(PulleyViscous(), 0.7), (InitialSpeed(), 0.3)])
+    np.testing.assert_allclose(seen["u_m_s"], 0.3 * np.exp(-0.7 / INERTIA * TIME), rtol=1e-8)
+
+
+def test_start_offset_shifts_and_initial_speed_carries_on() -> None:
+    seen = acted(weight_model(), weight_trial(), [(StartOffset(), 0.02), (InitialSpeed(), -0.1)])
+    expected = 0.02 - 0.1 * TIME + 0.5 * FORCE / INERTIA * TIME**2
+    np.testing.assert_allclose(seen["x_m"], expected, atol=1e-10)
+
+
+def test_string_rings_as_an_oscillator_under_a_constant_pull() -> None:
+    omega, zeta, pull = 7.0, 0.2, -1.3
+    time = np.sort(np.random.default_rng(1).uniform(0, 3, 200))
+    time[0] = 0.0
+    ring = omega * np.sqrt(1 - zeta**2)
+    decay = np.exp(-zeta * omega * time)
+    expected = (
+        pull / omega**2 * (1 - decay * (np.cos(ring * time) + zeta * omega / ring * np.sin(ring * time)))
+    )
+    np.testing.assert_allclose(oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12)
+
+
+def test_stiff_string_is_stretched_by_what_the_weight_lacks() -> None:
+    compliance = 0.02
+    seen = acted(weight_model(), weight_trial(), [(StringStretch(), (compliance, 0.0, 0.5))])
+    settled = TIME > 1.0
+    lag = seen["x_m"] - 0.5 * FORCE / INERTIA * TIME**2
+    np.testing.assert_allclose(lag[settled], -compliance * FORCE / 9.81 * FORCE / INERTIA, rtol=1e-4)
+
+
+def test_a_slack_string_takes_up_the_weight() -> None:
+    compliance = 0.02
+    seen = acted(weight_model(), weight_trial(), [(StringStretch(), (compliance, 1.0, 0.5))])
+    taut = acted(weight_model(), weight_trial(), [(StringStretch(), (compliance, 0.0, 0.5))])
+    late = (seen["x_m"] - taut["x_m"])[TIME > 1.0]
+    np.testing.assert_allclose(late, compliance * FORCE, rtol=1e-3)
+    assert abs(seen["x_m"][0]) < 1e-12
+
+
+def test_forced_kernel_is_the_nominal_one_in_still_water() -> None:
+    model = weight_model(quadratic_drag=2.0, pulley_friction=0.05)
+    trial = weight_trial(release_s=0.13)
+    plain = model.simulate(start(model), trial)
+    forced = model.hooked(start(model), trial, Hooks(flow=(_still,)))
+    np.testing.assert_allclose(forced["x_m"], plain["x_m"], atol=1e-10)
+    decay = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
+    values = start(decay, dry_friction=0.02)
+    trial = Trial("d", "fit", TIME, {}, settings={"inertia": 0.01, "x0": 0.3})
+    plain, forced = decay.simulate(values, trial), decay.hooked(values, trial, Hooks(flow=(_still,)))
+    np.testing.assert_array_equal(forced["roll_rad"], plain["roll_rad"])
+
+
+def test_late_clock_shows_what_was() -> None:
+    model = weight_model()
+    late = model.hooked(start(model), weight_trial(), Hooks(clock_s=0.5))
+    before = np.maximum(TIME - 0.5, 0.0)
+    np.testing.assert_allclose(late["x_m"], 0.5 * FORCE / INERTIA * before**2, atol=1e-12)
+
+
+def test_late_clock_under_a_measured_force_delays_the_motion_not_the_force() -> None:
+    model = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
+    settings = {"inertia": INERTIA, "area_factor": 0.0, "release_s": 0.0}
+    trial = Trial("t", "fit", TIME, {}, inputs={"force_N": 0.1 * TIME}, settings=settings)
+    values = start(model, quadratic_drag=0.0, added_mass=0.0)
+    late = model.hooked(values, trial, Hooks(clock_s=0.5))
+    before = np.maximum(TIME - 0.5, 0.0)
+    np.testing.assert_allclose(late["x_m"], 0.1 * before**3 / (6 * INERTIA), atol=1e-9)
+
+
+def test_more_forces_than_the_kernel_takes_are_refused() -> None:
+    from swimid.models.hooks import Force, no_force
+
+    model = weight_model()
+    many = Hooks(force=(Force(no_force, np.zeros(1)),) * 4)
+    with pytest.raises(ValueError, match="at most 3"):
+        model.hooked(start(model), weight_trial(), many)

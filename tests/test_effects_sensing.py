@@ -1,0 +1,256 @@
+"""Sensing effects against what they mean, and where they apply."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swimid.effects.affected import Affected
+from swimid.effects.sensing import (
+    camera_rotation,
+    camera_scale,
+    imu_bias,
+    imu_tilt,
+    marker_dropout,
+    marker_offset,
+    time_offset,
+)
+from swimid.formats import robot as robot_format
+from swimid.models import rig
+from swimid.models.arx import Arma
+from swimid.models.base import Trial
+from swimid.models.difference import Orders
+from swimid.models.multilink import drive
+from swimid.models.multilink.model import MultilinkModel
+from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel
+
+SCALE, TURN, LATE = camera_scale.CameraScale(), camera_rotation.CameraRotation(), time_offset.TimeOffset()
+LOST, OFF = marker_dropout.MarkerDropout(), marker_offset.MarkerOffset()
+TILT, BIAS = imu_tilt.ImuTilt(), imu_bias.ImuBias()
+EFFECTS = [SCALE, TURN, LATE, LOST, OFF, TILT, BIAS]
+POSE = (0.3, -0.2, 0.5)
+
+
+def starts(model):
+    return np.array([p.start for p in model.parameters])
+
+
+def swimmer(name, *columns):
+    model = MultilinkModel(robot_format.read(name))
+    time = np.arange(0.0, 1.61, 0.04)
+    beat = drive.Beat("sine", 1.5, 0.35, bias_rad=0.1)
+    measured = {n: np.zeros(len(time)) for n in columns or model.plane.pose}
+    return model, Trial("f", "fit", time, measured, settings={"beat": beat, "pose": POSE})
+
+
+@pytest.fixture(scope="module")
+def fish():
+    return swimmer("tfish", "x_m", "y_m", "yaw_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s")
+
+
+@pytest.fixture(scope="module")
+def dolphin():
+    return swimmer("dolphin")
+
+
+def weight():
+    model = rig.falling_weight(mass_kg=1.2, force_N=0.1, area_known=False, pulley=True)
+    time = np.linspace(0.1, 5, 30)
+    settings = {"inertia": 1.3, "force": 0.1, "pulley": True, "release_s": 0.0, "x0": 0.25}
+    return model, Trial("w", "fit", time, {"x_m": time}, settings=settings)
+
+
+def roll():
+    model = rig.free_decay("roll_rad", inertia=1.0, stiffness=None, guess=4.0, amplitude=0.3)
+    time = np.linspace(0, 5, 60)
+    return model, Trial("r", "fit", time, {"roll_rad": time}, settings={"inertia": 1.0, "x0": 0.3})
+
+
+def cruise():
+    model = RecoilModel(drag_area_kg_m=2.45, moving_mass_kg=1.881, fins={"rect": 1.27e-4})
+    inputs = {
+        "frequency_hz": np.array([1.5, 2.0, 3.0]),
+        "amplitude_rad": np.full(3, 0.28),
+        "distance_m": np.array([1.15, 1.15, 0.6]),
+    }
+    settings = {"fin": "rect", "inertia_kg_m2": 1.27e-4, "middle": (2.5, 0.2)}
+    return model, Trial("rect", "fit", np.arange(3.0), {SPEED: np.full(3, 0.1)}, inputs, settings)
+
+
+def surge():
+    model = SurgeModel(amplitudes_rad=[0.3], frequencies_hz=[1.0], speed_m_s=0.2)
+    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.0, "start_s": 0.0}
+    return model, Trial("s", "fit", np.arange(9.0), {"u_m_s": np.ones(9)}, settings=settings)
+
+
+def black_box(output):
+    model = Arma(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
+    time = np.arange(60) * 0.1
+    return model, Trial("a", "fit", time, {output: np.zeros(60)}, inputs={"cmd1_rad": np.sin(3 * time)})
+
+
+def seen(case, effect, *values):
+    """What the log shows, without and with the effect."""
+    model, trial = case
+    both = Affected(model, [effect], [trial])
+    return model.simulate(starts(model), trial), both.simulate(
+        np.concatenate([starts(model), np.array(values)]), trial
+    )
+
+
+def names(case):
+    model, trial = case
+    return {e.name for e in EFFECTS if e.variants(model, [trial])}
+
+
+class TestWhereTheyApply:
+    def test_swimmers(self, fish, dolphin):
+        every = {e.name for e in EFFECTS} - {"marker-dropout"}
+        assert names(fish) == every
+        assert names(dolphin) == every - {"imu-tilt", "imu-bias"}
+        model, trial = fish
+        gyro = replace(trial, measured={"yaw_rate_rad_s": trial.time_s})
+        assert names((model, gyro)) == {"time-offset", "imu-tilt", "imu-bias"}
+        empty = replace(trial, measured={"yaw_rate_rad_s": np.full(len(trial.time_s), np.nan)})
+        assert names((model, empty)) == {"time-offset"}
+
+    def test_other_models(self):
+        assert names(weight()) == {"camera-scale", "time-offset"}
+        assert names(roll()) == {"time-offset"}
+        assert names(cruise()) == {"camera-scale", "time-offset"}
+        assert names(surge()) == {"camera-scale"}
+        assert names(black_box("u_m_s")) == {"camera-scale", "time-offset"}
+        assert names(black_box("yaw_rate_rad_s")) == {"time-offset", "imu-tilt", "imu-bias"}
+        assert names(black_box("depth")) == {"time-offset"}
+
+    def test_not_where_the_model_estimates_it(self):
+        model, trial = swimmer("tfish")
+        model.parameters = tuple(
+            replace(p, free=p.free or p.name in ("clock_offset", "camera_rotation")) for p in model.parameters
+        )
+        assert names((model, trial)) == {"camera-scale", "marker-offset"}
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=repr)
+def test_vanish_at_their_start_and_nowhere_else(effect, fish):
+    for case in (fish, weight(), cruise(), surge(), black_box("u_m_s"), black_box("yaw_rate_rad_s")):
+        model, trial = case
+        for variant in effect.variants(model, [trial]):
+            own = variant.parameters(model, [trial])
+            null = np.array([p.start for p in own])
+            nominal, found = seen(case, variant, *null)
+            for name, values in found.items():
+                np.testing.assert_array_equal(values, nominal[name])
+            hooks = variant.hooks(null, trial, model)
+            for name, values in model.hooked(starts(model), trial, hooks).items():
+                np.testing.assert_array_equal(values, nominal[name])
+            for point in variant.tries(own):
+                assert all(p.lower <= v <= p.upper for p, v in zip(own, point, strict=True))
+                _, moved = seen(case, variant, *point)
+                assert any(np.nanmax(np.abs(moved[n] - nominal[n])) > 0 for n in nominal)
+
+
+def test_lost_markers_are_no_simulation(fish):
+    model, trial = fish
+    assert LOST.variants(model, [trial]) == []
+    assert LOST.parameters(model, [trial]) == ()
+    assert not LOST.hooks(np.zeros(0), trial, model).output
+
+
+class TestCamera:
+    def test_scale_is_about_the_start(self, fish):
+        plain, found = seen(fish, SCALE, 0.1)
+        np.testing.assert_allclose(found["x_m"] - POSE[0], 1.1 * (plain["x_m"] - POSE[0]), atol=1e-15)
+        np.testing.assert_allclose(found["y_m"] - POSE[1], 1.1 * (plain["y_m"] - POSE[1]), atol=1e-15)
+        np.testing.assert_allclose(found["u_m_s"], 1.1 * plain["u_m_s"], rtol=1e-12)
+        for name in ("yaw_rad", "yaw_rate_rad_s", "joint4_rad"):
+            np.testing.assert_array_equal(found[name], plain[name])
+
+    def test_scale_in_the_vertical_plane(self, dolphin):
+        plain, found = seen(dolphin, SCALE, -0.05)
+        np.testing.assert_allclose(found["z_m"] - POSE[1], 0.95 * (plain["z_m"] - POSE[1]), atol=1e-15)
+
+    def test_scale_on_a_rig_and_a_course(self):
+        plain, found = seen(weight(), SCALE, 0.1)
+        np.testing.assert_allclose(found["x_m"] - 0.25, 1.1 * (plain["x_m"] - 0.25), rtol=1e-12)
+        plain, found = seen(cruise(), SCALE, 0.1)
+        np.testing.assert_allclose(found[SPEED], 1.1 * plain[SPEED], rtol=1e-12)
+
+    @pytest.mark.parametrize("case", ["fish", "dolphin"])
+    def test_rotation_turns_positions_alone(self, case, request):
+        case = request.getfixturevalue(case)
+        first, second, heading = case[0].plane.pose
+        plain, found = seen(case, TURN, 0.4)
+        before, after = ((c[first] - POSE[0]) + 1j * (c[second] - POSE[1]) for c in (plain, found))
+        np.testing.assert_allclose(after, np.exp(0.4j) * before, atol=1e-14)
+        np.testing.assert_array_equal(found[heading], plain[heading])
+
+    def test_rotation_is_that_of_the_model(self, fish):
+        model, trial = fish
+        values = starts(model)
+        values[model.index("camera_rotation")] = 0.2
+        own = model.simulate(values, trial)
+        _, found = seen(fish, TURN, 0.2)
+        for name, expected in own.items():
+            np.testing.assert_allclose(found[name], expected, atol=1e-12)
+
+
+class TestMarkers:
+    def test_tracked_point_is_fixed_to_the_body(self, fish):
+        """Against the reference point it keeps its place in the body's axes; its velocity is its motion's."""
+        model, trial = fish
+        fine = replace(
+            trial, time_s=np.arange(0.0, 1.6, 0.0005), measured={n: np.arange(3200.0) for n in trial.measured}
+        )
+        plain, found = seen((model, fine), OFF, 0.05, -0.02, 0.0)
+        yaw = plain["yaw_rad"]
+        moved = (found["x_m"] - plain["x_m"]) + 1j * (found["y_m"] - plain["y_m"])
+        place = moved * np.exp(-1j * yaw)
+        np.testing.assert_allclose(
+            place + (0.05 - 0.02j) * np.exp(1j * (yaw[0] - yaw)), 0.05 - 0.02j, atol=1e-12
+        )
+        speed = np.gradient(found["x_m"] + 1j * found["y_m"], fine.time_s) * np.exp(-1j * yaw)
+        shown = found["u_m_s"] + 1j * found["v_m_s"]
+        np.testing.assert_allclose(shown[2:-2], speed[2:-2], atol=2e-5)
+        np.testing.assert_array_equal(found["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])
+
+    def test_misaligned_markers(self, fish):
+        plain, found = seen(fish, OFF, 0.0, 0.0, 0.1)
+        np.testing.assert_allclose(found["yaw_rad"], plain["yaw_rad"] + 0.1, rtol=1e-14)
+        np.testing.assert_array_equal(found["x_m"], plain["x_m"])
+        before, after = (c["u_m_s"] + 1j * c["v_m_s"] for c in (plain, found))
+        np.testing.assert_allclose(after, before * np.exp(-0.1j), atol=1e-15)
+
+
+class TestClock:
+    def test_late_log_of_a_swimmer(self, fish):
+        """What happened two samples ago."""
+        plain, found = seen(fish, LATE, 0.08)
+        for name in plain:
+            np.testing.assert_allclose(found[name][2:], plain[name][:-2], atol=1e-9)
+
+    def test_early_log_of_a_rig(self):
+        model, trial = weight()
+        _, found = seen((model, trial), LATE, -0.4)
+        later = model.simulate(starts(model), replace(trial, time_s=trial.time_s + 0.4))
+        np.testing.assert_allclose(found["x_m"], later["x_m"], atol=1e-9)
+
+    def test_timed_runs_take_longer(self):
+        plain, found = seen(cruise(), LATE, 0.3)
+        distance = np.array([1.15, 1.15, 0.6])
+        np.testing.assert_allclose(distance / found[SPEED], distance / plain[SPEED] + 0.3, rtol=1e-12)
+
+
+class TestGyroscope:
+    def test_tilt_and_bias(self, fish):
+        plain, found = seen(fish, TILT, 0.5)
+        np.testing.assert_allclose(
+            found["yaw_rate_rad_s"], math.cos(0.5) * plain["yaw_rate_rad_s"], rtol=1e-14
+        )
+        plain, found = seen(fish, BIAS, -0.03)
+        np.testing.assert_allclose(found["yaw_rate_rad_s"], plain["yaw_rate_rad_s"] - 0.03, atol=1e-15)
+        for name in set(plain) - {"yaw_rate_rad_s"}:
+            np.testing.assert_array_equal(found[name], plain[name])
