@@ -22,13 +22,15 @@ ALLOWED = {
     "signals": {"signals", "formats", *BASE},
     "models": {"models", "signals", "formats", *BASE},
     "estimators": {"estimators", "models", "signals", "formats", *BASE},
+    "effects": {"effects", "models", "signals", "formats", *BASE},
+    "diagnosis": {"diagnosis", "effects", "estimators", "models", "signals", "formats", *BASE},
     "tracking": {"tracking", "signals", "formats", *BASE},
     "reporting": {"reporting", "formats", *BASE},
     "experiments": {"experiments", "estimators", "models", "signals", "formats", *BASE},
     "exporters": {"exporters", "models", "signals", "formats", *BASE},
     "robots": set(),
 }
-ALLOWED["verbs"] = {"verbs", *ALLOWED["experiments"], "tracking", "reporting", "exporters"}
+ALLOWED["verbs"] = {"verbs", *ALLOWED["experiments"], "tracking", "reporting", "exporters", "effects", "diagnosis"}
 ALLOWED["cli"] = {"cli", "verbs", "formats", *BASE}
 
 

@@ -59,7 +59,7 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values())
+    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values(), None, 0.0)
     return states, rates
 
 

@@ -19,7 +19,9 @@ from swimid.models.base import Array, Model, Parameter, Trial
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
 EFFECT_PRIOR = 5.0
 #: Relative tolerance of a fit.
-TOLERANCE = 1e-6
+TOLERANCE = 1e-5
+#: Derivatives are taken anew once the numbers have moved by this many standard errors.
+NEAR = 0.3
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,13 @@ class Bench:
         """The model with effects."""
         return Affected(self.model, effects, self.trials)
 
-    def problem(self, effects: Sequence[Effect]) -> Problem:
+    def problem(self, effects: Sequence[Effect], *, jobs: int | None = None) -> Problem:
         """Residuals of the model with effects, nominal coefficients as here."""
         model = self.affected(effects)
         own = model.parameters[len(self.parameters) :]
-        return Problem(model, (*self.parameters, *own), self.trials, jobs=self.jobs)
+        problem = Problem(model, (*self.parameters, *own), self.trials, jobs=self.jobs if jobs is None else jobs)
+        problem.near = NEAR
+        return problem
 
     def expected(self, problem: Problem) -> tuple[Array, Array]:
         """Prior mean and inverse standard deviation of each number; 0 where there is none."""
@@ -128,6 +132,7 @@ class Bench:
         *,
         tolerance: float = TOLERANCE,
         iterations: int = 30,
+        jobs: int | None = None,
     ) -> Fit:
         """The best optimum from several starts.
 
@@ -135,7 +140,7 @@ class Bench:
         ----------
         starts : sequence of ndarray, shape (p,)
         """
-        problem = self.problem(effects)
+        problem = self.problem(effects, jobs=jobs)
         lens.install(problem)
         mean, weight = self.expected(problem)
         held = weight > 0

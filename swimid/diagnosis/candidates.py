@@ -282,7 +282,7 @@ def refit(
     effects = (*base.effects, tried.effect)
     own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
     starts = [bench.start(effects, base, own)]
-    fit = bench.fit(effects, lens, starts, iterations=iterations, tolerance=1e-5)
+    fit = bench.fit(effects, lens, starts, iterations=iterations, tolerance=1e-4, jobs=1)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     extra = sum(p.per_trial for p in tried.parameters)
     if extra and bench.folds.whole:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, gram, nominal, remainder
 from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.candidates import Refitted, Screen
+from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
@@ -25,7 +26,9 @@ from swimid.models.base import Array, Model, Parameter, Trial
 from swimid.progress import Progress, show, silent
 
 #: Rounds of weighting by the residuals before anything is tried.
-WEIGHTINGS = 3
+WEIGHTINGS = 2
+#: Relative tolerance of the cost meanwhile.
+COARSE = 1e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
@@ -74,6 +77,7 @@ class State:
     chance: list[str] = field(default_factory=list)
     chance_sd: Array = field(default_factory=lambda: np.empty(0))
     out_of_time: bool = False
+    bare: list[Array] = field(default_factory=list)
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -83,11 +87,11 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     lens = Lens([list(sds) for sds in problem.sd])
     start = np.clip(problem.start, problem.lower, problem.upper)
     previous: dict[str, tuple[float, float]] = {}
-    fit = bench.fit((), lens, [start])
+    fit = bench.fit((), lens, [start], tolerance=COARSE)
     for _ in range(WEIGHTINGS):
         previous = noise_model.estimate(problem, fit.theta, previous)
         lens = Lens([list(sds) for sds in problem.sd])
-        fit = bench.fit((), lens, [fit.theta])
+        fit = bench.fit((), lens, [fit.theta], tolerance=COARSE)
     return lens, fit
 
 
@@ -153,7 +157,7 @@ def rank(
         prior = [1.0] * len(promising) + left.prior
         bare = remainder.saturated(bench, base, lens, columns, prior)
         lens, sd, names = see(bench, base, lens, bare, effects, len(columns) + len(base.labels))
-        state.chance_sd, state.chance = sd, names
+        state.chance_sd, state.chance, state.bare = sd, names, bare
         base = bench.fit(base.effects, lens, [base.theta])
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens
@@ -164,13 +168,17 @@ def rank(
         for i, t in enumerate(screened.tried)
         if t.gain > 0 and (i < LEAST or (i < MOST and t.gain > SHARE * best))
     ]
-    ranked = []
-    for tried in promising:
-        if late() and ranked:
+
+    def one(tried: Tried) -> Refitted | None:
+        if late() and tried is not promising[0]:
             state.out_of_time = True
-            break
-        ranked.append(candidates.refit(bench, base, plain, lens, tried))
+            return None
+        found = candidates.refit(bench, base, plain, lens, tried)
         step(tried.effect.name)
+        return found
+
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        ranked = [r for r in pool.map(one, promising) if r is not None]
     ranked.sort(key=lambda r: -r.gain)
     samples = float(sum(len(r) for r in base.residuals))
     threshold = max(screened.threshold, PER_SAMPLE * samples)

@@ -43,6 +43,8 @@ class Problem:
     jobs : int
         Threads among which simulations are shared when they take long; the results do not
         depend on it. :meth:`close` ends them.
+    near : float
+        As :data:`NEAR`, of this problem.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Problem:
         self.parameters = list(parameters)
         self.trials = list(trials)
         self.jobs = jobs
+        self.near = NEAR
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
@@ -232,7 +235,7 @@ class Problem:
             left += float(residuals @ residuals)
             samples += len(residuals)
         # a step of one standard error in any direction changes the cost by the residuals' variance
-        return moved * samples <= NEAR**2 * left
+        return moved * samples <= self.near**2 * left
 
     def _simulate(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
         """Simulations of (numbers, trial) pairs, in their order."""

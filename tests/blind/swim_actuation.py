@@ -1,6 +1,6 @@
 """Servos and linkages that do not follow their command, as tables of angle, rate and acceleration.
 
-Every function takes (3, joints, n) on a uniform grid that starts with the joints at rest and returns the same.
+Every function takes and returns (3, joints, n) on a uniform grid that starts with the joints at rest.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def servo_delay(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def servo_backlash(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Half-width of the play per driven joint, rad."""
-    width = size * np.radians({"tfish": 0.9, "dolphin": 1.8}[robot]) * shared(rng, 3, 0.2)
+    width = size * np.radians({"tfish": 1.3, "dolphin": 2.2}[robot]) * shared(rng, 3, 0.2)
 
     def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
         out = q.copy()
@@ -128,14 +128,14 @@ def servo_backlash(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 
 def amplitude_loss(rng: np.random.Generator, size: float, robot: str) -> Act:
-    left = 1.0 - min({"tfish": 0.08, "dolphin": 0.12}[robot] * size, 0.45) * shared(rng, 4, 0.25)
+    left = 1.0 - min({"tfish": 0.12, "dolphin": 0.12}[robot] * size, 0.45) * shared(rng, 4, 0.25)
     return Act(joints=lambda trial, t, q: q * left[None, : q.shape[1], None])
 
 
 def rate_limit(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Saturation at a share of the fastest rate these trials ask for."""
     fastest = {"tfish": 2.0, "dolphin": 5.5}[robot]
-    limit = fastest / {"tfish": 0.7 + 0.5 * size, "dolphin": 0.5 + 0.4 * size}[robot]
+    limit = fastest / {"tfish": 1.1 + 0.6 * size, "dolphin": 0.5 + 0.4 * size}[robot]
     stiffness = rng.uniform(30.0, 60.0)
 
     def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
@@ -155,7 +155,7 @@ def moved(robot: str) -> np.ndarray:
 
 def amplitude_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Trim of the whole tail, not the same at every joint."""
-    total = size * np.radians({"tfish": 2.0, "dolphin": 0.8}[robot]) * rng.choice([-1.0, 1.0])
+    total = size * np.radians({"tfish": 2.5, "dolphin": 1.2}[robot]) * rng.choice([-1.0, 1.0])
     trim = total * moved(robot) * (1.0 + 0.3 * rng.uniform(-1.0, 1.0, len(moved(robot))))
 
     def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
@@ -168,7 +168,7 @@ def amplitude_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def battery_droop(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The drive weakens towards a lower level in every trial."""
-    loss, time = min(0.06 * size, 0.6), rng.uniform(4.0, 7.0)
+    loss, time = min(0.10 * size, 0.6), rng.uniform(4.0, 7.0)
 
     def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
         s, d = 1.0 - loss * (1.0 - np.exp(-t / time)), -loss / time * np.exp(-t / time)

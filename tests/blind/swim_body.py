@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.blind.swim_engine import EXTRA, LAWS, Chain, Water, integrate, room
+from tests.blind.swim_engine import integrate
+from tests.blind.swim_tables import EXTRA, LAWS, Chain, Water, room
 from tests.generators import swimmer
 
 SLICES = 16
@@ -171,8 +172,6 @@ def run(
     carried = np.gradient(flow, 0.5 * step_s)
     wide = np.zeros((len(joints), 3, body.links - 1))
     wide[:, :, : joints.shape[2]] = joints
-    if flow[0] != 0.0 or water.shear != 0.0:
-        first[n], first[n + 1] = 0.0, 0.0
     states = integrate(first, step_s, wide, flow, carried, chain, water, room(chain))
     angles = wide[::2, 0].copy()
     for j, p in enumerate(chain.passive):

@@ -18,8 +18,9 @@ Channels = dict[str, np.ndarray]
 class Trial:
     """One trial before it is swum.
 
-    ``start`` is the pose at rest (m, m, rad). The rest scatters between trials: the share by which amplitude and
-    the fin's force are larger, the trim of the whole tail (rad) and by how much the log's clock is late (s).
+    ``start`` is the pose at rest (m, m, rad). The rest scatters between trials: the share by which
+    amplitude and the fin's force are larger, the trim of the whole tail (rad) and by how much the log's
+    clock is late (s).
     """
 
     id: str
@@ -54,7 +55,7 @@ class Act:
     joints : (trial, time, (3, joints, n)) -> the same
         Angle, rate and acceleration of the driven joints.
     body : (trial, body), in place
-    water : trial -> fields of `swim_engine.Water`
+    water : trial -> fields of `swim_tables.Water`
     flow : (trial, time) -> complex velocity of the water
     clock : (trial, time of the log) -> true time, of the camera only
     seen : (trial, channels, time) -> channels, before the noise

@@ -9,7 +9,7 @@ import numpy as np
 from tests.blind import swim_actuation
 from tests.blind.swim_body import Body, split_fin
 from tests.blind.swim_case import Act, Trial
-from tests.blind.swim_engine import LAWS
+from tests.blind.swim_tables import LAWS
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Typical:
 
 
 TYPICAL = {
-    "tfish": Typical(3, 0.012, 0.002, 0.5, 0.25, 0.004, 0.010, 0.04, 0.015),
-    "dolphin": Typical(2, 0.06, 0.006, 0.5, 0.3, 0.012, 0.005, 0.045, 0.03),
+    "tfish": Typical(3, 0.012, 0.002, 0.8, 0.4, 0.004, 0.007, 0.06, 0.015),
+    "dolphin": Typical(2, 0.06, 0.006, 0.5, 0.5, 0.018, 0.005, 0.045, 0.008),
 }
 
 
@@ -47,7 +47,7 @@ def fin_flexibility(rng: np.random.Generator, size: float, robot: str) -> Act:
     if robot == "dolphin":
         bend = {"bend": 0.05 * size, "bend_lag": rng.uniform(0.02, 0.04)}
         return Act(water=lambda trial: bend)
-    stiffness = 0.25 / size * rng.uniform(0.8, 1.25)
+    stiffness = 0.12 / size * rng.uniform(0.8, 1.25)
 
     def body(trial: Trial, b: Body) -> None:
         split_fin(b, stiffness, 0.01 * stiffness)
@@ -75,7 +75,7 @@ def joint_damping(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def joint_locked(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The passive joint jams but for a little play; or one of the fish's servos stays where it is."""
-    if robot == "tfish" and rng.random() < 0.4:
+    if robot == "tfish" and size >= 1.0 and rng.random() < 0.4:
         return swim_actuation.held_joint(rng)
     stiffness, play = {"tfish": 0.10, "dolphin": 0.15}[robot] * size**1.5, np.radians(rng.uniform(0.3, 1.0))
 
@@ -103,7 +103,7 @@ def water_ingress(rng: np.random.Generator, size: float, robot: str) -> Act:
 def com_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The hull's centre of mass lies farther ahead or behind, and a little to one side."""
     link = 0 if robot == "tfish" else 1
-    shift = size * {"tfish": 0.025, "dolphin": 0.040}[robot] * rng.choice([-1.0, 1.0])
+    shift = size * {"tfish": 0.030, "dolphin": 0.040}[robot] * rng.choice([-1.0, 1.0])
     aside = 0.15 * abs(shift) * rng.uniform(-1.0, 1.0)
 
     def body(trial: Trial, b: Body) -> None:
@@ -115,7 +115,7 @@ def com_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def fin_tear(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The fin loses area in the midst of one trial and stays so."""
-    torn, lost = int(rng.integers(2, 5)), min(0.3 * size, 0.85)
+    torn, lost = int(rng.integers(2, 5)), min({"tfish": 0.2, "dolphin": 0.06}[robot] * size, 0.85)
 
     def water(trial: Trial) -> dict[str, float]:
         if trial.index < torn:
@@ -172,7 +172,10 @@ def wake_lift(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def vortex_shedding(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Alternate shedding behind the hull at Strouhal's frequency."""
-    water = {"shed": size * 0.4, "shed_rate": 2.0 * np.pi * rng.uniform(0.18, 0.24) / 0.107}
+    water = {
+        "shed": size * {"tfish": 0.25, "dolphin": 0.1}[robot],
+        "shed_rate": 2.0 * np.pi * rng.uniform(0.18, 0.24) / 0.107,
+    }
     return Act(water=lambda trial: water)
 
 
@@ -185,6 +188,20 @@ def wake_memory(rng: np.random.Generator, size: float, robot: str) -> Act:
         "memory_damping": rng.uniform(0.15, 0.3),
     }
     return Act(water=lambda trial: water)
+
+
+def spread_drag(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """Drag along each link instead of half-way along it; a size of 1 is the whole length."""
+    share = (np.arange(16) + 0.5) / 16 - 0.5
+
+    def body(trial: Trial, b: Body) -> None:
+        places = b.behind[:, None] + size * share * b.length[b.link][:, None]
+        b.behind = places.ravel()
+        b.link, b.along, b.across, b.displaced = (
+            np.repeat(a, 16) for a in (b.link, b.along / 16, b.across / 16, b.displaced / 16)
+        )
+
+    return Act(body=body)
 
 
 def asymmetric_thrust(rng: np.random.Generator, size: float, robot: str) -> Act:
@@ -230,7 +247,7 @@ def waves(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def gusts(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Bursts of water from anywhere at any time."""
-    peak = size * 1.3 * TYPICAL[robot].current
+    peak = size * {"tfish": 0.006, "dolphin": 0.004}[robot]
 
     def flow(trial: Trial, t: np.ndarray) -> np.ndarray:
         own = trial.rng("gusts")
@@ -266,26 +283,33 @@ def wall(rng: np.random.Generator, size: float, robot: str) -> Act:
     pull = size * TYPICAL[robot].wall
 
     def start(trial: Trial, own: np.random.Generator) -> None:
-        away = np.radians(own.uniform(-2.0, 8.0)) if robot == "tfish" else np.radians(own.uniform(-3.0, 3.0))
+        away = np.radians(own.uniform(-2.0, 8.0)) if robot == "tfish" else np.radians(own.uniform(1.0, 5.0))
         trial.start = (trial.start[0], own.uniform(0.25, 0.5), away)
         if "bias_deg" in trial.drive:  # turns away
             trial.drive["bias_deg"] = -abs(trial.drive["bias_deg"])
 
-    fixed = {"image": pull, "image_drag": 0.01 * size, "wall_nx": 0.0, "wall_ny": 1.0, "wall_at": 0.0}
+    fixed = {
+        "image": pull,
+        "image_drag": {"tfish": 0.01, "dolphin": 0.004}[robot] * size,
+        "wall_nx": 0.0,
+        "wall_ny": 1.0,
+        "wall_at": 0.0,
+    }
     return Act(water=lambda trial: fixed, start=start)
 
 
 def surface_breach(rng: np.random.Generator, size: float, robot: str) -> Act:
-    """Sections above the surface have weight and no water around them."""
+    """Sections above the surface have weight and no water around them; larger sizes swim nearer to it."""
+    depth = 0.105 - 0.03 * np.log10(size / 0.3)
 
     def start(trial: Trial, own: np.random.Generator) -> None:
-        trial.start = (trial.start[0], -own.uniform(0.10, 0.14), np.radians(own.uniform(0.0, 2.0)))
+        trial.start = (trial.start[0], -depth - own.uniform(0.0, 0.02), np.radians(own.uniform(-1.5, 0.5)))
 
-    fixed = {"breach": min(0.4 * size, 1.0), "surface": 0.02 - 0.02 * size}
+    fixed = {"breach": 1.0, "surface": 0.0}
     return Act(water=lambda trial: fixed, start=start)
 
 
 def buoyancy(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Net lift ahead of the middle, and the righting moment of a low centre of mass."""
-    lift = 0.04 * size * rng.choice([-1.0, 1.0])
-    return Act(water=lambda trial: {"lift": lift, "righting": 0.15 * size})
+    lift = 0.012 * size * rng.choice([-1.0, 1.0])
+    return Act(water=lambda trial: {"lift": lift, "righting": 0.04 * size})

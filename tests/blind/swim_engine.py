@@ -1,110 +1,17 @@
-"""A planar chain of links in water, compiled: the levers of `tests.generators.swimmer`, stepped by Kutta's rule.
+"""A planar chain of links in water, compiled: levers as in `tests.generators.swimmer`, Kutta's rule.
 
-Positions are complex numbers; a point behind the front end of link k lies at ``front_k - a e_k`` with a complex
-lever ``a`` and ``e_k = exp(i psi_k)``. Lagrange's equations in (nose, psi_0, psi_1, ...) are reduced by the driven
-joints and integrated with Kutta's third-order rule, whose three stages fall on a half-step grid.
+Positions are complex numbers; a point behind the front end of link k lies at ``front_k - a e_k`` with
+a complex lever ``a`` and ``e_k = exp(i psi_k)``. Lagrange's equations in (nose, psi_0, psi_1, ...) are
+reduced by the driven joints and integrated with Kutta's third-order rule, whose three stages fall on a
+half-step grid.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-WATER_KG_M3 = 1000.0
-GRAVITY_M_S2 = 9.81
-#: States beyond position and rate: lagged wake, shedding phase, thrust memory and its rate, bend of the fin.
-EXTRA = 5
-LAWS = (
-    "linear",
-    "cubic",
-    "damping",
-    "power",
-    "spring",
-    "pretension",
-    "arm",
-    "crank",
-    "lock",
-    "play",
-)
-
-
-class Chain(NamedTuple):
-    """Constants of a chain; SI. Lists of points have one entry per point.
-
-    ``moment`` and ``coupling`` are the first and second moments of all mass over the levers, ``passive``
-    each joint's place among the passive ones or -1, ``laws`` their torques with columns `LAWS`; ``foil`` on
-    the last link: distance behind its front end, half the density times area, C_L, C_D0 and C_D1.
-    """
-
-    length: np.ndarray
-    mass: float
-    moment: np.ndarray
-    coupling: np.ndarray
-    inertia: np.ndarray
-    passive: np.ndarray
-    laws: np.ndarray
-    link: np.ndarray
-    behind: np.ndarray
-    along: np.ndarray
-    across: np.ndarray
-    displaced: np.ndarray
-    lateral_link: np.ndarray
-    lateral_behind: np.ndarray
-    lateral_mass: np.ndarray
-    foil: np.ndarray
-
-
-class Water(NamedTuple):
-    """What acts besides still, unbounded water; SI, and nothing at these values.
-
-    ``low`` and its power: force on the nose link at low speed; ``friction``: exponent on the friction line;
-    ``edge`` and ``edge_lag``: mass per length shed at the trailing edge and the time after which its lift is there;
-    ``image`` and ``image_drag``: pull and added drag of a wall at ``wall_at`` along a unit normal; ``torn``: share
-    of the fin lost at ``torn_at``; ``memory``: thrust per squared speed of the fin, felt late; ``uneven``: the
-    fin's force is that much larger to one side; ``bend``: of a foil's chord, rad/N.
-    """
-
-    low: float = 0.0
-    low_power: float = 1.3
-    friction: float = 0.0
-    friction_length: float = 0.466
-    edge: float = 0.0
-    edge_lag: float = 0.1
-    shear: float = 0.0
-    stream_x: float = 1.0
-    stream_y: float = 0.0
-    wave: float = 0.0
-    wave_number: float = 1.0
-    wave_rate: float = 1.0
-    wave_phase: float = 0.0
-    wave_node: float = 0.0
-    line: float = 0.0
-    line_span: float = 1.0
-    line_drag: float = 0.0
-    anchor_x: float = 0.0
-    anchor_y: float = 0.0
-    image: float = 0.0
-    image_drag: float = 0.0
-    wall_at: float = 0.0
-    wall_nx: float = 0.0
-    wall_ny: float = 1.0
-    breach: float = 0.0
-    surface: float = 0.0
-    lift: float = 0.0
-    righting: float = 0.0
-    thrust: float = 1.0
-    uneven: float = 0.0
-    torn: float = 0.0
-    torn_at: float = 0.0
-    shed: float = 0.0
-    shed_rate: float = 0.0
-    memory: float = 0.0
-    memory_rate: float = 1.0
-    memory_damping: float = 0.5
-    bend: float = 0.0
-    bend_lag: float = 0.03
+from tests.blind.swim_tables import GRAVITY_M_S2, WATER_KG_M3
 
 
 @njit(cache=True)
@@ -140,41 +47,6 @@ def solve(matrix, right, n):  # type: ignore[no-untyped-def]
         for k in range(i + 1, n):
             right[i] -= matrix[i, k] * right[k]
         right[i] /= matrix[i, i]
-
-
-class Work(NamedTuple):
-    """Room for one evaluation."""
-
-    e: np.ndarray
-    whirl: np.ndarray
-    front: np.ndarray
-    speed: np.ndarray
-    load: np.ndarray
-    torque: np.ndarray
-    angle: np.ndarray
-    rate: np.ndarray
-    known: np.ndarray
-    matrix: np.ndarray
-    right: np.ndarray
-    normals: np.ndarray
-    spread: np.ndarray
-    reduced: np.ndarray
-    answer: np.ndarray
-
-
-def room(chain: Chain) -> Work:
-    """`Work` for a chain; ``spread`` says which nose coordinates and links each free coordinate moves."""
-    links, n = len(chain.length), 3 + len(chain.laws)
-    spread = np.zeros((2 + links, n))
-    spread[0, 0] = spread[1, 1] = 1.0
-    spread[2:, 2] = 1.0
-    for j, p in enumerate(chain.passive):
-        if p >= 0:
-            spread[3 + j :, 3 + p] = 1.0
-    waves = (np.zeros(links, complex) for _ in range(5))
-    reals = (np.zeros(links) for _ in range(4))
-    rest = (np.zeros((2 + links, 2 + links)), np.zeros(2 + links), np.zeros(2 + links))
-    return Work(*waves, *reals, *rest, spread, np.zeros((n, n)), np.zeros(n))
 
 
 @njit(cache=True)
@@ -232,7 +104,7 @@ def moving(where, t, flow, water):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def emerged(where, water):  # type: ignore[no-untyped-def]
     """Share of a section above the surface."""
-    return 1.0 / (1.0 + np.exp(-min((where.imag - water.surface) / 0.02, 500.0)))
+    return 1.0 / (1.0 + np.exp(-min((where.imag - water.surface) / 0.012, 500.0)))
 
 
 @njit(cache=True)
@@ -425,8 +297,8 @@ def derivative(t, state, out, joints, flow, carried, chain, water, work):  # typ
 def integrate(first, step, joints, flow, carried, chain, water, work):  # type: ignore[no-untyped-def]
     """States at every whole step, shape (steps + 1, states).
 
-    ``joints`` (2 steps + 1, 3, joints), ``flow`` and ``carried`` (2 steps + 1), velocity and acceleration of the
-    water as complex numbers, lie on the half-step grid; `Water` speaks of what depends on the place.
+    ``joints`` (2 steps + 1, 3, joints), ``flow`` and ``carried`` (2 steps + 1), velocity and acceleration
+    of the water as complex numbers, lie on the half-step grid; `Water` holds what depends on the place.
     """
     steps = (joints.shape[0] - 1) // 2
     found = np.empty((steps + 1, first.size))

@@ -85,8 +85,9 @@ class Refit:
         Returns
         -------
         dict
-            ``noncentrality``, the squared whitened length of what is left: that of a chi-square test; ``raw``,
-            the same before the refit; ``refit_over_floor`` per channel, rms of what is left over the noise.
+            ``noncentrality``, the squared whitened length of what is left: that of a chi-square test;
+            ``raw``, the same before the refit; ``refit_over_floor`` per channel, rms of what is left over
+            the noise.
         """
         change = {key: with_it[key[0]][key[1]] - without[key[0]][key[1]] for key in self.blocks}
         white = [self._whiten(key[1], values) for key, values in change.items()]

@@ -21,8 +21,9 @@ def _place(trial: Trial, channels: Channels) -> np.ndarray:
 
 def camera_scale(rng: np.random.Generator, size: float, robot: str) -> Act:
     """A wrong scale, and a lens whose scale changes a little towards the edge."""
-    scale = 1.0 + 0.08 * size * rng.choice([-1.0, 1.0])
-    centre, bent = complex(rng.normal(), rng.normal()), 0.004 * size * rng.uniform(-1.0, 1.0)
+    off_by = {"tfish": 0.08, "dolphin": 0.02}[robot] * size
+    scale = 1.0 + off_by * rng.choice([-1.0, 1.0])
+    centre, bent = complex(rng.normal(), rng.normal()), 0.05 * off_by * rng.uniform(-1.0, 1.0)
 
     def seen(trial: Trial, channels: Channels, t: np.ndarray) -> Channels:
         off = _place(trial, channels) - centre
@@ -51,7 +52,7 @@ def time_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
 
 def marker_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The tracked marker is not on the nose."""
-    off = 0.05 * size * np.exp(1j * rng.uniform(-np.pi, np.pi))
+    off = {"tfish": 0.05, "dolphin": 0.02}[robot] * size * np.exp(1j * rng.uniform(-np.pi, np.pi))
 
     def seen(trial: Trial, channels: Channels, t: np.ndarray) -> Channels:
         angle = channels[UP[robot][1]]

@@ -1,13 +1,13 @@
 """Cases of free swimming with a known hidden cause, none, two, or one that no catalogue holds.
 
-`make_case` writes what a user would have: a trials file, its logs and sometimes an earlier calibration. The cause
-stays in the label it returns.
+`make_case` writes what a user would have: a trials file, its logs and sometimes an earlier calibration.
+The cause stays in the label it returns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from tests.blind import swim_body, swim_files
 from tests.blind import swim_effects as effects
 from tests.blind import swim_sensing as sensing
 from tests.blind.swim_case import Act, Channels, Entry, Trial
-from tests.blind.swim_engine import Water
 from tests.blind.swim_sensing import UP
+from tests.blind.swim_tables import Water
 from tests.generators import swimmer
 
 SIZES = (0.3, 1.0, 3.0)
@@ -74,7 +74,8 @@ _OUTSIDE = _entries(
     effects.fin_tear,
     effects.gusts,
 )
-OUTSIDE: dict[str, dict[str, Entry]] = {"tfish": _OUTSIDE, "dolphin": _OUTSIDE}
+_SPREAD = _entries("outside", effects.spread_drag, sizes=(0.3, 1.0))
+OUTSIDE: dict[str, dict[str, Entry]] = {"tfish": {**_OUTSIDE, **_SPREAD}, "dolphin": _OUTSIDE}
 
 #: Coefficients a fit estimates, with the published value and upper bound of the robot's file.
 FITTED = {
@@ -160,6 +161,12 @@ def _sampled(
     return {"t_s": log, **found}
 
 
+def _broken(trial: Trial, acts: Sequence[Act], log: Channels) -> Channels:
+    for act in acts:
+        log = log if act.broken is None else act.broken(trial, log, log["t_s"])
+    return log
+
+
 def plan(robot: str, rng: np.random.Generator) -> list[Trial]:
     """Six to nine trials over three frequencies and two or three amplitudes, one setting repeated."""
     if robot == "tfish":
@@ -170,8 +177,7 @@ def plan(robot: str, rng: np.random.Generator) -> list[Trial]:
         amplitudes = np.round(np.array([18.0, 23.0, 28.0]) + rng.uniform(-1.0, 1.0, 3))
     amplitudes = amplitudes[: rng.integers(2, 4)]
     settings = [(f, a) for f in frequencies for a in amplitudes]
-    chosen = [settings[i] for i in rng.permutation(len(settings))]
-    chosen = sorted(chosen, key=lambda s: [c[0] for c in chosen].index(s[0]) >= 0)[: rng.integers(5, 8)]
+    chosen = [settings[i] for i in rng.permutation(len(settings))][: rng.integers(5, 8)]
     missing = [f for f in frequencies if f not in {c[0] for c in chosen}]
     chosen += [(f, amplitudes[0]) for f in missing]
     drives = [{"frequency_hz": float(f), "amplitude_deg": float(a)} for f, a in chosen]
@@ -181,7 +187,7 @@ def plan(robot: str, rng: np.random.Generator) -> list[Trial]:
     repeated = int(rng.integers(len(drives)))
     drives.insert(repeated + 1, dict(drives[repeated]))
     rate, duration = float(rng.choice([25.0, 30.0, 40.0, 50.0])), float(rng.integers(8, 16))
-    held = rng.choice(len(drives), size=rng.integers(1, 3), replace=False) if rng.random() < 0.5 else []
+    held: Any = rng.choice(len(drives), size=rng.integers(1, 3), replace=False) if rng.random() < 0.5 else []
     spread = rng.uniform(0.005, 0.015), rng.uniform(0.2, 0.5), rng.uniform(0.002, 0.008)
     seed, trials = int(rng.integers(2**31)), []
     for i, drive in enumerate(drives):
@@ -243,10 +249,10 @@ def make_case(
     dict
         ``robot``, ``effects``, ``stages`` and ``sizes``; ``coefficients``; ``noise_sd`` per channel;
         ``gap_over_floor`` per channel and ``overall``: rms change the causes make to the noise-free channels,
-        with the same coefficients, over the noise; ``with`` and ``without``: those channels per trial id;
-        ``columns`` and ``channels``: those logged, and those of them that a diagnosis can be held to.
-        Nothing is written outside ``folder``. What is needed for `swim_gap.noncentrality` is in
-        ``trials``, ``acts`` and ``noise``.
+        with the same coefficients, over the noise, a broken marker included; ``with`` and
+        ``without``: those channels per trial id, the marker whole;
+        ``columns`` and ``channels``: those logged, and those of them that a diagnosis can be held to;
+        ``facts`` chosen at random; ``trials``, ``acts`` and ``noise``, for `swim_gap.Refit`.
     """
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
     sizes = (size,) * len(names) if isinstance(size, int | float) else tuple(size)
@@ -273,16 +279,13 @@ def make_case(
         clean = with_it[trial.id]
         own = trial.rng("noise")
         log = {name: clean[name] + noise.draw(name, len(clean["t_s"]), own) for name in columns}
-        for act in acts:
-            log = log if act.broken is None else act.broken(trial, log, clean["t_s"])
-        logs[trial.id] = {"t_s": clean["t_s"], **log}
+        logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
     if rng.random() < 1.0 / 3.0:
         swim_files.write_prior(Path(folder) / "params_prior.yaml", robot, coefficients, FITTED[robot], rng)
     sd = {name: noise.sd(name) for name in columns}
-    gap = {name: rms_change(with_it, without, name) / sd[name] for name in channels}
-    if any(act.broken is not None for act in acts):
-        gap = {name: float("nan") for name in gap}
+    shown = {t.id: _broken(t, acts, with_it[t.id]) for t in trials}
+    gap = {name: rms_change(shown, without, name) / sd[name] for name in channels}
     return {
         "robot": robot,
         "effects": list(names),
@@ -303,9 +306,6 @@ def make_case(
 
 
 def rms_change(with_it: dict[str, Channels], without: dict[str, Channels], name: str) -> float:
-    """Root mean square difference of one channel over all samples of all trials."""
+    """Root mean square difference of one channel over all samples of all trials that are not missing."""
     off = np.concatenate([with_it[key][name] - without[key][name] for key in with_it])
-    return float(np.sqrt(np.mean(off**2)))
-
-
-__all__ = ["CATALOGUE", "OUTSIDE", "make_case", "plan", "replace", "swim", "truth"]
+    return float(np.sqrt(np.nanmean(off**2)))

@@ -404,8 +404,8 @@ def integrate(  # type: ignore[no-untyped-def]
     wake_link,
     wake,
     free_base,
-    forced=None,
-    begin=0.0,
+    forced,
+    begin,
 ):
     """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
 
@@ -416,7 +416,8 @@ def integrate(  # type: ignore[no-untyped-def]
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
     begin : float, s
-        Time of the first state, for the forces from outside.
+        Time of the first state, for the forces from outside. Given by name or left to a default, a None for
+        ``forced`` would cost half as much again: it must be an argument for the compiler to leave them out.
     others
         As :func:`derivative`.
 

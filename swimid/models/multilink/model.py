@@ -329,9 +329,9 @@ class MultilinkModel(Model):
             frame = (x, y, 0.0 if self._heading_matters() else self._start_heading(values, trial))
             at = (-body.reference.station_m, body.reference.offset_m)
             forced = engine.outside(hooks.force, frame, at, len(self.assembly.links))
-            states, rates = engine.integrate(start, step, table, *tables.values(), forced, begin)
         else:
-            states, rates = engine.integrate(start, step, table, *tables.values())
+            forced = None
+        states, rates = engine.integrate(start, step, table, *tables.values(), forced, begin)
         return Trajectory(begin, step, states, rates, table[::2, :, :3])
 
     def _start_heading(self, values: Array, trial: Trial) -> float:

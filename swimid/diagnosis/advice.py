@@ -1,0 +1,178 @@
+"""The next experiment: which setting, or which sensor, would tell the rivals apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.places import knobs
+from swimid.diagnosis.result import Advice
+from swimid.estimators.problem import Problem
+from swimid.models.base import Array, Model, Trial
+
+#: A proposal counts as telling rivals apart beyond this many units of noise.
+APART = 4.0
+#: Proposals reported.
+MOST = 4
+
+
+def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
+    """Trials that could be run next, in words and as the model would see them."""
+    template = max(trials, key=lambda t: len(t.time_s))
+    found: list[tuple[str, Trial]] = []
+    beat = template.settings.get("beat")
+    if beat is not None:
+        beats = [t.settings["beat"] for t in trials if t.settings.get("beat") is not None]
+        f = sorted({b.frequency_hz for b in beats})
+        a = sorted({b.amplitude_rad for b in beats})
+        changes = [
+            {"frequency_hz": 0.6 * f[0]}, {"frequency_hz": 1.4 * f[-1]}, {"amplitude_rad": 0.6 * a[0]},
+            {"amplitude_rad": 1.4 * a[-1]}, {"bias_rad": math.radians(20.0)},
+            {"frequency_hz": 1.4 * f[-1], "amplitude_rad": 1.4 * a[-1]},
+            {"frequency_hz": 0.6 * f[0], "amplitude_rad": 1.4 * a[-1]},
+        ]  # fmt: skip
+        for change in changes:
+            moved = replace(beat, **change)
+            trial = replace(template, id="proposed", settings={**template.settings, "beat": moved})
+            says = knobs(trial)
+            found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
+    elif "force" in template.settings and "force_N" not in template.inputs:
+        forces = [float(t.settings["force"]) for t in trials]
+        for force in (0.5 * min(forces), 2.0 * max(forces)):
+            if force > 0:
+                trial = replace(template, id="proposed", settings={**template.settings, "force": force})
+                found.append((f"a driving force of {force:.3g} N", trial))
+    elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
+        f = [float(t.inputs["frequency_hz"][0]) for t in trials]
+        a = [float(t.inputs["amplitude_rad"][0]) for t in trials]
+        for fx, ax in ((0.7 * min(f), max(a)), (1.3 * max(f), max(a)), (max(f), 0.6 * min(a)), (max(f), 1.4 * max(a))):
+            inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
+            trial = replace(template, id="proposed", inputs=inputs)
+            found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
+    if len(template.time_s) > 20:
+        span = float(template.time_s[-1] - template.time_s[0])
+        step = float(np.median(np.diff(template.time_s)))
+        if "joints" not in template.settings and template.inputs.get("force_N", ()) is not None:
+            longer = template.time_s[0] + step * np.arange(int(2.0 * span / step) + 1)
+            if not template.inputs or beat is not None:
+                found.append((f"one of the same settings, {2.0 * span:.3g} s long", replace(template, id="proposed", time_s=longer)))
+    return found
+
+
+def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str]]:
+    """Channels the model has and no trial measures."""
+    measured = {c for t in trials for c in t.measured}
+    return [(c.meaning or c.name, c.name) for c in model.channels if c.name not in measured]
+
+
+def advise(
+    bench: Bench, rivals: Sequence[Fit], lens: Lens, floors: Mapping[str, float], now: float
+) -> tuple[Advice, ...]:
+    """Proposals ranked by how well they tell the first rival from the others.
+
+    Parameters
+    ----------
+    rivals : sequence of Fit
+        At least two, each the model with one rival.
+    floors : mapping of channel to float
+    now : float
+        How far apart the rivals are on the trials at hand, in units of the noise.
+    """
+    found = []
+    names = tuple(f.effects[-1].name for f in rivals)
+    known = information(rivals[0], lens)
+    for words, trial in proposals(bench.model, bench.trials):
+        difference = min(
+            apart(bench, rivals[0], other, trial, floors, known, sorted(_channels(bench))) for other in rivals[1:]
+        )
+        found.append(Advice(f"run {words}", names, difference, now))
+    template = max(bench.trials, key=lambda t: len(t.time_s))
+    for meaning, channel in sensors(bench.model, bench.trials):
+        noise = typical_noise(channel, floors)
+        if noise is None:
+            continue
+        difference = min(
+            apart(bench, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
+            for other in rivals[1:]
+        )
+        words = f"log {meaning} ({channel}) as well, to {noise:.2g}"
+        found.append(Advice(words, names, difference, now))
+    found.sort(key=lambda a: -a.difference)
+    return tuple(found[:MOST])
+
+
+def _channels(bench: Bench) -> set[str]:
+    return {c for t in bench.trials for c in t.measured}
+
+
+def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
+    """What a common sensor of a channel gets to: an encoder 0.01 rad, a gyro 0.02 rad/s, a camera as here."""
+    if channel in floors:
+        return floors[channel]
+    if channel.startswith("joint") and channel.endswith("_rad"):
+        return 0.01
+    if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s"):
+        return 0.02
+    return None
+
+
+def information(fit: Fit, lens: Lens) -> dict[str, Array | list[str]]:
+    """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
+    shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
+    normal = np.zeros((len(shared), len(shared)))
+    for k, rows in enumerate(fit.rows):
+        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        seen = lens.through(fit.problem, k, rows[:, shared + mine])
+        inner = seen.T @ seen
+        s = len(shared)
+        if mine:
+            own = inner[s:, s:] + 1e-9 * np.trace(inner[s:, s:]) * np.eye(len(mine))
+            inner = inner[:s, :s] - inner[:s, s:] @ np.linalg.solve(own, inner[s:, :s])
+        normal += inner[:s, :s]
+    return {"labels": [fit.labels[j] for j in shared], "normal": normal}
+
+
+def apart(
+    bench: Bench,
+    first: Fit,
+    second: Fit,
+    trial: Trial,
+    floors: Mapping[str, float],
+    known: Mapping[str, Array | list[str]],
+    channels: Sequence[str],
+) -> float:
+    """Predicted difference of two rivals on a trial, in units of the noise, all else refitted."""
+    blank = {c: np.zeros(len(trial.time_s)) for c in channels}
+    proposed = replace(trial, measured=blank)
+    runs, rows = [], None
+    for fit in (first, second):
+        model = bench.affected(fit.effects)
+        parameters = (*bench.parameters, *model.parameters[len(bench.parameters) :])
+        values = {label: v for label, v in zip(fit.labels, fit.theta, strict=True) if "[" not in label}
+        parameters = tuple(replace(p, start=values.get(p.name, p.start)) for p in parameters)
+        problem = Problem(model, parameters, [proposed], jobs=1)
+        for i, channel in enumerate(problem.channels[0]):
+            problem.sd[0][i] = np.full(len(trial.time_s), max(floors.get(channel, 1.0), 1e-12))
+        theta = problem.start
+        runs.append(problem.trial_residuals(theta, 0))
+        if rows is None:
+            rows = -problem.trial_jacobians(theta)[0]
+            labels = problem.labels
+    assert rows is not None
+    difference = runs[0] - runs[1]
+    if not np.isfinite(difference).all() or np.max(np.abs(difference), initial=0.0) > 1e5:
+        return 0.0
+    normal = rows.T @ rows
+    where = [labels.index(name) for name in known["labels"] if name in labels]
+    take = [i for i, name in enumerate(known["labels"]) if name in labels]
+    prior = np.asarray(known["normal"])
+    normal[np.ix_(where, where)] += prior[np.ix_(take, take)]
+    normal += 1e-9 * np.diag(np.diag(normal) + 1e-12)
+    right = rows.T @ difference
+    left = float(difference @ difference - right @ np.linalg.solve(normal, right))
+    return math.sqrt(max(left, 0.0))

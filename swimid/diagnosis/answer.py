@@ -1,0 +1,393 @@
+"""The whole answer, from what a diagnosis tried."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.diagnosis import advice, candidates, conclusion, gram, places, shrinkage
+from swimid.diagnosis.bench import Bench, Fit, errors
+from swimid.diagnosis.chain import Round, State, passes
+from swimid.diagnosis.conclusion import SET, Named
+from swimid.diagnosis.floor import floors as noise_floors
+from swimid.diagnosis.floor import split
+from swimid.diagnosis.folds import Folds
+from swimid.diagnosis.nominal import Given
+from swimid.diagnosis.result import (
+    Absorbed,
+    Advice,
+    Cause,
+    ChannelGap,
+    Extrapolation,
+    Gap,
+    Number,
+    Remaining,
+    Score,
+    Shrinkage,
+)
+from swimid.effects.sensing.marker_dropout import MarkerDropout
+from swimid.models.base import Array, Trial
+from swimid.progress import Progress, silent
+
+#: Failed samples count as a cause from this many on, and from this squared misfit.
+FAILED, FAILED_MISFIT = 4, 50.0
+
+
+def answer(
+    state: State,
+    validation: Sequence[Trial],
+    given: Mapping[str, Given],
+    raw: Sequence[Trial],
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Gap:
+    """Verdict, causes, shrinkage, what remains, what next.
+
+    Parameters
+    ----------
+    validation : sequence of Trial
+        Trials that took no part in fits.
+    given : mapping of name to Given
+        The coefficients of the parameter file.
+    raw : sequence of Trial
+        The fitted trials with their failed samples still in.
+    """
+    rng = np.random.default_rng(seed)
+    bench = state.bench
+    nominal = state.rounds[0].base if state.rounds else state.base
+    floor, rough, how = noise_floors(bench, nominal, state.bare or nominal.residuals)
+    unknown = conclusion.unknown_share(state)
+    found = [r for r in state.rounds if r.ranked and passes(state, r)]
+    chosen = [conclusion.named(state, r, unknown) for r in found]
+    failed = _failed(state, nominal, raw, floor)
+    word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+    rows = conclusion.scores(state)
+    shipped = {p.name: p.start for p in bench.parameters if not p.per_trial}
+    total = len(validation) or bench.folds.count
+    with progress("held-out trials", total=total) as step:
+        held = shrinkage.pieces(
+            bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
+        )
+    closing = shrinkage.shrinkages(held, floor, rng=rng)
+    causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
+    if failed:
+        causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
+    where = places.Map(bench, nominal, floor)
+    gap = word != "none"
+    stages = conclusion.stages(rows, bool(chosen), {s.stage for s in rows})
+    if failed and causes and causes[0].effect == MarkerDropout.name:
+        stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
+    units = {c.name: c.unit for c in bench.model.channels}
+    left = state.left
+    return Gap(
+        verdict=word,
+        channels=_channels(bench, nominal, floor, shipped, units, held),
+        stages=stages,
+        phase=places.phases(where) if gap else (),
+        regime=places.regimes(where),
+        time=places.times(where),
+        causes=tuple(causes) if gap else (),
+        remaining=_remaining(state, unknown),
+        advice=_advice(state, found, chosen, word, floor),
+        scores=rows,
+        threshold=state.rounds[0].threshold if state.rounds else math.nan,
+        floor_from=how,
+        sketches=places.sketches(bench, state.base, left) if left is not None and left.found else (),
+        overlays=shrinkage.overlays(held, units),
+        maps=places.maps(where),
+        forces=dict(left.places) if left is not None else {},
+        rounds=tuple(_told(r, state) for r in state.rounds),
+        reasons=_reasons(state),
+    )
+
+
+def _told(found: Round, state: State) -> str:
+    if not found.ranked:
+        return "no effect gains anything on held-out data"
+    best = found.ranked[0]
+    word = "counts" if passes(state, found) else "does not count"
+    return (
+        f"{best.tried.effect.name} gains {best.gain:.4g} ± {best.stderr:.2g} on held-out data against a threshold of "
+        f"{found.threshold:.3g}: it {word}"
+    )
+
+
+def _reasons(state: State) -> tuple[str, ...]:
+    said = []
+    if state.rounds:
+        said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]
+    if state.out_of_time:
+        said.append("the time budget ran out before every effect was refitted")
+    for name, sd in zip(state.chance, state.chance_sd, strict=True):
+        if sd > 0.02:
+            said.append(f"trials differ by chance in {name}: {sd:.2g} of its typical size; that is in the noise")
+    return tuple(said)
+
+
+def _channels(
+    bench: Bench,
+    nominal: Fit,
+    floor: Mapping[str, float],
+    shipped: Mapping[str, float],
+    units: Mapping[str, str],
+    held: Sequence[shrinkage.Piece],
+) -> tuple[ChannelGap, ...]:
+    squares: dict[str, list[Array]] = {}
+    spans: dict[str, list[Array]] = {}
+    for k, trial in enumerate(bench.trials):
+        for channel, series in split(nominal, k, nominal.residuals[k]).items():
+            there = np.isfinite(series)
+            squares.setdefault(channel, []).append(series[there] ** 2)
+            spans.setdefault(channel, []).append(trial.measured[channel][there])
+    as_given: dict[str, list[Array]] = {}
+    for p in held:
+        error = (p.measured - p.shipped)[np.isfinite(p.measured)]
+        as_given.setdefault(p.channel, []).append(error**2)
+    excess = {}
+    for channel, parts in squares.items():
+        values = np.concatenate(parts)
+        excess[channel] = float(max(np.sum(values / max(floor[channel], 1e-300) ** 2 - 1.0), 0.0))
+    total = sum(excess.values()) or 1.0
+    found = []
+    for channel, parts in squares.items():
+        rmse = float(np.sqrt(np.mean(np.concatenate(parts))))
+        span = float(np.ptp(np.concatenate(spans[channel]))) or 1.0
+        before = as_given.get(channel)
+        shipped_rmse = float(np.sqrt(np.mean(np.concatenate(before)))) if before else math.nan
+        found.append(
+            ChannelGap(
+                channel, units.get(channel, "1"), rmse / span, floor[channel] / span, excess[channel] / total,
+                rmse, shipped_rmse / span,
+            )
+        )  # fmt: skip
+    return tuple(sorted(found, key=lambda c: -c.share))
+
+
+def _causes(
+    state: State,
+    chosen: Sequence[Named],
+    nominal: Fit,
+    given: Mapping[str, Given],
+    closing: tuple[Shrinkage, ...],
+) -> list[Cause]:
+    if not chosen:
+        return []
+    sd = conclusion.parameter_errors(state)
+    absorbed = _absorbed(state, nominal, given, sd)
+    beyond = _extrapolations(state, nominal)
+    causes = []
+    for number, c in enumerate(chosen):
+        effect = c.best.tried.effect
+        numbers: dict[str, Number] = {}
+        for p in c.best.tried.parameters:
+            labels = [n for n in state.base.labels if n.split("[")[0] == f"{effect.name}/{p.name}"]
+            values = [state.base.value(n) for n in labels]
+            if not values:
+                continue
+            if p.per_trial:
+                size = float(np.sqrt(np.mean(np.square(values))))
+                numbers[f"{p.name}_rms"] = Number(size, None, p.unit)
+            else:
+                bound = values[0] <= p.lower or values[0] >= p.upper
+                error = sd.get(labels[0])
+                status = "at-bound" if bound else "estimated"
+                numbers[p.name] = Number(values[0], None if bound else error, p.unit, status)
+        causes.append(
+            Cause(
+                effect.name,
+                effect.stage,
+                effect.meaning,
+                effect.sources,
+                float(np.clip(c.probability, 0.0, 1.0)),
+                c.equivalent,
+                numbers,
+                closing if number == 0 else (),
+                c.best.gain,
+                c.best.stderr,
+                absorbed if number == 0 else (),
+                beyond if number == 0 else (),
+            )
+        )
+    return causes
+
+
+def _absorbed(
+    state: State, nominal: Fit, given: Mapping[str, Given], sd: Mapping[str, float]
+) -> tuple[Absorbed, ...]:
+    _, weight = state.bench.expected(nominal.problem)
+    plain = dict(zip(nominal.labels, errors(nominal, state.lens, weight), strict=True))
+    found = []
+    for p in state.bench.parameters:
+        if p.per_trial or p.name not in nominal.labels:
+            continue
+        known = given.get(p.name)
+        found.append(
+            Absorbed(
+                p.name,
+                p.unit,
+                Number(known.value, known.stderr, p.unit, known.status) if known else None,
+                Number(nominal.value(p.name), plain[p.name], p.unit),
+                Number(state.base.value(p.name), sd.get(p.name), p.unit),
+                p.bounds,
+            )
+        )
+    return tuple(found)
+
+
+def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
+    """Errors on the outermost frequency, amplitude or force, left out of the fit."""
+    bench = state.bench
+    if not bench.folds.whole:
+        return ()
+    settings = [places.knobs(t) for t in bench.trials]
+    found = []
+    for kind in ("frequency", "amplitude", "force"):
+        labels = [s.get(kind) for s in settings]
+        levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
+        if len(levels) < 3:
+            continue
+        for label in (levels[-1], levels[0]):
+            inside = [k for k, own in enumerate(labels) if own == label]
+            cut = copy.copy(bench)
+            owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(bench.folds.owner)]
+            cut.folds = Folds(True, owner, ["rest", label])
+            ratios = []
+            for fit in (nominal, state.base):
+                inner = gram.folded(cut, fit, state.lens)
+                misfit = float(gram.held_out(inner)[1])
+                ratios.append(math.sqrt(max(misfit, 0.0) / max(float(inner.samples[1]), 1.0)))
+            found.append(Extrapolation(f"{kind} {label}", ratios[0], ratios[1]))
+    return tuple(found)
+
+
+def _remaining(state: State, unknown: float) -> Remaining:
+    left = state.left
+    if left is None:
+        return Remaining(0.0, "", True, 0.0)
+    if not left.found:
+        return Remaining(0.0, "nothing that a smooth description finds", True, max(left.gain, 0.0))
+    ranked = sorted(left.places.items(), key=lambda item: -item[1])
+    named = [place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300)]
+    return Remaining(unknown, " and ".join(named), False, left.gain)
+
+
+def _advice(
+    state: State, found: Sequence[Round], chosen: Sequence[Named], word: str, floor: Mapping[str, float]
+) -> tuple[Advice, ...]:
+    bench = state.bench
+    if chosen:
+        names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent[: SET - 1])
+        rivals = [next(r for r in found[0].ranked if r.tried.effect.name == n) for n in names]
+        if len(rivals) == 1:
+            others = [r for r in found[0].ranked if r.tried.effect.name != names[0]]
+            rivals += others[:1]
+        if len(rivals) > 1:
+            first, second = rivals[0], rivals[1]
+            now = math.sqrt(max(first.gain - second.gain, 0.0))
+            try:
+                return advice.advise(bench, [r.fit for r in rivals], found[0].lens, floor, now)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                return ()
+    if word == "unexplained":
+        where = _remaining(state, 1.0).where
+        return (
+            Advice(
+                f"repeat one setting three times, and vary what may drive the {where}: what repeats is physics, "
+                "what does not is chance",
+                (),
+                math.nan,
+                math.nan,
+            ),
+        )
+    return ()
+
+
+# ------------------------------------------------------------ failed samples
+
+
+def _failed(state: State, nominal: Fit, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
+    """Squared misfit of the failed samples in units of the noise; 0 where they are too few to name."""
+    if state.dropouts.count < FAILED:
+        return 0.0
+    total = sum(_failed_squares(state, nominal, raw, c)[0] / max(floor.get(c, 1.0), 1e-300) ** 2 for c in floor)
+    return total if total > FAILED_MISFIT else 0.0
+
+
+def _failed_squares(state: State, fit: Fit, raw: Sequence[Trial], channel: str) -> tuple[float, int]:
+    total, count = 0.0, 0
+    for k, trial in enumerate(raw):
+        mask = state.dropouts.masks.get(trial.id, {}).get(channel)
+        if mask is None:
+            continue
+        simulated = fit.problem.simulations(fit.theta)[k].get(channel)
+        if simulated is None:
+            continue
+        error = (trial.measured[channel] - simulated)[mask]
+        total += float(np.nansum(error**2))
+        count += int(np.isfinite(error).sum())
+    return total, count
+
+
+def _with_failed(
+    state: State,
+    causes: list[Cause],
+    raw: Sequence[Trial],
+    nominal: Fit,
+    floor: Mapping[str, float],
+    misfit: float,
+    rows: Sequence[Score],
+) -> list[Cause]:
+    """The causes with the failed samples among them, where their misfit puts them."""
+    closing = list(causes[0].shrinkage) if causes else []
+    widened = []
+    for channel in floor:
+        squares, count = _failed_squares(state, nominal, raw, channel)
+        if not count:
+            continue
+        sound = [split(nominal, k, nominal.residuals[k]).get(channel) for k in range(len(raw))]
+        own = np.concatenate([s[np.isfinite(s)] for s in sound if s is not None])
+        values = np.concatenate([t.measured[channel][np.isfinite(t.measured[channel])] for t in raw if channel in t.measured])
+        span = float(np.ptp(values)) or 1.0
+        before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
+        known = next((s for s in closing if s.channel == channel), None)
+        after = known.after if known else float(np.sqrt(np.mean(own**2))) / span
+        level = floor[channel] / span
+        widened.append(
+            Shrinkage(
+                channel, before, after, before, level, shrinkage.closed(before, after, level), (math.nan, math.nan)
+            )
+        )
+    rest = [s for s in closing if s.channel not in {w.channel for w in widened}]
+    kinds = sorted({kind for *_, kind in state.dropouts.stretches})
+    samples = sum(int(np.isfinite(t.measured[c]).sum()) for t in raw for c in t.measured)
+    first = min(state.dropouts.stretches, key=lambda s: s[2])
+    effect = Cause(
+        MarkerDropout.name,
+        MarkerDropout.stage,
+        f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in state.dropouts.stretches})} trials)",
+        MarkerDropout.sources,
+        0.97,
+        (),
+        {
+            "failed_share": Number(state.dropouts.count / max(samples, 1), None, "1"),
+            "first_failure_s": Number(first[2], None, "s"),
+        },
+        (),
+        misfit,
+        math.nan,
+    )
+    ordered = sorted([*causes, effect], key=lambda c: -c.gain)
+    head = ordered[0]
+    carried = causes[0] if causes else effect
+    ordered[0] = replace(
+        head, shrinkage=(*widened, *rest), absorbed=carried.absorbed, extrapolations=carried.extrapolations
+    )
+    return [ordered[0], *(replace(c, shrinkage=(), absorbed=(), extrapolations=()) for c in ordered[1:])]
+
+
+__all__ = ["answer", "candidates"]

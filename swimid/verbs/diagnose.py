@@ -1,0 +1,156 @@
+"""``diagnose``: where the gap between a model and its trials lies, and which effect causes it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from swimid.diagnosis import answer, chain, nominal
+from swimid.diagnosis.nominal import Given
+from swimid.effects import catalogue as effect_catalogue
+from swimid.errors import NoTrustworthyResult
+from swimid.experiments import catalogue as experiment_catalogue
+from swimid.experiments.catalogue import Loaded
+from swimid.formats import evidence as ev
+from swimid.formats import gap as gap_format
+from swimid.formats import provenance
+from swimid.formats.provenance import sha256
+from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel, prepare
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.verbs import diagnose_evidence, diagnose_file, diagnose_summary, fit_common
+from swimid.verbs.outcome import Outcome
+
+
+def diagnose(
+    trials_file: str | Path,
+    *,
+    parameters: str | Path,
+    output: Path | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[str | Path] = (),
+    jobs: int | None = None,
+    budget_s: float | None = None,
+    seed: int = 0,
+    most_causes: int = chain.COMBINED,
+    robot: str | None = None,
+    readings: Mapping[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+    progress: Progress = silent,
+) -> Outcome:
+    """Find the effect behind the gap between a model and its trials.
+
+    Parameters
+    ----------
+    trials_file, parameters : path
+        Trials of any experiment, and the parameter file of the model.
+    output : path, optional
+        Gap file to write; its evidence goes beside it.
+    effects : sequence of str
+        Those of the catalogue to try; default all that apply.
+    own : sequence of path
+        The user's own effects, Python files.
+    jobs : int, optional
+        Threads, by default one per processor; the result does not depend on it.
+    budget_s : float, optional
+        Stop trying further effects after so many seconds.
+    seed : int
+        Of the draws behind thresholds and intervals.
+    most_causes : int
+        Effects in a combination at most.
+    robot : str, optional
+        Accept the parameters for this robot although the file names another one.
+    readings : mapping, optional
+    max_step : float, s
+
+    Raises
+    ------
+    InputError, UsageError
+        For bad files and options.
+    NoTrustworthyResult
+        When there is nothing to compare: no trial of role ``fit``, or the model cannot be simulated.
+    """
+    with recorded(repeat=True) as notices:
+        loaded = experiment_catalogue.load(
+            trials_file, parameters, robot=robot, readings=dict(readings or {}), max_step=max_step
+        )
+        experiment, applied = loaded.experiment, loaded.applied
+        model = experiment.model
+        if isinstance(model, MultilinkModel):
+            prepare(progress)
+        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
+        known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
+        given = _given(loaded)
+        refitted = nominal.refitted(model.parameters, given, applied.values())
+        trials = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
+        fitted = [t for t in trials if t.role == "fit"]
+        validation = [t for t in trials if t.role == "validate"]
+        if not fitted:
+            raise NoTrustworthyResult("no trial has the role 'fit'")
+        tried = effect_catalogue.applicable(known, model, fitted)
+        same = _own_data(loaded)
+        prior = nominal.prior(refitted, given, own_data=same)
+        workers = jobs or os.cpu_count() or 1
+        state = chain.run(
+            model, refitted, fitted, prior, tried,
+            seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, progress=progress,
+        )  # fmt: skip
+        with threadpool_limits(limits=1, user_api="blas"):
+            gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
+        origin = provenance.collect(
+            [*experiment.inputs, *(Path(p) for p in own)],
+            settings={
+                "effects": list(effects),
+                "own_effects": [str(p) for p in own],
+                "seed": seed,
+                "budget_s": budget_s,
+                "max_causes": most_causes,
+                "readings": dict(readings or {}),
+                "max_step_s": max_step,
+            },
+        )
+    file = diagnose_file.gap_file(
+        gap,
+        model=model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params=str(parameters),
+        trials=[t.id for t in experiment.trials],
+        settings={
+            "prior": "from other trials" if not same else "these trials: none but the bounds",
+            "held_out": "validation trials"
+            if validation
+            else ("folds of settings" if state.bench.folds.whole else "stretches of trials"),
+            "folds": state.bench.folds.labels if len(state.bench.folds.labels) <= 30 else [],
+        },
+        provenance=origin,
+    )
+    evidence = diagnose_evidence.evidence(
+        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+    )
+    outputs: list[Path] = []
+    if output is not None:
+        gap_format.write(output, file)
+        ev.write(ev.sidecar(output), evidence)
+        outputs = [output, ev.sidecar(output)]
+    return Outcome("diagnose", diagnose_summary.summary(file), file.model_dump(mode="json"), outputs)
+
+
+def _given(loaded: Loaded) -> dict[str, Given]:
+    file = loaded.applied.file
+    assert file is not None
+    return {
+        name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
+    }
+
+
+def _own_data(loaded: Loaded) -> bool:
+    """Whether the parameters were fitted to one of these very logs."""
+    file = loaded.applied.file
+    assert file is not None
+    known = set((file.provenance.get("inputs") or {}).values())
+    logs = [p for p in loaded.experiment.inputs if p.suffix.lower() in (".csv", ".parquet")]
+    return any(sha256(p) in known for p in logs)
