@@ -14,13 +14,14 @@ demo: $(VENV)/.ready
 	$(BIN)/swimid fit-propulsion $(SAMPLES)/cruise/trials.yaml --drag $(OUT)/drag.yaml -o $(OUT)/propulsion.yaml
 	$(BIN)/swimid fit-graybox $(SAMPLES)/tfish/trials.yaml -o $(OUT)/tfish.yaml
 	$(BIN)/swimid compare $(SAMPLES)/tfish/trials.yaml --params $(OUT)/tfish.yaml -o $(OUT)/comparison.yaml
+	$(BIN)/swimid diagnose $(SAMPLES)/gap/trials.yaml --params $(SAMPLES)/gap/params.yaml -o $(OUT)/gap.yaml
 	$(BIN)/swimid simulate --params $(OUT)/tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o $(OUT)/sim.csv
 	$(BIN)/swimid rwls $(SAMPLES)/longfin/longfin_marching.csv --input cmd1_rad --output u_m_s --na 4 --nb 3 \
 	    --weight 0.95 --validate $(SAMPLES)/longfin/longfin_validation.csv -o $(OUT)/arma.yaml
 	$(BIN)/swimid track video $(SAMPLES)/pool/pool.mp4 --setup $(SAMPLES)/pool/pool_setup.yaml -o $(OUT)/run.csv \
 	    --overlay $(OUT)/overlay.mp4 --force
 	$(BIN)/swimid report $(OUT)/drag.yaml $(OUT)/propulsion.yaml $(OUT)/tfish.yaml $(OUT)/comparison.yaml \
-	    $(OUT)/arma.yaml $(OUT)/run.csv -o $(OUT)/report.html
+	    $(OUT)/gap.yaml $(OUT)/arma.yaml $(OUT)/run.csv -o $(OUT)/report.html
 	@echo "open $(OUT)/report.html"
 
 test: $(VENV)/.ready-dev

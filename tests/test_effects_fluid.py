@@ -13,11 +13,13 @@ from swimid.effects.environment.tether import Tether
 from swimid.effects.fluid.added_mass import AddedMass
 from swimid.effects.fluid.drag_reynolds import DragReynolds
 from swimid.effects.fluid.linear_drag import LinearDrag
+from swimid.effects.fluid.quadratic_drag import QuadraticDrag
 from swimid.effects.fluid.wake_lift import WakeLift
 from swimid.effects.rig.initial_speed import InitialSpeed
 from swimid.formats import robot as robots
 from swimid.formats.multilink import AddedMass as AddedMassElement
 from swimid.formats.multilink import TrailingEdge
+from swimid.models import rig
 from swimid.models.base import Trial
 from swimid.models.multilink.model import MultilinkModel
 from swimid.models.propulsion import RecoilModel, SurgeModel
@@ -173,3 +175,59 @@ def test_wake_is_the_trailing_edge_of_the_robot_file() -> None:
     seen, expected = acted(model, trial, [(WakeLift(), 0.8)]), built.simulate(start(built), trial)
     for name in ("x_m", "y_m", "yaw_rad"):
         np.testing.assert_array_equal(seen[name], expected[name])
+
+
+def test_quadratic_drag_of_a_coasting_rig_in_closed_form() -> None:
+    c, v0 = 2.5, 0.4
+    seen = acted(
+        weight_model(quadratic_drag=0.0),
+        weight_trial(force=0.0),
+        [(QuadraticDrag(), c), (InitialSpeed(), v0)],
+    )
+    np.testing.assert_allclose(seen["u_m_s"], v0 / (1 + c * v0 / INERTIA * TIME), rtol=1e-6)
+
+
+def test_quadratic_drag_adds_to_the_models_own() -> None:
+    model = weight_model(quadratic_drag=2.0)
+    (own,) = QuadraticDrag().parameters(_held(model), [weight_trial()])
+    assert (own.start, own.lower) == (0.0, -2.0)
+    both = model.simulate(start(model, quadratic_drag=3.5), weight_trial())
+    seen = acted(model, weight_trial(), [(QuadraticDrag(), 1.5)])
+    np.testing.assert_allclose(seen["x_m"], both["x_m"], rtol=1e-12)
+
+
+def test_quadratic_damping_of_a_decay_loses_as_much_as_it_must() -> None:
+    """Slowly varying amplitude (Krylov and Bogoliubov): ``dA/dt = -4 c omega A^2 / (3 pi I)``."""
+    inertia, stiffness, amplitude, c = 0.5, 8.0, 0.3, 0.02
+    model = rig.free_decay(
+        "roll_rad", inertia=inertia, stiffness=stiffness, guess=stiffness, amplitude=amplitude
+    )
+    model.parameters = tuple(
+        replace(p, start=0.0, free=False) if p.name.endswith("_damping") else p for p in model.parameters
+    )
+    omega = np.sqrt(stiffness / inertia)
+    time = 2 * np.pi / omega * np.arange(41)
+    trial = Trial("d", "fit", time, {"roll_rad": 0 * time}, settings={"inertia": inertia, "x0": amplitude})
+    (own,) = QuadraticDrag().parameters(model, [trial])
+    assert own.unit == "N m s^2/rad^2"
+    seen = acted(model, trial, [(QuadraticDrag(), c)])
+    energy = 0.5 * stiffness * seen["roll_rad"] ** 2 + 0.5 * inertia * seen["roll_rate_rad_s"] ** 2
+    expected = amplitude / (1 + 4 * c * amplitude * omega * time / (3 * np.pi * inertia))
+    np.testing.assert_allclose(np.sqrt(2 * energy / stiffness), expected, rtol=1e-3)
+
+
+def test_quadratic_drag_that_the_model_estimates_is_no_effect() -> None:
+    assert not QuadraticDrag().variants(weight_model(), [weight_trial()])
+    assert QuadraticDrag().variants(_held(weight_model()), [weight_trial()])
+    assert not QuadraticDrag().variants(dry_fish(), [])
+
+
+def test_null_and_tries_of_quadratic_drag() -> None:
+    check_null(_held(weight_model(quadratic_drag=2.0, added_mass=0.4)), weight_trial(), QuadraticDrag())
+
+
+def _held(model: rig.RigModel) -> rig.RigModel:
+    model.parameters = tuple(
+        replace(p, free=False) if p.name == "quadratic_drag" else p for p in model.parameters
+    )
+    return model

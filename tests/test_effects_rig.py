@@ -51,6 +51,16 @@ def test_friction_takes_from_the_force() -> None:
     np.testing.assert_allclose(seen["x_m"], 0.5 * (FORCE - 0.05) / INERTIA * TIME**2, atol=1e-12)
 
 
+def test_friction_of_a_slide_where_no_trial_has_a_pulley() -> None:
+    trial = weight_trial(pulley=False)
+    (slide,) = PulleyFriction().variants(weight_model(), [trial])
+    seen = acted(weight_model(), trial, [(slide, 0.05)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * (FORCE - 0.05) / INERTIA * TIME**2, atol=1e-12)
+    (pulley,) = PulleyFriction().variants(weight_model(), [trial, weight_trial()])
+    seen = acted(weight_model(), trial, [(pulley, 0.05)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
+
+
 def test_friction_may_be_less_than_the_models() -> None:
     model = weight_model(pulley_friction=0.08)
     (own,) = PulleyFriction().parameters(model, [weight_trial()])

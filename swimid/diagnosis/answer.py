@@ -60,8 +60,8 @@ def answer(
     rng = np.random.default_rng(seed)
     bench = state.bench
     nominal = state.rounds[0].base if state.rounds else state.base
-    floor, rough, how = noise_floors(bench, nominal, state.bare or nominal.residuals)
     unknown = conclusion.unknown_share(state)
+    floor, how = noise_floors(bench, state.base, conclusion.structured_share(state))
     found = [r for r in state.rounds if r.ranked and passes(state, r)]
     chosen = [conclusion.named(state, r, unknown) for r in found]
     failed = _failed(state, nominal, raw, floor)

@@ -18,6 +18,8 @@ from swimid.models.base import Array, Model, Parameter, Trial
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
 EFFECT_PRIOR = 5.0
+#: The same of the start state of a trial, about where its first samples put it.
+START_PRIOR = 30.0
 #: Relative tolerance of a fit.
 TOLERANCE = 1e-5
 #: Derivatives are taken anew once the numbers have moved by this many standard errors.
@@ -119,6 +121,8 @@ class Bench:
             p = problem.parameters[index]
             if "/" in p.name:
                 mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
+            elif owner is not None:
+                weight[j] = 1.0 / (START_PRIOR * p.scale)
             elif owner is None and p.name in self.prior:
                 m, sd = self.prior[p.name]
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
@@ -133,12 +137,15 @@ class Bench:
         tolerance: float = TOLERANCE,
         iterations: int = 30,
         jobs: int | None = None,
+        chord: Fit | None = None,
     ) -> Fit:
         """The best optimum from several starts.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
+        chord : Fit, optional
+            Take the derivatives to the numbers of this fit from it: an optimum nearby costs a fifth.
         """
         problem = self.problem(effects, jobs=jobs)
         lens.install(problem)
@@ -150,6 +157,9 @@ class Bench:
                 lens.through(problem, k, problem.trial_residuals(theta, k)) for k in range(len(self.trials))
             ]
             return np.concatenate([*parts, ((theta - mean) * weight)[held]])
+
+        if chord is not None:
+            problem.lend(chord.labels, chord.rows)
 
         def jacobian(theta: Array) -> Array:
             parts = [lens.through(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
@@ -223,6 +233,18 @@ class Bench:
                 except (ArithmeticError, np.linalg.LinAlgError):
                     seen = {c: np.full(len(trial.time_s), np.nan) for c in base.problem.channels[k]}
             stacked = base.problem.stacked(k, seen)
+            plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
+            found.append((stacked - plain) * base.problem.sample_weights(k))
+        return found
+
+    def moved(self, base: Fit, index: int, step: float) -> list[Array]:
+        """What a step of one of the model's own parameters changes in each trial, weighted, shape (n_k,)."""
+        model = self.affected(base.effects)
+        found = []
+        for k, trial in enumerate(self.trials):
+            own = base.problem.vector(base.theta, k)
+            own[index] += step
+            stacked = base.problem.stacked(k, model.simulate(own, trial))
             plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
             found.append((stacked - plain) * base.problem.sample_weights(k))
         return found

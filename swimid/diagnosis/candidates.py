@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,10 +17,18 @@ from swimid.models.base import Array, Parameter
 
 #: A change smaller than this (squared, in units of the noise) is none.
 NOTHING = 1e-6
+#: One this large, in units of the noise, is a simulation that broke down.
+BROKEN = 3e4
+#: An effect counts when it lowers the held-out misfit by more than this per sample, too.
+PER_SAMPLE = 0.002
 #: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
-DRAWS, QUANTILE = 400, 0.95
-#: Squared misfit that each number a trial has for itself removes by chance.
-CHANCE = 2.0
+DRAWS, QUANTILE = 400, 0.975
+#: No effect counts for less.
+LEAST_GAIN = 20.0
+#: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
+STARTS = 2
+#: Parts of a trial that are judged in turn where each trial has a size for itself.
+PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class Tried:
         Share of the squared change that the nominal numbers imitate.
     signature : list of ndarray
         Change of each trial at ``point``, weighted.
+    starts : list of ndarray
+        Points at which it was tried and helped as it was: other places to begin a refit.
     """
 
     effect: Effect
@@ -47,6 +57,7 @@ class Tried:
     gains: Array
     absorbed: float
     signature: list[Array]
+    starts: list[Array] = field(default_factory=list)
 
     @property
     def gain(self) -> float:
@@ -74,6 +85,16 @@ class Refitted:
         return float(self.gains.sum())
 
     @property
+    def lost(self) -> float:
+        """What is lost in folds where it makes things worse."""
+        return float(-np.minimum(self.gains, 0.0).sum())
+
+    @property
+    def merit(self) -> float:
+        """The gain, less what is lost where it does not help: a cause helps everywhere or does nothing."""
+        return self.gain - 2.0 * self.lost
+
+    @property
     def stderr(self) -> float:
         """Standard error of the gain, from its spread over folds."""
         n = len(self.gains)
@@ -97,6 +118,11 @@ class Screen:
     tried: list[Tried]
     threshold: float
     left_out: dict[str, str] = field(default_factory=dict)
+
+
+def within(change: Array) -> bool:
+    """Whether a change is one, and not a simulation that broke down."""
+    return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
 @dataclass(frozen=True)
@@ -129,7 +155,7 @@ def simulate(
         found = []
         for point in effect.tries(parameters):
             changed = bench.change(base, effect, point)
-            if all(np.isfinite(c).all() for c in changed):
+            if all(within(c) for c in changed):
                 found.append((point, changed))
         step(effect.name)
         return Trialled(effect, parameters, found)
@@ -235,6 +261,16 @@ def _best(
             consider([i])
     if len(leaders) > 1:
         consider([i for _, i in leaders.values()])
+    if best is not None and not effect.smooth:
+        raw = [(float((plain - gram.held_out_less(inner, at[i])).sum()), i) for i, _ in enumerate(points)]
+        helped = sorted(raw)[::-1][:STARTS]
+        best = replace(
+            best,
+            starts=[points[i][0] for _, i in helped],
+            gains=best.gains
+            if not helped or helped[0][0] <= best.gain
+            else plain - gram.held_out_less(inner, at[helped[0][1]]),
+        )
     return best, drawn
 
 
@@ -265,9 +301,7 @@ def _apart(
         own = [points[i][1] for i in kept.values()]
         if not own or sum(float(np.vdot(c, c)) for o in own for c in o) < NOTHING:
             continue
-        inner = gram.folded(bench, base, lens, own=own)
-        gains = plain - gram.held_out(inner)
-        gains = gains - CHANCE * len(own) * held_trials(bench)
+        gains = own_gains(bench, base, lens, own)
         if best is None or gains.sum() > best.gain:
             point = points[next(iter(kept.values()))][0]
             signature = [np.sum([o[k] for o in own], axis=0) for k in range(len(bench.trials))]
@@ -276,17 +310,43 @@ def _apart(
 
 
 def refit(
-    bench: Bench, base: Fit, base_gram: Folded, lens: Lens, tried: Tried, *, iterations: int = 12
+    bench: Bench,
+    base: Fit,
+    base_gram: Folded,
+    lens: Lens,
+    tried: Tried,
+    *,
+    begin: Fit | None = None,
+    iterations: int = 12,
 ) -> Refitted:
-    """Fit an effect together with everything the base has; its gain fold by fold."""
+    """Fit an effect together with everything the base has; its gain fold by fold.
+
+    Parameters
+    ----------
+    begin : Fit, optional
+        A first refit to go on from with derivatives of its own; without it those of the base are lent.
+    """
     effects = (*base.effects, tried.effect)
     own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
-    starts = [bench.start(effects, base, own)]
-    fit = bench.fit(effects, lens, starts, iterations=iterations, tolerance=1e-4, jobs=1)
+    points = [tried.point, *tried.starts]
+    starts = [
+        bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points
+    ]
+    chord = base if begin is None else None
+    fit = bench.fit(
+        effects,
+        lens,
+        starts if begin is None else [begin.theta],
+        iterations=iterations,
+        tolerance=1e-4,
+        jobs=1,
+        chord=chord,
+    )
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
-    extra = sum(p.per_trial for p in tried.parameters)
-    if extra and bench.folds.whole:
-        gains = gains - CHANCE * extra * held_trials(bench)
+    single = [p for p in tried.parameters if p.per_trial]
+    if single:
+        own = [_single(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
+        gains = own_gains(bench, base, lens, own)
     return Refitted(tried, fit, gains)
 
 
@@ -297,7 +357,53 @@ def alike(bench: Bench, base: Fit, lens: Lens, first: Tried, second: Tried) -> f
     return float(inner[0, 1] / norm) if norm > 0 else 0.0
 
 
-def held_trials(bench: Bench) -> Array:
-    """Number of trials in each fold."""
-    owners = bench.folds.owner
-    return np.array([sum(bool(np.any(o == f)) for o in owners) for f in range(bench.folds.count)])
+def _single(fit: Fit, name: str, scale: float) -> list[Array]:
+    """Derivatives of each trial to its own value of a parameter, per typical size."""
+    found = []
+    for k, rows in enumerate(fit.rows):
+        mine = [
+            j
+            for j, (label, (_, owner)) in enumerate(zip(fit.labels, fit.problem.slots, strict=True))
+            if owner == k and label.split("[")[0] == name
+        ]
+        found.append(rows[:, mine[0]] * scale if mine else np.zeros(len(rows)))
+    return found
+
+
+def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]]) -> Array:
+    """Drop of misfit by changes whose size each trial has for itself, shape (folds,).
+
+    The size is estimated from three quarters of a trial and judged on the other, in turn: what fits any
+    start or any drift does not do so.
+
+    Parameters
+    ----------
+    own : sequence of lists of ndarray
+        Changes of each trial, weighted, per typical size.
+    """
+    problem = base.problem
+    gains = np.zeros(bench.folds.count)
+    q = len(own)
+    for k, trial in enumerate(bench.trials):
+        mine = [j for j, (_, owner) in enumerate(problem.slots) if owner == k]
+        block = np.column_stack([*(c[k] for c in own), base.residuals[k], base.rows[k][:, mine]])
+        seen = lens.through(problem, k, block)
+        if mine:
+            starts = seen[:, q + 1 :]
+            normal = starts.T @ starts + 1e-9 * np.trace(starts.T @ starts) * np.eye(len(mine))
+            seen = seen[:, : q + 1] - starts @ np.linalg.solve(normal, starts.T @ seen[:, : q + 1])
+        times = np.concatenate(
+            [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
+        )
+        cut = np.quantile(times, np.linspace(0, 1, PARTS + 1)[1:-1]) if len(times) else np.empty(0)
+        part = np.searchsorted(cut, times, side="right")
+        products = np.array([seen[part == b].T @ seen[part == b] for b in range(PARTS)])
+        total = products.sum(axis=0)
+        gain = 0.0
+        for inner in products:
+            rest = total - inner
+            normal = rest[:q, :q] + np.eye(q) / EFFECT_PRIOR**2
+            factor = np.linalg.solve(normal, rest[:q, q])
+            gain += float(2.0 * factor @ inner[:q, q] - factor @ inner[:q, :q] @ factor)
+        gains[int(bench.folds.owner[k][0]) if len(bench.folds.owner[k]) else 0] += gain
+    return gains

@@ -19,7 +19,7 @@ from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
-from swimid.diagnosis.remainder import Left
+from swimid.diagnosis.remainder import Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
 from swimid.models.base import Array, Model, Parameter, Trial
@@ -29,13 +29,19 @@ from swimid.progress import Progress, show, silent
 WEIGHTINGS = 2
 #: Relative tolerance of the cost meanwhile.
 COARSE = 1e-3
+#: A longer integration step may change a sample by this share of its noise.
+COARSE_CHANGE = 0.1
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
-#: An effect counts when it lowers the held-out misfit by more than this per sample, too.
-PER_SAMPLE = 0.002
+#: Of those, so many are refitted to the end.
+FINISHED = 4
+#: What an effect loses in some folds may be this share of what it gains in the others.
+LOST = 0.25
+#: Numbers of single trials that a model knows and holds: they, too, may differ by chance.
+OWN = ("friction_deviation", "start_offset", "initial_speed")
 #: A further effect must gain this share of what the first one did.
-FURTHER = 0.06
+FURTHER = 0.03
 #: Effects in a combination at most.
 COMBINED = 3
 #: Misfit by which two effects of unlike form may differ though they are one, as a share of the gain.
@@ -77,7 +83,7 @@ class State:
     chance: list[str] = field(default_factory=list)
     chance_sd: Array = field(default_factory=lambda: np.empty(0))
     out_of_time: bool = False
-    bare: list[Array] = field(default_factory=list)
+    slow: dict[str, Slow] = field(default_factory=dict)
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -91,8 +97,24 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     for _ in range(WEIGHTINGS):
         previous = noise_model.estimate(problem, fit.theta, previous)
         lens = Lens([list(sds) for sds in problem.sd])
-        fit = bench.fit((), lens, [fit.theta], tolerance=COARSE)
+        fit = bench.fit((), lens, [fit.theta], tolerance=COARSE, chord=fit)
     return lens, fit
+
+
+def coarser(bench: Bench, fit: Fit) -> Model | None:
+    """The model with twice the integration step, where that changes no sample by more than noise can show."""
+    model = bench.model.coarser()
+    if model is None:
+        return None
+    problem = fit.problem
+    for k, trial in enumerate(bench.trials):
+        values = problem.vector(fit.theta, k)
+        change = problem.stacked(k, model.simulate(values, trial)) - problem.stacked(
+            k, problem.simulations(fit.theta)[k]
+        )
+        if not np.max(np.abs(change * problem.sample_weights(k)), initial=0.0) <= COARSE_CHANGE:
+            return None
+    return model
 
 
 def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[str]]:
@@ -112,6 +134,13 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
             if all(np.isfinite(c).all() for c in change) and sum(float(c @ c) for c in change) > 0:
                 columns.append([2.0 * c for c in change])
                 names.append(effect.name)
+    for index, p in enumerate(bench.parameters):
+        if not p.per_trial or p.free or p.name not in OWN:
+            continue
+        change = bench.moved(fit, index, 0.5 * p.scale)
+        if all(np.isfinite(c).all() for c in change) and sum(float(c @ c) for c in change) > 0:
+            columns.append([2.0 * c for c in change])
+            names.append(p.name)
     stacked = [
         np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
         for k in range(len(bench.trials))
@@ -138,6 +167,7 @@ def see(
 def rank(
     state: State,
     effects: Sequence[Effect],
+    scattering: Sequence[Effect],
     *,
     rng: np.random.Generator,
     jobs: int,
@@ -156,9 +186,9 @@ def rank(
         columns = [t.signature for t in promising] + left.columns
         prior = [1.0] * len(promising) + left.prior
         bare = remainder.saturated(bench, base, lens, columns, prior)
-        lens, sd, names = see(bench, base, lens, bare, effects, len(columns) + len(base.labels))
-        state.chance_sd, state.chance, state.bare = sd, names, bare
-        base = bench.fit(base.effects, lens, [base.theta])
+        lens, sd, names = see(bench, base, lens, bare, scattering, len(columns) + len(base.labels))
+        state.chance_sd, state.chance = sd, names
+        base = bench.fit(base.effects, lens, [base.theta], chord=base)
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens
     plain = gram.folded(bench, base, lens)
@@ -177,11 +207,16 @@ def rank(
         step(tried.effect.name)
         return found
 
+    def again(first: Refitted) -> Refitted:
+        return candidates.refit(bench, base, plain, lens, first.tried, begin=first.fit)
+
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         ranked = [r for r in pool.map(one, promising) if r is not None]
-    ranked.sort(key=lambda r: -r.gain)
+        ranked.sort(key=lambda r: -r.merit)
+        ranked[:FINISHED] = pool.map(again, ranked[:FINISHED])
+    ranked.sort(key=lambda r: -r.merit)
     samples = float(sum(len(r) for r in base.residuals))
-    threshold = max(screened.threshold, PER_SAMPLE * samples)
+    threshold = max(screened.threshold, candidates.PER_SAMPLE * samples, candidates.LEAST_GAIN)
     return Round(base, screened, ranked, lens, threshold)
 
 
@@ -212,6 +247,10 @@ def run(
         if dropouts.count:
             bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs)
             lens, fit = weigh(bench)
+        coarse = coarser(bench, fit)
+        if coarse is not None:
+            bench = Bench(coarse, parameters, bench.trials, prior, jobs=jobs)
+            fit = bench.fit((), lens, [fit.theta], tolerance=COARSE, chord=fit)
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
         state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
@@ -223,7 +262,7 @@ def run(
                 def advance(name: str, step=step) -> None:  # type: ignore[no-untyped-def]
                     show(step, name)
 
-                found = rank(state, rest, rng=rng, jobs=jobs, step=advance, late=late)
+                found = rank(state, rest, effects, rng=rng, jobs=jobs, step=advance, late=late)
             state.rounds.append(found)
             if not found.ranked or not passes(state, found) or state.out_of_time:
                 break
@@ -233,15 +272,23 @@ def run(
             if late():
                 state.out_of_time = True
                 break
+        if dropouts.count:
+            simulated = [
+                bench.affected(state.base.effects).simulate(state.base.problem.vector(state.base.theta, k), t)
+                for k, t in enumerate(trials)
+            ]
+            state.dropouts = dropouts.confirmed(look(trials, simulated))
         generic = remainder.simulate(bench, state.base, jobs=jobs)
         state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
+        chance, _ = chance_columns(bench, state.base, effects)
+        state.slow = remainder.slow(state.base, chance)
     return state
 
 
 def passes(state: State, found: Round) -> bool:
     """Whether the best effect of a round is one: beyond noise, in more than one fold, worth naming."""
     best = found.ranked[0]
-    if best.gain <= found.threshold:
+    if best.gain <= found.threshold or best.lost > LOST * (best.gain + best.lost):
         return False
     # a single fold tells nothing by itself: the effect was then read off it alone
     if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.25 * found.threshold:

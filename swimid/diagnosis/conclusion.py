@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis import candidates
+from swimid.diagnosis import candidates, remainder
 from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chain import FORM, Round, State, passes
@@ -22,6 +22,8 @@ COSINE, NEARLY = 0.97, 0.85
 SET = 3
 #: The best explains the gap when what a generic description still finds is at most this share of it.
 REMAINDER = 0.3
+#: Something that moves this much more than noise is left whatever was found.
+STRONG = 3.0
 #: Share of the probability that the leader alone needs for a clear verdict.
 CLEAR = 0.55
 
@@ -66,11 +68,11 @@ def named(state: State, found: Round, unknown: float) -> Named:
 
 def _by_name(found: Round) -> dict[str, float]:
     """Weight of each effect, its best variant's, against the best of all."""
-    top = found.ranked[0].gain
+    top = found.ranked[0].merit
     scale = max(2.0, FORM * top)
     weight: dict[str, float] = {}
     for r in found.ranked:
-        w = float(np.exp(min(r.gain - top, 0.0) / scale))
+        w = float(np.exp(min(r.merit - top, 0.0) / scale))
         name = r.tried.effect.name
         weight[name] = max(weight.get(name, 0.0), w)
     return weight
@@ -131,14 +133,27 @@ def unknown_share(state: State) -> float:
     return float(np.clip(left.gain / max(left.gain + gained, 1e-300), 0.0, 1.0))
 
 
+def structured_share(state: State) -> float:
+    """Share of the final squared residuals through the lens that a generic description still finds."""
+    left = state.left
+    if left is None or not left.found:
+        return 0.0
+    whole = sum(
+        float(np.sum(state.lens.through(state.base.problem, k, r) ** 2))
+        for k, r in enumerate(state.base.residuals)
+    )
+    return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
+
+
 def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: bool) -> Verdict:
     """The verdict in one word."""
     structured = state.left is not None and state.left.found
+    moving = remainder.moves(state.slow)
     if not chosen:
         if dropout:
             return "explained"
-        return "unexplained" if structured else "none"
-    if structured and share > REMAINDER:
+        return "unexplained" if structured or moving else "none"
+    if (structured and share > REMAINDER) or any(state.slow[c].ratio > STRONG for c in moving):
         return "unexplained"
     first = chosen[0]
     if len(first.equivalent) + 1 > SET or first.alone < CLEAR:

@@ -15,6 +15,8 @@ from swimid.models.base import Array, Trial
 JUMP = 9.0
 #: As many equal values one after another, while the body moves by this many deviations, are frozen.
 FROZEN, MOVED = 4, 6.0
+#: What a tracker of markers measures.
+CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 #: Fewest samples in which anything is looked for.
 FEWEST = 60
 #: A displaced stretch is flagged when its mean is off by this many robust deviations.
@@ -38,6 +40,21 @@ class Dropouts:
     def count(self) -> int:
         """Failed samples in all."""
         return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
+
+    def confirmed(self, other: Dropouts) -> Dropouts:
+        """Those stretches that another look, with a better model, finds as well."""
+        again = {(trial, channel) for trial, channel, *_ in other.stretches}
+        kept = [
+            s
+            for s in self.stretches
+            if any(o[:2] == s[:2] and o[2] <= s[3] and o[3] >= s[2] for o in other.stretches)
+        ]
+        masks = {
+            trial: {c: m & other.masks.get(trial, {}).get(c, np.zeros_like(m)) for c, m in by.items()}
+            for trial, by in self.masks.items()
+            if any((trial, c) in again for c in by)
+        }
+        return Dropouts(masks, kept)
 
     def without(self, trials: Sequence[Trial]) -> list[Trial]:
         """The trials with the failed samples blank."""
@@ -63,7 +80,9 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
     stretches = []
     for trial, model in zip(trials, simulated, strict=True):
         for channel, values in trial.measured.items():
-            if channel not in model or np.isfinite(values).sum() < FEWEST or trial.stamps_uncertain:
+            if channel not in CAMERA or channel not in model or trial.stamps_uncertain:
+                continue
+            if np.isfinite(values).sum() < FEWEST:
                 continue
             mask, kinds = _failed(values, model[channel])
             if mask.any():

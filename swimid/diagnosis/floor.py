@@ -10,8 +10,8 @@ from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.folds import setting
 from swimid.models.base import Array
 
-#: Third differences of white noise have this variance.
-THIRD = 20.0
+#: Fewest repeats (beyond the first of each setting) from which the noise is read.
+FEWEST = 2
 
 
 def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
@@ -34,55 +34,42 @@ def repeats(bench: Bench) -> list[list[int]]:
     return [g for g in groups.values() if len(g) > 1]
 
 
-def floors(bench: Bench, fit: Fit, bare: Sequence[Array]) -> tuple[dict[str, float], dict[str, float], str]:
-    """Noise of each channel, in its unit.
+def floors(bench: Bench, last: Fit, share: float) -> tuple[dict[str, float], str]:
+    """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
     ----------
-    fit : Fit
-        Nominal, refitted.
-    bare : sequence of ndarray
-        Weighted residuals of a saturated fit.
+    last : Fit
+        The model with all that was found.
+    share : float
+        Of its squared residuals through the lens, what a generic description still finds.
 
     Returns
     -------
     floor : dict of channel to float
-        What no model of these trials can get below: from repeats of one setting where there are some (what
-        two of them do not share), else what a saturated description leaves.
-    rough : dict of channel to float
-        Of it, what changes from sample to sample (third differences).
+        What two repeats of one setting do not share, where there are repeats and they differ by less than
+        the model leaves; else what the model leaves, less the share that has structure.
     how : str
     """
-    saturated: dict[str, list[Array]] = {}
-    rough_parts: dict[str, list[Array]] = {}
-    for k, residual in enumerate(bare):
-        for channel, series in split(fit, k, residual).items():
-            saturated.setdefault(channel, []).append(series[np.isfinite(series)])
-            third = np.diff(series, 3)
-            rough_parts.setdefault(channel, []).append(third[np.isfinite(third)])
-    floor = {c: float(np.sqrt(np.mean(np.concatenate(p) ** 2))) for c, p in saturated.items()}
-    rough = {}
-    for channel, parts in rough_parts.items():
-        values = np.concatenate(parts)
-        rough[channel] = (
-            float(1.4826 * np.median(np.abs(values)) / np.sqrt(THIRD)) if len(values) > 10 else floor[channel]
-        )
-    groups = repeats(bench)
-    if not groups or all(len(r) < 20 for r in bare):
-        return floor, rough, "what a saturated description of the residuals leaves"
+    parts: dict[str, list[Array]] = {}
+    for k in range(len(bench.trials)):
+        for channel, series in split(last, k, last.residuals[k]).items():
+            parts.setdefault(channel, []).append(series[np.isfinite(series)])
+    rest = float(np.sqrt(max(1.0 - share, 0.05)))
+    floor = {c: rest * float(np.sqrt(np.mean(np.concatenate(p) ** 2))) for c, p in parts.items()}
+    how = "what the model with all that was found leaves, less what still has structure"
+    groups = [g for g in repeats(bench) if len({bench.trials[k].time_s.tobytes() for k in g}) == 1]
+    if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
+        return floor, how
     between: dict[str, list[Array]] = {}
     for group in groups:
-        parts = [split(fit, k, fit.residuals[k]) for k in group]
-        for channel in parts[0]:
-            n = min(len(p[channel]) for p in parts if channel in p)
-            stack = np.array([p[channel][:n] for p in parts if channel in p])
+        split_up = [split(last, k, last.residuals[k]) for k in group]
+        for channel in split_up[0]:
+            stack = np.array([p[channel] for p in split_up if channel in p])
             if len(stack) > 1:
                 with np.errstate(all="ignore"):
                     spread = np.nanvar(stack, axis=0, ddof=1)
                 between.setdefault(channel, []).append(spread[np.isfinite(spread)])
-    for channel, variances in between.items():
-        values = np.concatenate(variances)
-        if len(values) > 20:
-            # repeats that differ by more than a saturated fit leaves differ by chance, which no model explains
-            floor[channel] = float(np.sqrt(np.mean(values)))
-    return floor, rough, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"
+    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in between.items() if v}
+    floor = {c: min(v, lower.get(c, v)) for c, v in floor.items()}
+    return floor, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"

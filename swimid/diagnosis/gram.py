@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
 from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
 
-#: Start states are known beforehand within this many of their typical sizes.
-START_PRIOR = 30.0
 
 
 @dataclass(frozen=True)
@@ -122,18 +120,37 @@ def held_out(
     right = gram.products[:, at, -1][:, :, None] if draws is None else draws[:, at, :]
     if draws is not None:
         pull = 0.0 * pull
-    total, total_right = inner.sum(axis=0), right.sum(axis=0)
-    misfit = np.empty((len(inner), right.shape[2]))
-    for f in range(len(inner)):
-        normal = total - inner[f] + ridge
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        theta = scale[:, None] * np.linalg.lstsq(
-            scale[:, None] * normal * scale, scale[:, None] * (total_right - right[f] + pull), rcond=1e-12
-        )[0]
-        misfit[f] = np.einsum("im,ij,jm->m", theta, inner[f], theta) - 2.0 * np.einsum(
-            "im,im->m", theta, right[f]
-        )
+    theta = solved(inner.sum(axis=0) - inner + ridge, right.sum(axis=0) - right + pull)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1)
     return misfit[:, 0] + gram.products[:, -1, -1] if draws is None else misfit
+
+
+def held_out_less(gram: Folded, column: int) -> Array:
+    """Misfit of each fold, as :func:`held_out`, once a further column is taken off the residuals as it is."""
+    at = np.arange(gram.shared)
+    c = gram.shared + column
+    inner = gram.products[:, at[:, None], at[None, :]]
+    right = (gram.products[:, at, -1] - gram.products[:, at, c])[:, :, None]
+    pull = (gram.prior * gram.pull)[:, None]
+    theta = solved(inner.sum(axis=0) - inner + np.diag(gram.prior), right.sum(axis=0) - right + pull)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1)[:, 0]
+    return np.asarray(
+        misfit + gram.products[:, -1, -1] - 2.0 * gram.products[:, c, -1] + gram.products[:, c, c]
+    )
+
+
+def solved(normal: Array, right: Array) -> Array:
+    """Solutions of scaled normal equations, stacked or single; directions nothing tells stay at zero.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (..., n, n)
+    right : ndarray, shape (..., n, m)
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = scale[..., :, None] * normal * scale[..., None, :]
+    scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
+    return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
 
 
 def together(gram: Folded, chosen: Sequence[int], prior: Sequence[float]) -> Array:
@@ -142,10 +159,7 @@ def together(gram: Folded, chosen: Sequence[int], prior: Sequence[float]) -> Arr
     total = gram.products.sum(axis=0)
     normal = total[np.ix_(at, at)] + np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
     right = total[at, -1] + np.concatenate((gram.prior * gram.pull, np.zeros(len(chosen))))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(
-        scale * np.linalg.lstsq(scale[:, None] * normal * scale, scale * right, rcond=1e-12)[0]
-    )
+    return solved(normal, right[:, None])[:, 0]
 
 
 def projected(gram: Folded) -> Array:
@@ -158,12 +172,8 @@ def projected(gram: Folded) -> Array:
     total = gram.products.sum(axis=0)
     s = gram.shared
     normal = total[:s, :s] + np.diag(gram.prior)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     mixed = total[:s, s:]
-    solved = scale[:, None] * np.linalg.lstsq(
-        scale[:, None] * normal * scale, scale[:, None] * mixed, rcond=1e-12
-    )[0]
-    return np.asarray(total[s:, s:] - mixed.T @ solved)
+    return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
 
 
 def noise(gram: Folded, rng: np.random.Generator, count: int) -> Array:

@@ -8,7 +8,7 @@ random trims, gains and clocks of single trials add (a low-rank, Woodbury, white
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -19,6 +19,8 @@ from swimid.models.base import Array
 
 #: Largest order of the autoregression, and samples each coefficient needs.
 ORDER, PER_ORDER = 6, 25
+#: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
+FEWEST, CLEAR = 3, 2.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Lens:
         Autoregression of the weighted residuals.
     size : mapping of channel to float
         Standard deviation of its innovations.
+    whole : mapping of channel to float
+        Standard deviation of the weighted residuals themselves, that of a sample without a past.
     spread : list of (ndarray, ndarray) or None
         By trial: directions (n_k, q), orthonormal, in which chance differences of that trial act, and the
         factor by which they are reduced.
@@ -41,6 +45,7 @@ class Lens:
     sd: list[list[Array]]
     colour: Mapping[str, Array] = field(default_factory=dict)
     size: Mapping[str, float] = field(default_factory=dict)
+    whole: Mapping[str, float] = field(default_factory=dict)
     spread: Sequence[tuple[Array, Array] | None] = ()
 
     def install(self, problem: Problem) -> None:
@@ -73,14 +78,15 @@ class Lens:
         if not len(a):
             return rows / size
         result = np.empty_like(rows)
-        # stretches without a missing sample; the first samples of each have no past and say nothing
+        # stretches without a missing sample; the first sample of each has no past, the next too little
         at = np.flatnonzero(mask)
         for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(at) > 1) + 1):
             if not len(part):
                 continue
-            result[part] = lfilter(np.concatenate(([1.0], a)), [1.0], rows[part], axis=0)
+            result[part] = lfilter(np.concatenate(([1.0], a)), [1.0], rows[part], axis=0) / size
             result[part[: len(a)]] = 0.0
-        return result / size
+            result[part[0]] = rows[part[0]] / self.whole.get(channel, 1.0)
+        return result
 
 
 def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknowns: int = 0) -> Lens:
@@ -103,7 +109,7 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
             parts.setdefault(channel, []).append(series)
     total = sum(len(r) for r in residuals)
     freedom = max(1.0 - unknowns / max(total, 1), 0.2)
-    colour, size = {}, {}
+    colour, size, whole = {}, {}, {}
     for channel, series_list in parts.items():
         x = joined(series_list, gap=ORDER + 1)
         n = int(np.isfinite(x).sum())
@@ -119,7 +125,8 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
             variance = float(np.nanmean(x**2)) if n else 1.0
         colour[channel] = a
         size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
-    return Lens(lens.sd, colour, size, lens.spread)
+        whole[channel] = float(np.sqrt(max(np.nanmean(x**2) / freedom, 1e-300))) if n else 1.0
+    return Lens(lens.sd, colour, size, whole, lens.spread)
 
 
 def spread(
@@ -143,34 +150,65 @@ def spread(
         Of each kind of difference, in its typical size: the variance of the trials' own least-squares
         estimates, robustly, less its sampling variance.
     """
-    plain = Lens(lens.sd, lens.colour, lens.size)
     q = chance[0].shape[1] if len(chance) else 0
-    if q == 0 or len(residuals) < 3:
-        return plain, np.zeros(q)
+    sd = np.zeros(q)
+    best = Lens(lens.sd, lens.colour, lens.size, lens.whole)
+    if len(residuals) < FEWEST:
+        return best, sd
+    left = list(range(q))
+    while left:
+        # one kind at a time, the clearest first: together they are too much alike to be told apart
+        seen = [
+            best.through(problem, k, np.column_stack((chance[k][:, left], own[k], r)))
+            for k, r in enumerate(residuals)
+        ]
+        found = [_variance(seen, i, len(left)) for i in range(len(left))]
+        i = int(np.argmax([clear for _, clear in found]))
+        variance, clear = found[i]
+        if variance <= 0.0 or clear <= CLEAR:
+            break
+        sd[left.pop(i)] = np.sqrt(min(variance, 9.0))
+        best = replace(best, spread=_directions(best, problem, chance, sd))
+    return best, sd
+
+
+def _variance(seen: Sequence[Array], i: int, kinds: int) -> tuple[float, float]:
+    """Variance of one kind of difference between trials, and how clear it is: its ratio to the sampling's."""
     estimates, errors = [], []
-    for k, r in enumerate(residuals):
-        columns = plain.through(problem, k, np.column_stack((chance[k], own[k], r)))
-        design, left = columns[:, :-1], columns[:, -1]
-        # a weak prior of ten typical sizes keeps what the trial does not see from running away
-        normal = design.T @ design
-        normal[np.arange(q), np.arange(q)] += 1e-2
-        normal[np.diag_indices(len(normal))] += 1e-12 * np.trace(normal)
-        inverse = np.linalg.inv(normal)
-        estimates.append((inverse @ (design.T @ left))[:q])
-        errors.append(np.diag(inverse)[:q])
+    for block in seen:
+        z, starts, r = block[:, i], block[:, kinds:-1], block[:, -1]
+        if starts.shape[1]:
+            both = np.column_stack((z, r))
+            normal = starts.T @ starts
+            normal[np.diag_indices(len(normal))] += 1e-10 * np.trace(normal) + 1e-300
+            both = both - starts @ np.linalg.solve(normal, starts.T @ both)
+            z, r = both[:, 0], both[:, 1]
+        size = float(z @ z)
+        if size > 1e-9:
+            estimates.append(float(z @ r) / size)
+            errors.append(1.0 / size)
+    n = len(estimates)
+    if n < FEWEST:
+        return 0.0, 0.0
     b, c = np.array(estimates), np.array(errors)
-    centre = np.median(b, axis=0)
-    n = len(b)
     # median absolute deviation against the standard deviation: one odd trial is not the rule
-    robust = (1.4826 * np.median(np.abs(b - centre), axis=0) * (1.0 + 0.8 / n)) ** 2
-    variance = np.minimum(np.maximum(robust, 0.0), np.var(b, axis=0, ddof=1)) - np.median(c, axis=0)
-    sd = np.sqrt(np.clip(variance, 0.0, 9.0))
+    robust = (1.4826 * float(np.median(np.abs(b - np.median(b)))) * (1.0 + 0.8 / n)) ** 2
+    spread = min(max(robust, 0.0), float(np.var(b, ddof=1)))
+    typical = float(np.median(c))
+    return spread - typical, spread / typical
+
+
+def _directions(
+    lens: Lens, problem: Problem, chance: Sequence[Array], sd: Array
+) -> list[tuple[Array, Array] | None]:
+    """Of each trial, the directions of chance differences and the factors by which they are reduced."""
+    plain = Lens(lens.sd, lens.colour, lens.size, lens.whole)
     found: list[tuple[Array, Array] | None] = []
-    for k in range(n):
-        seen = plain.through(problem, k, chance[k]) * sd
+    for k, columns in enumerate(chance):
+        seen = plain.through(problem, k, columns[:, sd > 0]) * sd[sd > 0]
         if not np.any(seen):
             found.append(None)
             continue
         u, s, _ = np.linalg.svd(seen, full_matrices=False)
         found.append((u, 1.0 - 1.0 / np.sqrt(1.0 + s**2)))
-    return Lens(lens.sd, lens.colour, lens.size, found), sd
+    return found

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.diagnosis import gram
-from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.candidates import DRAWS, QUANTILE
+from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
+from swimid.diagnosis.candidates import DRAWS, LEAST_GAIN, PER_SAMPLE, QUANTILE, within
+from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
@@ -84,7 +85,7 @@ def simulate(bench: Bench, base: Fit, *, jobs: int = 1) -> Generic:
     kept = [
         i
         for i, c in enumerate(changes)
-        if all(np.isfinite(part).all() for part in c) and sum(float(part @ part) for part in c) > 1e-9
+        if all(within(part) for part in c) and sum(float(part @ part) for part in c) > 1e-9
     ]
     columns = [changes[i] for i in kept]
     names = [(work[i][0].place, work[i][1].name) for i in kept]
@@ -119,7 +120,7 @@ def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.rando
     return Left(
         float(best.sum()),
         best,
-        float(np.quantile(largest, QUANTILE)),
+        max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * float(inner.samples.sum()), LEAST_GAIN),
         places,
         columns,
         best_prior,
@@ -152,10 +153,80 @@ def saturated(
         if mine:
             own = base.rows[k][:, mine] * problem.scale[mine]
             seen = lens.through(problem, k, np.column_stack((own, r)))
-            normal = seen[:, :-1].T @ seen[:, :-1] + np.eye(len(mine)) / gram.START_PRIOR**2
+            normal = seen[:, :-1].T @ seen[:, :-1] + np.eye(len(mine)) / START_PRIOR**2
             r = r - own @ np.linalg.solve(normal, seen[:, :-1].T @ seen[:, -1])
-        found.append(r)
+        # far from the base the changes no longer add up: what does not get smaller is no fit
+        better = float(r @ r) < float(base.residuals[k] @ base.residuals[k])
+        found.append(r if better else base.residuals[k])
     return found
+
+
+@dataclass(frozen=True)
+class Slow:
+    """How much slower than its noise a channel's residual moves.
+
+    Attributes
+    ----------
+    ratio : float
+        Root-mean-square of what is left once each trial has had its own start state, trim, gain and clock,
+        over that of its changes from sample to sample (over the square root of two): one for white
+        noise, a little more for a tracker's coloured noise.
+    share : float
+        Of its square that is beyond the least ratio of all channels.
+    """
+
+    ratio: float
+    share: float
+
+
+#: Ratio from which something moves that is not noise; and against the channel with the least.
+SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
+
+
+def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
+    """What moves slower than noise in each channel, though no trim, gain or clock of single trials explains it.
+
+    It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
+    differs from day to day show here, and nowhere else.
+
+    Parameters
+    ----------
+    chance : sequence of ndarray, shape (n_k, q)
+        Weighted changes by what may differ from trial to trial.
+    """
+    sums: dict[str, list[tuple[float, float, int]]] = {}
+    for k, r in enumerate(fit.residuals):
+        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        columns = np.column_stack((fit.rows[k][:, mine] * fit.problem.scale[mine], chance[k]))
+        if len(r) < 4 * columns.shape[1] + 20:
+            continue
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        factors = np.linalg.lstsq(columns / size, r, rcond=1e-10)[0]
+        for channel, series in split(fit, k, r - columns / size @ factors).items():
+            steps = np.diff(series)
+            there, moved = np.isfinite(series), np.isfinite(steps)
+            if moved.sum() > 20:
+                sums.setdefault(channel, []).append(
+                    (float(np.mean(series[there] ** 2)), float(np.mean(steps[moved] ** 2) / 2), int(moved.sum()))
+                )
+    ratios = {}
+    for channel, parts in sums.items():
+        whole, rough, weight = (np.array(x) for x in zip(*parts, strict=True))
+        ratios[channel] = float(np.sqrt((whole @ weight) / max(float(rough @ weight), 1e-300)))
+    if not ratios:
+        return {}
+    least = max(min(ratios.values()), 1.0)
+    return {c: Slow(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0) for c, q in ratios.items()}
+
+
+def moves(found: dict[str, Slow]) -> list[str]:
+    """Channels in which something moves that is not noise."""
+    if not found:
+        return []
+    least = max(min(s.ratio for s in found.values()), 1.0)
+    return [
+        c for c, s in found.items() if s.ratio > SURE or (s.ratio > SLOW and s.ratio > AGAINST * least)
+    ]
 
 
 def force_terms(left: Left) -> dict[str, dict[str, float]]:

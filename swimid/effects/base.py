@@ -15,7 +15,7 @@ from swimid.models.hooks import Hooks
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
 #: Sizes at which an effect is tried, in units of its parameters' scales.
-SIZES = (0.25, 0.7, 1.5, 3.0)
+SIZES = (0.5, 1.2, 3.0)
 
 
 class Effect(ABC):
@@ -36,6 +36,8 @@ class Effect(ABC):
     scatters : bool
         Whether it may differ by chance from trial to trial (a trim, a clock): its spread between
         trials then belongs to the noise.
+    smooth : bool
+        Whether what it changes grows in proportion to its parameters, so that one size tells all.
     """
 
     name: ClassVar[str]
@@ -44,6 +46,7 @@ class Effect(ABC):
     sources: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[frozenset[str]]
     scatters: ClassVar[bool] = False
+    smooth: ClassVar[bool] = False
 
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
@@ -68,9 +71,9 @@ class Effect(ABC):
         null = np.array([p.start for p in parameters])
         found = []
         for k, p in enumerate(parameters):
-            for size, sign in itertools.product(SIZES, (1.0, -1.0)):
+            for size, sign in itertools.product(SIZES[:1] if self.smooth else SIZES, (1.0, -1.0)):
                 value = p.start + sign * size * p.scale
-                if p.lower <= value <= p.upper:
+                if p.lower <= value <= p.upper and not (self.smooth and sign < 0 and len(found) > k):
                     point = null.copy()
                     point[k] = value
                     found.append(point)

@@ -140,6 +140,14 @@ def force(model: Model, trials: Sequence[Trial]) -> float:
     return max(start(model, "surge_drag"), 0.1) * typical**2
 
 
+def brake(model: Model, trials: Sequence[Trial]) -> float:
+    """Size of a drag or friction that one begins to see: a tenth of what moves the robot.
+
+    In a free decay, where losses add up over many swings, a hundredth.
+    """
+    return (0.01 if model.name == "free-decay" else 0.1) * force(model, trials)
+
+
 def tables(model: MultilinkModel) -> dict[str, Any]:
     """The engine's tables at the start values of the coefficients."""
     count = len(model.assembly.names)

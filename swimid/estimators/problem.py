@@ -92,6 +92,7 @@ class Problem:
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
+        self._lent: dict[str, list[Array]] = {}
         self._typical_s = 0.0
         self._pool: ThreadPoolExecutor | None = None
 
@@ -154,6 +155,20 @@ class Problem:
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
+    def lend(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
+        """Take the derivatives to some numbers as known and unchanging.
+
+        Parameters
+        ----------
+        labels : sequence of str
+        rows : sequence of ndarray, shape (n_k, len(labels))
+            Of each trial, of the simulated samples, weighted as here.
+        """
+        weights = [self.sample_weights(k) for k in range(len(self.trials))]
+        self._lent = {
+            label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
+        }
+
     def jacobian(self, theta: Array) -> Array:
         """Derivative of all residuals, shape (n, p)."""
         return np.concatenate(self.trial_jacobians(theta))
@@ -203,7 +218,12 @@ class Problem:
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
         points: list[tuple[Array, int]] = []
         places: list[tuple[int, int]] = []
+        slopes = [np.zeros((len(y), len(theta))) for y in here]
         for j, (_, owner) in enumerate(self.slots):
+            if self.labels[j] in self._lent:
+                for k, rows in enumerate(self._lent[self.labels[j]]):
+                    slopes[k][:, j] = rows
+                continue
             for k in range(len(self.trials)) if owner is None else [owner]:
                 for sign in (1, -1) if both[j] else (1,):
                     moved = theta.copy()
@@ -211,7 +231,6 @@ class Problem:
                     points.append((moved, k))
                 places.append((k, j))
         moves = iter(zip(points, self._simulate(points), strict=True))
-        slopes = [np.zeros((len(y), len(theta))) for y in here]
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
             ahead, back, back_at = self.stacked(k, simulated), here[k], theta

@@ -181,7 +181,9 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
 
 def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experiment:
     if file.model == RecoilModel.name:
-        return propulsion.load(trials_path, drag=drag_file(file, path))
+        # a file that does not say which drag it goes with takes the trials file's
+        named = file.settings.get("drag_file") is not None
+        return propulsion.load(trials_path, drag=drag_file(file, path) if named else None)
     experiment = propulsion.load(trials_path)
     assert isinstance(experiment.model, SurgeModel)
     set_references(experiment.model, file, path)

@@ -159,6 +159,10 @@ class Model(ABC):
         """The same model integrated with half the step; None where nothing is integrated."""
         return None
 
+    def coarser(self) -> Model | None:
+        """The same model integrated with twice the step, for searches; None where that gains nothing."""
+        return None
+
     def index(self, name: str) -> int:
         """Position of a parameter by name.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.generators import cruise, longfin, pool_video, rig, swimmer
+from tests.generators import cruise, gap_trials, longfin, pool_video, rig, swimmer
 
 
 def main(folder: Path) -> None:
@@ -15,6 +15,7 @@ def main(folder: Path) -> None:
     longfin.write_sample(folder / "longfin")
     pool_video.write_sample(folder / "pool")
     swimmer.write_sample(folder / "tfish")
+    gap_trials.write_sample(folder / "gap")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ class AmplitudeLoss(_commands.Actuation):
     meaning = "The joints turn by less than their command, by the same share always."
     sources = ("boxfish, section 5.3 (the body's oscillation reduces the effective amplitude)",)
     needs = frozenset({"command", "stroke"})
+    smooth = True
     scatters = True
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:

@@ -29,6 +29,7 @@ class AmplitudeOffset(_commands.Actuation):
     meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
     sources = ("boxfish, section 4.3 and Eq 27",)
     needs = frozenset({"command", "stroke"})
+    smooth = True
     scatters = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:

@@ -19,6 +19,7 @@ class ServoDelay(_commands.Actuation):
     meaning = "The joints move a constant time after their command."
     sources = ("sea lion, section II (motion profiles taken as the motion of the joints)",)
     needs = frozenset({"command"})
+    smooth = True
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The delay, s."""

@@ -24,6 +24,7 @@ class ServoLag(_commands.Actuation):
         "sea lion, section II (motion profiles taken as the motion of the joints)",
     )
     needs = frozenset({"command", "stroke"})
+    smooth = True
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The time constant, s."""

@@ -33,6 +33,7 @@ class Buoyancy(Effect):
     meaning = "buoyancy beyond weight, and its righting moment"
     sources = ("dolphin paper, section 4.1", "sea lion paper, discussion")
     needs = frozenset({"force", "coefficients"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Free swimmers in the vertical plane; rigs along z whose rest position is known."""

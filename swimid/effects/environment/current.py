@@ -24,6 +24,7 @@ class Current(Effect):
     meaning = "steady current of the water"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 8.3",)
     needs = frozenset({"flow"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models of a body that moves from place to place."""

@@ -65,7 +65,7 @@ class Tether(Effect):
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Sizes of the stiffness, without slack and with some."""
         stiffness, slack = parameters
-        return [np.array([s * stiffness.scale, n * slack.scale]) for n in (0.0, 2.0) for s in SIZES]
+        return [np.array([s * stiffness.scale, n * slack.scale]) for n in (0.0, 2.0) for s in SIZES[1:2]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the base, or on the mean of a run."""

@@ -110,15 +110,9 @@ class Wall(Effect):
         return first, decay
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Sizes of the force at half and at twice its start decay length."""
+        """The force, in which the change is nearly linear, at two decay lengths."""
         force, decay = parameters
-        signs = (1.0, -1.0) if force.lower < 0 else (1.0,)
-        return [
-            np.array([sign * size * force.scale, share * decay.start])
-            for share in (0.5, 1.0, 2.0)
-            for size in SIZES[1:3]
-            for sign in signs
-        ]
+        return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force at the centre of mass of the heaviest link."""

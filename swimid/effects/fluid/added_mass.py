@@ -28,6 +28,7 @@ class AddedMass(Effect):
     meaning = "added mass beyond the model's"
     sources = ("boxfish paper, Eq 8", "tendon fish paper, Eq 6", "dolphin paper, Eq 7")
     needs = frozenset({"coefficients", "tables"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs and free swimmers."""

@@ -39,6 +39,7 @@ class DragReynolds(Effect):
     meaning = "drag coefficient that falls with speed"
     sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
     needs = frozenset({"force"})
+    smooth = True
 
     def __init__(self, reference_m_s: float = 0.3) -> None:
         self.reference_m_s = reference_m_s

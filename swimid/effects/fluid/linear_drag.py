@@ -26,6 +26,7 @@ class LinearDrag(Effect):
     meaning = "drag in proportion to the speed"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 6.4",)
     needs = frozenset({"coefficients", "tables"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models that do not estimate it and whose body moves."""
@@ -49,7 +50,7 @@ class LinearDrag(Effect):
                 -common.start(model, *OWN),
                 math.inf,
                 0.0,
-                0.1 * common.force(model, trials) / common.speed(model, trials),
+                common.brake(model, trials) / common.speed(model, trials),
                 meaning="drag per speed",
             ),
         )

@@ -29,6 +29,7 @@ class WakeLift(Effect):
     meaning = "reactive force of the fin: momentum shed into the wake"
     sources = ("Lighthill 1971, Proc. R. Soc. Lond. B 179:125",)
     needs = frozenset({"tables"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers of several links."""

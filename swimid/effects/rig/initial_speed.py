@@ -19,6 +19,7 @@ class InitialSpeed(Effect):
     stage = "rig"
     meaning = "speed at release"
     needs = frozenset({"coefficients"})
+    smooth = True
     scatters = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:

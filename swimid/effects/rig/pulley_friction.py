@@ -1,4 +1,4 @@
-"""Dry friction of a pulley or bearing that the model does not have, or has too little of."""
+"""Dry friction of a pulley, bearing or slide that the model does not have, or has too little of."""
 
 from __future__ import annotations
 
@@ -15,19 +15,27 @@ OWN = ("pulley_friction", "dry_friction")
 
 
 class PulleyFriction(Effect):
-    """``F - f_c sgn(v)`` of the falling-weight rig, on top of the model's own (boxfish, Eq 7)."""
+    """``F - f_c sgn(v)`` of a rig, on top of the model's own (boxfish, Eq 7).
+
+    On a falling-weight rig it is the pulley's, and acts in the trials that have one; where none has, it is
+    that of the slide the body moves on.
+    """
 
     name = "pulley-friction"
     stage = "rig"
-    meaning = "dry friction of the pulley or bearing"
+    meaning = "dry friction of the pulley, bearing or slide"
     sources = ("boxfish paper, Eq 7 and section 4.1",)
     needs = frozenset({"coefficients"})
+    smooth = True
+
+    def __init__(self, *, everywhere: bool = False) -> None:
+        self.everywhere = everywhere
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Rigs whose model does not estimate it; a falling weight only where its string runs on a pulley."""
+        """Rigs whose model does not estimate it."""
         if not isinstance(model, RigModel) or common.estimated(model, *OWN):
             return []
-        return [self] if model.name != "falling-weight" or _pulley(trials) else []
+        return [PulleyFriction(everywhere=not _pulley(trials))]
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Friction beyond the model's, N (N m for an angle)."""
@@ -39,14 +47,14 @@ class PulleyFriction(Effect):
                 -common.start(model, *OWN),
                 math.inf,
                 0.0,
-                0.03 * common.force(model, trials),
+                common.brake(model, trials),
                 meaning="dry friction beyond the model's",
             ),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the dry friction."""
-        if model.name == "falling-weight" and not trial.settings.get("pulley", False):
+        if not (self.everywhere or trial.settings.get("pulley", False)):
             return Hooks()
 
         def change(c: dict[str, float]) -> None:

@@ -23,6 +23,7 @@ class PulleyInertia(Effect):
     meaning = "inertia of the pulley that was not counted"
     sources = ("boxfish paper, Eq 8",)
     needs = frozenset({"coefficients"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs with a pulley."""

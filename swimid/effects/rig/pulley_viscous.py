@@ -22,6 +22,7 @@ class PulleyViscous(Effect):
     meaning = "friction of the pulley that grows with its speed"
     sources = ("boxfish paper, section 3.3",)
     needs = frozenset({"coefficients"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs with a pulley whose model estimates no linear drag."""

@@ -19,6 +19,7 @@ class StartOffset(Effect):
     stage = "rig"
     meaning = "displacement at release"
     needs = frozenset({"coefficients"})
+    smooth = True
     scatters = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:

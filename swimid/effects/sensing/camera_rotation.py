@@ -20,6 +20,7 @@ class CameraRotation(Effect):
     meaning = "The axes of the measured positions are turned against those of the measured heading."
     sources = ("sea lion, section II (a camera on a wall of the tank)",)
     needs = frozenset({"output"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where both positions are measured and the model does not estimate it."""

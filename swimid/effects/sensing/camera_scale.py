@@ -26,6 +26,7 @@ class CameraScale(Effect):
         "robotic dolphin, section 4 (global camera)",
     )
     needs = frozenset({"output"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where a length or a speed is measured."""

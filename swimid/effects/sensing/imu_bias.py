@@ -18,6 +18,7 @@ class ImuBias(Effect):
     meaning = "The gyroscope shows a constant turn rate at rest."
     sources = ("long-fin vehicle, section 5.2 (drift and calibration errors; the mean is filtered out)",)
     needs = frozenset({"output"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where a turn rate is measured."""

@@ -29,6 +29,7 @@ class MarkerOffset(Effect):
     meaning = "The markers sit off the robot's reference point, or are not aligned with its axis."
     sources = ("sea lion, section II (markers on the front and rear ends give pose and heading)",)
     needs = frozenset({"output"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where a pose or a velocity of the body is measured."""

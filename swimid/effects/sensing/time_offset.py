@@ -27,6 +27,7 @@ class TimeOffset(Effect):
         "sea lion, section II (time zero is the frame of release)",
     )
     needs = frozenset({"clock"})
+    smooth = True
     scatters = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:

@@ -25,6 +25,7 @@ class ComOffset(Effect):
     meaning = "centre of mass of the hull off the model's"
     sources = ("sea lion paper, section on identification", "tendon fish paper, Table II")
     needs = frozenset({"tables"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Free swimmers."""

@@ -26,6 +26,7 @@ class JointDamping(Effect):
     meaning = "viscous friction of the passive joints beyond the model's"
     sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
     needs = frozenset({"tables"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers with a passive joint."""

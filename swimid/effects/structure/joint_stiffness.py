@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.models.base import Array, Model, Parameter, Trial
@@ -13,12 +15,14 @@ from swimid.models.multilink.engine import PASSIVE
 from swimid.models.multilink.model import MultilinkModel
 from swimid.models.rig import RigModel
 
-#: What of a passive joint's law is its spring.
-SPRING = [PASSIVE.index(name) for name in ("stiffness", "cubic", "spring")]
+LINEAR, CUBIC = PASSIVE.index("stiffness"), PASSIVE.index("cubic")
 
 
 class JointStiffness(Effect):
-    """The springs of all passive joints, or a free decay's restoring force, times ``1 + change``."""
+    """Springs of the passive joints other than the model's, or a free decay's restoring force.
+
+    With K the model's stiffness at small angles the torque gains ``-K (change + hardening phi^2) phi``.
+    """
 
     name = "joint-stiffness"
     stage = "structure"
@@ -29,20 +33,35 @@ class JointStiffness(Effect):
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
         if isinstance(model, MultilinkModel):
-            return [self] if common.tables(model)["passive"][:, SPRING].any() else []
+            found = common.tables(model)
+            return [self] if any(common.joint_stiffness(found, k) > 0 for k in range(len(found["passive"]))) else []
         held = isinstance(model, RigModel) and model.name == "free-decay"
         return [self] if held and not common.estimated(model, "stiffness") else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """The relative change."""
-        return (Parameter("change", "1", -0.9, 4.0, 0.0, 0.2, meaning="relative change of stiffness"),)
+        """The relative change, and for a swimmer's joints the hardening."""
+        change = Parameter("change", "1", -0.95, 6.0, 0.0, 0.2, meaning="relative change of stiffness")
+        if not isinstance(model, MultilinkModel):
+            return (change,)
+        hardening = Parameter(
+            "hardening_rad_2", "rad^-2", -10.0, 60.0, 0.0, 2.0, meaning="relative growth with squared angle"
+        )
+        return (change, hardening)
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Softer, stiffer, several times as stiff, and hardening."""
+        changes = [np.array([c, 0.0][: len(parameters)]) for c in (-0.5, 0.3, 0.8, 1.6, 3.0)]
+        return changes + [np.array([0.0, h]) for h in (2.0, 8.0) if len(parameters) > 1]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Multiplies the stiffness."""
+        """Adds to the springs."""
 
         def springs(tables: dict[str, Any]) -> None:
             passive = tables["passive"].copy()
-            passive[:, SPRING] *= 1.0 + values[0]
+            for k in range(len(passive)):
+                own = common.joint_stiffness(tables, k)
+                passive[k, LINEAR] += own * values[0]
+                passive[k, CUBIC] += own * values[1]
             tables["passive"] = passive
 
         def restoring(c: dict[str, float]) -> None:

@@ -22,6 +22,7 @@ class WaterIngress(Effect):
     meaning = "water inside the hull that moves with it"
     sources = ("sea lion paper, discussion",)
     needs = frozenset({"tables", "coefficients"})
+    smooth = True
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models with an inertia: not those per mass, nor of a base that is held."""

@@ -244,9 +244,16 @@ class MultilinkModel(Model):
 
     def refined(self) -> MultilinkModel:
         """The same model with half the integration step."""
-        finer = MultilinkModel(self.robot, max_step=0.5 * self.max_step)
-        finer.parameters = self.parameters
-        return finer
+        return self._stepping(0.5 * self.max_step)
+
+    def coarser(self) -> MultilinkModel:
+        """The same model with twice the integration step."""
+        return self._stepping(2.0 * self.max_step)
+
+    def _stepping(self, max_step: float) -> MultilinkModel:
+        other = MultilinkModel(self.robot, max_step=max_step)
+        other.parameters = self.parameters
+        return other
 
     # -------------------------------------------------------- simulation
 

@@ -1,0 +1,67 @@
+"""How long ``swimid diagnose`` takes, and how that grows with the number of trials.
+
+    PYTHONPATH=. python benchmarks/bench_diagnose.py [TRIALS ...]
+
+Tendon fish with play in its servos, made by the independent simulator of the tests: 20 s trials at 25 Hz of
+unlike settings, the whole catalogue, one thread per processor. Each size runs in a process of its own, whose
+largest resident memory is read; "over linear" is the wall time per trial against that of the smallest size.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from swimid.formats import gap
+from tests.blind import swim_actuation
+from tests.generators import gap_trials
+
+COUNTS = (3, 6, 12, 24)
+DURATION_S, SIZE, SEED = 20.0, 2.0, 1
+
+
+def settings(count: int) -> list[tuple[float, float, float]]:
+    """Frequency (Hz), amplitude (deg) and bias (deg) of each trial; every sixth repeats the one before."""
+    rng = np.random.default_rng(SEED)
+    found: list[tuple[float, float, float]] = []
+    for k in range(count):
+        fresh = (rng.uniform(0.8, 1.9), rng.uniform(18.0, 32.0), rng.choice([0.0, 0.0, -10.0, 10.0]))
+        found.append(found[-1] if k % 6 == 5 else tuple(round(float(v), 2) for v in fresh))  # type: ignore[arg-type]
+    return found
+
+
+def measured(count: int) -> tuple[float, float, float, gap.GapFile]:
+    """Wall and processor seconds, largest resident memory (MB), and the answer."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        play = swim_actuation.servo_backlash(np.random.default_rng(SEED), SIZE, "tfish")
+        gap_trials.write(folder, "tfish", [play], settings=settings(count), duration_s=DURATION_S, seed=SEED)
+        words = ["diagnose", "trials.yaml", "--params", "params.yaml", "-o", "gap.yaml", "-q"]
+        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        subprocess.run([sys.executable, "-m", "swimid", *words], cwd=folder, check=True)
+        wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        # the largest of all children so far: sizes must grow
+        return wall, cpu, after.ru_maxrss / 1024.0, gap.read(folder / "gap.yaml")
+
+
+def main() -> None:
+    counts = [int(word) for word in sys.argv[1:]] or list(COUNTS)
+    first = 0.0
+    print(f"{'trials':>6}{'wall s':>9}{'cpu s':>9}{'over linear':>13}{'MB':>7}  answer")
+    for count in sorted(counts):
+        wall, cpu, memory, found = measured(count)
+        first = first or wall / count
+        answer = f"{found.verdict}: {', '.join(c.effect for c in found.causes) or '-'}"
+        over = wall / count / first
+        print(f"{count:>6}{wall:>9.1f}{cpu:>9.1f}{over:>13.2f}{memory:>7.0f}  {answer}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

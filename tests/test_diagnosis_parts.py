@@ -1,0 +1,430 @@
+"""The algebra under a diagnosis: what is held out, how residuals are weighed, what failed, where."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from swimid.diagnosis import dropouts, folds, gram, places
+from swimid.diagnosis.bench import Bench, errors
+from swimid.diagnosis.floor import floors, split
+from swimid.diagnosis.gram import START_PRIOR, Folded
+from swimid.diagnosis.lens import Lens, coloured, spread
+from swimid.diagnosis.shrinkage import closed
+from swimid.estimators.problem import Problem
+from swimid.models.base import Trial
+from tests.toy_models import Toy, parameter
+
+LINE = (parameter("a", 0.5), parameter("b", 0.5), parameter("start", 0.0, per_trial=True))
+
+
+def line(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    a, b, start = values
+    return {"y": a * np.sin(t) + b * t + start, "v": a * np.cos(t) + b}
+
+
+def plain(k: int, **settings: object) -> Trial:
+    return Trial(f"t{k}", "fit", np.arange(5.0), {}, settings=settings)
+
+
+@pytest.fixture
+def bench(rng: np.random.Generator) -> Bench:
+    """A linear model with two coefficients and a start of its own for each of five trials."""
+    trials = []
+    for k in range(5):
+        t = np.linspace(0.0, 4.0 + k, 60 + 5 * k)
+        clean = line(np.array([1.0, 0.2, 0.1 * k]), t)
+        found = {c: clean[c] + 0.05 * rng.normal(size=len(t)) for c in clean}
+        trials.append(Trial(f"t{k}", "fit", t, found, settings={"force": 1.0 + max(k, 1)}))
+    return Bench(Toy(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
+
+
+# ---------------------------------------------------------------- folds
+
+
+def test_repeats_stay_together() -> None:
+    trials = [plain(k, force=f) for k, f in enumerate((1.0, 2.0, 1.0, 3.0, 4.0))]
+    found = folds.folds(trials, [7, 3, 5, 2, 4])
+    assert found.whole
+    assert found.count == 4
+    assert found.labels[0] == "t0 t2"
+    assert [len(o) for o in found.owner] == [7, 3, 5, 2, 4]
+    assert [set(o.tolist()) for o in found.owner] == [{0}, {1}, {0}, {2}, {3}]
+
+
+def test_few_trials_are_cut_into_stretches() -> None:
+    """Two trials, four stretches each; what is missing from a channel shifts no sample to another stretch."""
+    trials = [plain(0, force=1.0), plain(1, force=2.0)]
+    times = [np.linspace(0.0, 8.0, 81), np.linspace(0.0, 8.0, 81)[40:]]
+    found = folds.folds(trials, [122, 122])
+    assert not found.whole
+    assert found.count == 8
+    for k in range(2):
+        owner = folds.stretches(found, k, times)
+        stacked = np.concatenate(times)
+        for part in range(4):
+            inside = stacked[owner == 4 * k + part]
+            assert inside.min() >= 2.0 * part - 1e-9
+            assert inside.max() <= 2.0 * part + 2.0
+    assert (folds.stretches(found, 0, times) < 4).all()
+
+
+def test_a_table_is_left_out_in_parts() -> None:
+    found = folds.folds([plain(k, force=float(k)) for k in range(25)], [1] * 25)
+    assert found.count == folds.TABLE_FOLDS
+    counts = np.bincount(np.concatenate(found.owner), minlength=found.count)
+    assert counts.sum() == 25
+    assert set(counts.tolist()) == {2, 3}
+
+
+# ---------------------------------------------------------------- lens
+
+
+def _problem(values: np.ndarray) -> Problem:
+    time = np.arange(len(values), dtype=float)
+    trial = Trial("t", "fit", time, {"y": values})
+    model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    return Problem(model, (), [trial])
+
+
+def _autoregression(rng: np.random.Generator, n: int, sd: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    a, innovations = np.array([-1.2, 0.5]), sd * rng.normal(size=n)
+    return a, innovations, lfilter([1.0], [1.0, *a], innovations)
+
+
+def test_the_lens_gives_back_the_innovations(rng: np.random.Generator) -> None:
+    a, innovations, x = _autoregression(rng, 300, 0.3)
+    problem = _problem(x)
+    lens = Lens(problem.sd, {"y": a}, {"y": 0.3}, {"y": 2.0})
+    seen = lens.through(problem, 0, x)
+    np.testing.assert_allclose(seen[2:], innovations[2:] / 0.3, rtol=1e-10, atol=1e-10)
+    # the first sample has no past, and the second not enough of it
+    np.testing.assert_array_equal(seen[:2], [x[0] / 2.0, 0.0])
+    both = lens.through(problem, 0, np.column_stack((x, -2.0 * x)))
+    np.testing.assert_allclose(both, np.column_stack((seen, -2.0 * seen)), rtol=1e-12, atol=1e-12)
+
+
+def test_no_colour_leaks_over_a_missing_sample(rng: np.random.Generator) -> None:
+    a, innovations, x = _autoregression(rng, 100, 1.0)
+    x[[40, 41]] = np.nan
+    problem = _problem(x)
+    kept = np.isfinite(x)
+    seen = np.full(100, np.nan)
+    seen[kept] = Lens(problem.sd, {"y": a}, {"y": 1.0}, {"y": 2.0}).through(problem, 0, x[kept])
+    np.testing.assert_array_equal(seen[[0, 1, 42, 43]], [x[0] / 2.0, 0.0, x[42] / 2.0, 0.0])
+    clean = [i for i in range(100) if i not in (0, 1, 40, 41, 42, 43)]
+    np.testing.assert_allclose(seen[clean], innovations[clean], atol=1e-10)
+
+
+def test_the_colour_is_found(rng: np.random.Generator) -> None:
+    a, _, x = _autoregression(rng, 6000, 0.3)
+    problem = _problem(x)
+    lens = coloured(problem, [x], Lens(problem.sd))
+    seen = lens.through(problem, 0, x)[10:]
+    np.testing.assert_allclose(lens.colour["y"][:2], a, atol=0.05)
+    assert lens.size["y"] == pytest.approx(0.3, rel=0.05)
+    assert lens.whole["y"] == pytest.approx(np.std(x), rel=0.01)
+    assert np.var(seen) == pytest.approx(1.0, abs=0.08)
+    for lag in (1, 2, 3):
+        assert abs(np.corrcoef(seen[lag:], seen[:-lag])[0, 1]) < 4.0 / np.sqrt(len(seen))
+
+
+def test_chance_differences_are_whitened(rng: np.random.Generator) -> None:
+    """The map of a trial turns the covariance of noise plus chance into the unit matrix."""
+    n, count, true = 40, 60, np.array([0.5, 0.0])
+    chance, residuals, trials = [], [], []
+    for k in range(count):
+        columns = rng.normal(size=(n, 2))
+        chance.append(columns)
+        residuals.append(columns @ (true * rng.normal(size=2)) + rng.normal(size=n))
+        trials.append(Trial(f"t{k}", "fit", np.arange(float(n)), {"y": residuals[-1]}))
+    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
+    lens, sd = spread(Lens(problem.sd), problem, residuals, [np.empty((n, 0))] * count, chance)
+    assert sd[0] == pytest.approx(0.5, rel=0.35)
+    assert sd[1] < 0.1
+    for k in (0, 7):
+        covariance = np.eye(n) + (chance[k] * sd) @ (chance[k] * sd).T
+        white = lens.through(problem, k, np.eye(n))
+        np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
+
+
+def test_two_trials_show_no_chance(rng: np.random.Generator) -> None:
+    trials = [Trial(f"t{k}", "fit", np.arange(9.0), {"y": rng.normal(size=9)}) for k in range(2)]
+    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
+    columns = [rng.normal(size=(9, 1))] * 2
+    _, sd = spread(Lens(problem.sd), problem, [t.measured["y"] for t in trials], columns, columns)
+    np.testing.assert_array_equal(sd, 0.0)
+
+
+# ---------------------------------------------------------------- held-out comparisons
+
+
+@pytest.fixture
+def blocks(rng: np.random.Generator) -> list[np.ndarray]:
+    """Columns of four folds: three shared numbers, two more, the residual."""
+    return [rng.normal(size=(n, 6)) for n in (12, 9, 15, 8)]
+
+
+PRIOR, PULL = np.array([0.0, 4.0, 0.25]), np.array([0.0, 0.3, -0.7])
+
+
+def _folded(blocks: list[np.ndarray]) -> Folded:
+    return Folded(np.array([b.T @ b for b in blocks]), PRIOR, PULL, np.array([float(len(b)) for b in blocks]))
+
+
+def _refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.ndarray:
+    """Least squares over rows and priors, in one system."""
+    root, pull = np.sqrt(weights), np.concatenate((PULL, np.zeros(len(at) - 3)))
+    rows = np.concatenate([*(b[:, at] for b in blocks), np.diag(root)])
+    target = np.concatenate([*(b[:, -1] for b in blocks), root * pull])
+    return np.linalg.lstsq(rows, target)[0]
+
+
+@pytest.mark.parametrize("chosen, weights", [((), ()), ((0,), (0.5,)), ((1, 0), (0.5, 2.0))])
+def test_held_out_is_a_refit_without_the_fold(
+    blocks: list[np.ndarray], chosen: tuple[int, ...], weights: tuple[float, ...]
+) -> None:
+    at = [0, 1, 2, *(3 + c for c in chosen)]
+    found = gram.held_out(_folded(blocks), chosen, weights)
+    for f, block in enumerate(blocks):
+        theta = _refit(blocks[:f] + blocks[f + 1 :], at, np.concatenate((PRIOR, weights)))
+        assert found[f] == pytest.approx(float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2)), rel=1e-8)
+    theta = _refit(blocks, at, np.concatenate((PRIOR, weights)))
+    np.testing.assert_allclose(gram.together(_folded(blocks), chosen, weights), theta, rtol=1e-8)
+
+
+def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
+    """Draws of noise, against refits to them: the misfit less that of the residuals themselves."""
+    others = [rng.normal(size=(len(b), 3)) for b in blocks]
+    draws = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
+    found = gram.held_out(_folded(blocks), (1,), (0.5,), draws)
+    unpulled = replace(_folded(blocks), pull=np.zeros(3))
+    for m in range(3):
+        swapped = [np.column_stack((b[:, :-1], o[:, m])) for b, o in zip(blocks, others, strict=True)]
+        whole = gram.held_out(replace(unpulled, products=_folded(swapped).products), (1,), (0.5,))
+        size = [float(o[:, m] @ o[:, m]) for o in others]
+        np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
+
+
+def test_projection_leaves_what_the_shared_numbers_cannot_imitate(blocks: list[np.ndarray]) -> None:
+    rows = np.concatenate([*(b for b in blocks), np.zeros((3, 6))])
+    rows[-3:, :3] = np.diag(np.sqrt(PRIOR))
+    rest = rows[:, 3:] - rows[:, :3] @ np.linalg.lstsq(rows[:, :3], rows[:, 3:])[0]
+    np.testing.assert_allclose(gram.projected(_folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
+
+
+def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
+    draws = gram.noise(_folded(blocks), rng, 40_000)
+    for f, block in enumerate(blocks):
+        covariance = draws[f] @ draws[f].T / draws.shape[2]
+        exact = block[:, :-1].T @ block[:, :-1]
+        scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+        np.testing.assert_allclose(covariance / scale, exact / scale, atol=0.03)
+
+
+def test_what_nothing_tells_stays_at_zero() -> None:
+    normal = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
+    found = gram.solved(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
+    assert found[1] == 0.0
+    np.testing.assert_allclose(
+        found[[0, 2]], np.linalg.solve([[4.0, 2.0], [2.0, 3.0]], [1.0, 2.0]), rtol=1e-8
+    )
+
+
+def test_each_trials_own_start_is_projected_out(bench: Bench) -> None:
+    """Folded products equal those of the rows less what the trial's start state takes."""
+    lens = Lens(bench.shape.sd)
+    fit = bench.at((), lens, bench.problem(()).start)
+    found = gram.folded(bench, fit, lens)
+    assert found.shared == 2
+    assert bench.folds.count == 4
+    expected = np.zeros((4, 3, 3))
+    for k, trial in enumerate(bench.trials):
+        t = trial.time_s
+        shared = np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones_like(t)]])
+        one = np.r_[np.ones_like(t), np.zeros_like(t)]
+        modelled = line(np.array([0.5, 0.5, 0.0]), t)
+        left = np.r_[trial.measured["y"] - modelled["y"], trial.measured["v"] - modelled["v"]]
+        # a start known beforehand to START_PRIOR is one more row
+        rows = np.vstack([np.column_stack([shared, left]), np.zeros(3)])
+        own = np.append(one, 1.0 / START_PRIOR)
+        left_over = (rows - np.outer(own, own @ rows) / (own @ own))[:-1]
+        expected[max(k - 1, 0)] += left_over.T @ left_over
+    np.testing.assert_allclose(found.products, expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(found.prior, [25.0, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(found.pull, [0.3, 0.0], rtol=1e-12)
+
+
+def test_a_linear_fit_is_least_squares(bench: Bench) -> None:
+    lens = Lens(bench.shape.sd)
+    fit = bench.fit((), lens, [bench.problem(()).start])
+    rows, target = [], []
+    for k, trial in enumerate(bench.trials):
+        t, n = trial.time_s, len(trial.time_s)
+        own = np.zeros((2 * n, 5))
+        own[:n, k] = 1.0
+        rows.append(np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones(n)], own]))
+        target.append(np.r_[trial.measured["y"], trial.measured["v"]])
+    # one coefficient is known beforehand to 0.2, the starts to thirty times their typical size
+    prior = np.vstack([[5.0, *[0.0] * 6], np.eye(7)[2:] / START_PRIOR])
+    system = np.vstack([*rows, prior])
+    exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
+    np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
+    weight = bench.expected(fit.problem)[1]
+    np.testing.assert_allclose(
+        errors(fit, lens, weight), np.sqrt(np.diag(np.linalg.inv(system.T @ system))), rtol=1e-4
+    )
+
+
+# ---------------------------------------------------------------- failed samples
+
+TIME = np.arange(0.0, 12.0, 0.04)
+TRUE = 0.3 * TIME + 0.02 * np.sin(2 * np.pi * TIME)
+
+
+def _looked(values: np.ndarray, simulated: np.ndarray = TRUE) -> dropouts.Dropouts:
+    return dropouts.look([Trial("t", "fit", TIME, {"x_m": values})], [{"x_m": simulated}])
+
+
+@pytest.fixture
+def tracked(rng: np.random.Generator) -> np.ndarray:
+    """White noise and a wander that a wrong model would leave."""
+    walk = lfilter([1.0], [1.0, -0.95], rng.normal(size=len(TIME)))
+    return TRUE + 0.002 * rng.normal(size=len(TIME)) + 0.0005 * walk
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_failed_in_clean_noise(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = 0.002 * lfilter([1.0], [1.0, -0.6], rng.normal(size=len(TIME)))
+    assert _looked(TRUE + noise).count == 0
+    # nor where the model is wrong by a twentieth, and drifts
+    assert _looked(TRUE + noise, 0.95 * TRUE + 0.02 * np.sin(TIME)).count == 0
+
+
+def test_a_frozen_marker(tracked: np.ndarray) -> None:
+    hit = (TIME >= 4.0) & (TIME < 5.0)
+    tracked[hit] = tracked[np.argmax(hit)]
+    found = _looked(tracked)
+    mask = found.masks["t"]["x_m"]
+    assert mask[hit][1:].all()
+    assert mask.sum() <= hit.sum() + 5
+    assert {kind for *_, kind in found.stretches} == {"frozen"}
+    ((_, _, begin, end, _),) = found.stretches
+    assert begin == pytest.approx(4.0, abs=0.1)
+    assert end == pytest.approx(4.96, abs=0.1)
+    blank = found.without([Trial("t", "fit", TIME, {"x_m": tracked})])[0].measured["x_m"]
+    np.testing.assert_array_equal(np.isnan(blank), mask)
+    np.testing.assert_array_equal(blank[~mask], tracked[~mask])
+
+
+def test_single_spikes(tracked: np.ndarray) -> None:
+    at = [50, 51, 133, 240]
+    tracked[at] += [0.1, -0.15, 0.08, 0.2]
+    found = _looked(tracked)
+    np.testing.assert_array_equal(np.flatnonzero(found.masks["t"]["x_m"]), at)
+    assert {kind for *_, kind in found.stretches} == {"spike"}
+
+
+@pytest.mark.parametrize("begin, end", [(4.0, 5.5), (9.0, 12.0)])
+def test_a_displaced_stretch(tracked: np.ndarray, begin: float, end: float) -> None:
+    """A reflection is followed for a while, or to the end."""
+    hit = (begin <= TIME) & (end > TIME)
+    tracked[hit] += 0.2
+    mask = _looked(tracked).masks["t"]["x_m"]
+    assert (mask != hit).sum() <= 4
+
+
+def test_a_resting_body_is_not_frozen(rng: np.random.Generator) -> None:
+    """Equal values one after another are right where the body does not move."""
+    values = np.round(TRUE + 0.002 * rng.normal(size=len(TIME)), 3)
+    rest = TIME < 1.0
+    values[rest] = 0.0
+    simulated = np.where(rest, 0.0, TRUE)
+    assert not _looked(values, simulated).masks.get("t", {"x_m": np.zeros(1, bool)})["x_m"][:25].any()
+
+
+# ---------------------------------------------------------------- where the gap is
+
+
+def _residual_map(series: list[np.ndarray], floor: float, **settings: list) -> places.Map:
+    """A map of given residuals, one channel."""
+    time = np.linspace(0.0, 10.0, len(series[0]))
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": s}, settings={n: v[k] for n, v in settings.items()})
+        for k, s in enumerate(series)
+    ]
+    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
+    fit = SimpleNamespace(problem=problem, residuals=series)
+    return places.Map(SimpleNamespace(trials=trials), fit, {"y": floor})  # type: ignore[arg-type]
+
+
+def test_a_cell_is_residual_over_floor() -> None:
+    found = places.regimes(_residual_map([np.full(50, 0.1), np.full(50, 0.3)], 0.1, force=[1.0, 2.0]))
+    by = {c.label: c for c in found if c.kind == "force"}
+    assert by["1 N"].ratio == pytest.approx(1.0)
+    assert by["2 N"].ratio == pytest.approx(3.0)
+    assert by["2 N"].share == pytest.approx(1.0)
+    assert found[0].label in ("2 N", "t1")
+
+
+def test_start_up_and_steady_share_the_gap_out() -> None:
+    time = np.linspace(0.0, 10.0, 201)
+    found = places.times(_residual_map([np.where(time <= 2.0, 0.4, 0.2)] * 3, 0.1))
+    by = {c.label: c for c in found}
+    assert by["start-up"].ratio == pytest.approx(4.0)
+    assert by["steady"].ratio == pytest.approx(2.0)
+    assert sum(c.share for c in found if c.kind == "time") == pytest.approx(1.0)
+
+
+def test_a_change_is_dated(rng: np.random.Generator) -> None:
+    quiet, broken = 0.1 * rng.normal(size=(2, 201))
+    broken[120:] += 1.5
+    found = places.times(_residual_map([quiet, broken], 0.1))
+    (change,) = (c for c in found if c.kind == "change")
+    assert change.label == "t1 from 6 s"
+    assert change.share > 0.95
+
+
+def test_the_phase_of_the_stroke() -> None:
+    """A gap in the first eighth of the stroke is found there, whatever the frequency."""
+    time, series, beats = np.linspace(0.0, 10.0, 2001), [], []
+    for f in (1.0, 1.7):
+        series.append(np.where((time * f) % 1.0 < 0.125, 0.5, 0.1))
+        beats.append(SimpleNamespace(frequency_hz=f, amplitude_rad=0.3, bias_rad=0.0))
+    first, *others = places.phases(_residual_map(series, 0.1, beat=beats))
+    assert first.label == "0-45 deg"
+    assert first.ratio == pytest.approx(5.0, rel=0.02)
+    assert all(c.ratio == pytest.approx(1.0, abs=0.1) for c in others)
+
+
+# ---------------------------------------------------------------- floor and shrinkage
+
+
+def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
+    """What repeats do not share is noise; what they share is not."""
+    time, n = np.linspace(0.0, 10.0, 2000), 2000
+    shared = np.sin(time)
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": shared + 0.1 * rng.normal(size=n)}, settings={"force": force})
+        for k, force in enumerate((1.0, 1.0, 1.0, 2.0, 3.0, 4.0))
+    ]
+    model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    bench = Bench(model, (), trials, {})
+    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
+    floor, how = floors(bench, fit, 0.0)
+    assert floor["y"] == pytest.approx(0.1, rel=0.1)
+    assert how == "3 repeats of 1 settings"
+    np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
+
+
+@pytest.mark.parametrize(
+    "before, after, floor, share", [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 0.5), (3.0, 4.0, 1.0, -0.5)]
+)
+def test_closed(before: float, after: float, floor: float, share: float) -> None:
+    assert closed(before, after, floor) == pytest.approx(share)
+    assert np.isnan(closed(floor, after, floor))
