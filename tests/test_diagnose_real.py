@@ -130,17 +130,16 @@ def test_tanks_that_overflow_are_beyond_the_catalogue(
     assert not gap["remaining"]["white"]
 
 
-def test_what_a_model_of_the_fish_lacks(swimid: Command, real_data: Path, tmp_path: Path) -> None:
-    """Straight and mildly biased runs: whatever is named must lower the errors of the amplitude held out."""
-    runs = [r for r in real_logs.read_fish(real_data) if abs(r.bias_deg) <= 20]
-    robot = ROOT / "docs" / "examples" / "msu-fish.yaml"
-    trials, nominal = (
-        real_logs.write_fish(tmp_path, runs, robot, lag_rad=real_logs.LAG_RAD),
-        tmp_path / "f.yaml",
-    )
-    words = ("--channels", "u_m_s,yaw_rate_rad_s", "--start-state", "estimate", "--free", "drive_phase")
-    assert swimid("fit-graybox", trials, *words, "--dt", "0.012", "-o", nominal).status == 0
+def test_what_is_named_for_the_fish_helps_at_the_amplitude_held_out(
+    swimid: Command, real_data: Path, tmp_path: Path
+) -> None:
+    """Nothing is known to be missing: the amplitude that took no part in any fit judges what is named."""
+    runs = real_logs.mild(real_logs.read_fish(real_data))
+    robot, nominal = ROOT / "docs" / "examples" / "msu-fish.yaml", tmp_path / "fish.yaml"
+    trials = real_logs.write_fish(tmp_path, runs, robot, lag_rad=real_logs.LAG_RAD, rates_only=True)
+    words = ("--start-state", "estimate", "--free", "drive_phase", "--dt", "0.012")
+    assert swimid("fit-graybox", trials, *words, "-o", nominal).status == 0
     gap = diagnosed(swimid, trials, nominal, "--dt", "0.012")
-    assert gap["verdict"] in ("none", "explained", "ambiguous", "unexplained")
-    for channel in gap["causes"][0]["shrinkage"] if gap["causes"] else ():
-        assert channel["after"] < 1.05 * channel["before"]
+    if gap["verdict"] == "explained":
+        rows = gap["causes"][0]["shrinkage"]
+        assert np.mean([r["after"] / r["before"] for r in rows]) < 0.98

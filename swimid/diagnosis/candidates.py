@@ -24,7 +24,7 @@ PER_SAMPLE = 0.002
 #: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
 DRAWS, QUANTILE = 400, 0.975
 #: No effect counts for less.
-LEAST_GAIN = 20.0
+LEAST_GAIN = 30.0
 #: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
 STARTS = 2
 #: Parts of a trial that are judged in turn where each trial has a size for itself.

@@ -30,7 +30,7 @@ WEIGHTINGS = 2
 #: Relative tolerance of the cost meanwhile.
 COARSE = 1e-3
 #: A longer integration step may change a sample by this share of its noise.
-COARSE_CHANGE = 0.1
+COARSE_CHANGE = 0.02
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4

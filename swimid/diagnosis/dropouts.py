@@ -21,6 +21,8 @@ CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 FEWEST = 60
 #: A displaced stretch is flagged when its mean is off by this many robust deviations.
 OFF = 6.0
+#: Samples beside a jump whose median is the level there.
+BESIDE = 8
 
 
 @dataclass(frozen=True)
@@ -125,16 +127,19 @@ def _failed(values: Array, simulated: Array) -> tuple[NDArray[np.bool_], list[st
     for row in there[spikes]:
         mask[row], kinds[row] = True, kinds[row] or "spike"
     # a shift: between two jumps of the median-filtered residual, or from one to the end
+    well = ~mask[there]
+    there, r = there[well], r[well]
+    smooth = median_filter(r, size=5, mode="nearest")
     jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * size)
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
-        # the part that agrees with the start of the record is sound
-        sound = float(np.median(r[: edges[0]])) if edges[0] > 3 else float(np.median(r))
-        bounds = [0, *edges, len(r)]
-        for begin, end in zip(bounds[1:-1], bounds[2:], strict=True):
-            level = float(np.median(r[begin:end])) if end > begin else sound
-            before = float(np.median(r[max(begin - 8, 0) : begin])) if begin else sound
-            if abs(level - before) > OFF * size and end > begin:
+        # what agrees with the last sound samples is sound again
+        sound = float(np.median(r[max(edges[0] - BESIDE, 0) : edges[0]]))
+        for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
+            level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound
+            if abs(level - sound) > OFF * size:
                 for row in there[begin:end]:
                     mask[row], kinds[row] = True, kinds[row] or "displaced"
+            elif end > begin:
+                sound = float(np.median(r[max(end - BESIDE, begin) : end]))
     return mask, kinds

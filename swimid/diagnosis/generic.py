@@ -39,6 +39,19 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
     wrench[int(constants[0])] += f
 
 
+#: The same for a body of one coordinate.
+RIG_TERMS = ("constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time")
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Start and length of the trial, typical speed and place, factors."""
+    late = (t - constants[0]) / constants[1]
+    u, x = velocity[0] / constants[2], pose[0] / constants[3]
+    f = constants[4] + constants[5] * u + constants[6] * u * abs(u) + constants[7] * u**3
+    wrench[0] += f + constants[8] * x + constants[9] * x * x + constants[10] * x**3 + constants[11] * late
+
+
 class _Generic(Effect):
     """A description without physics."""
 
@@ -79,6 +92,29 @@ class ResidualForce(_Generic):
             )
         )
         return Hooks(force=(Force(smooth_force, constants),))
+
+
+class ResidualPush(_Generic):
+    """A smooth force on the body of a rig."""
+
+    name: ClassVar[str] = "residual-push"
+    needs: ClassVar[frozenset[str]] = frozenset({"force"})
+    place = "surge force"
+
+    def __init__(self, size: float, speed: float, span: float) -> None:
+        self.size, self.speed, self.span = size, speed, span
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        return tuple(
+            Parameter(f"surge {term}", "N", -math.inf, math.inf, 0.0, self.size) for term in RIG_TERMS
+        )
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The force of one trial."""
+        length = max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+        constants = np.concatenate(([trial.time_s[0], length, self.speed, self.span], values))
+        return Hooks(force=(Force(smooth_push, constants),))
 
 
 class StrokeDeviation(_Generic):
@@ -216,6 +252,13 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
     if "force" in model.offers and dynamic:
         mass, arm, axes = _size(model, trials)
         push = 0.02 * mass * speed**2 / max(arm, 1e-3)
+        if not hasattr(model, "assembly"):
+            spans = [c for c in channels if not c.endswith(("_s", "_s2"))]
+            span = max((top(c, 1e-3) for c in spans), default=1.0)
+            pushes = [abs(float(t.settings.get("force", 0.0))) for t in trials]
+            swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
+            found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
+            axes = []
         for axis in axes:
             found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed, 1.0))
     if "command" in model.offers and dynamic:

@@ -21,6 +21,8 @@ from swimid.models.base import Array
 ORDER, PER_ORDER = 6, 25
 #: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
 FEWEST, CLEAR = 3, 2.0
+#: Chance differences are at most this large, in typical sizes: beyond, they are an effect.
+CHANCE = 0.5
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ def spread(
         variance, clear = found[i]
         if variance <= 0.0 or clear <= CLEAR:
             break
-        sd[left.pop(i)] = np.sqrt(min(variance, 9.0))
+        sd[left.pop(i)] = min(float(np.sqrt(variance)), CHANCE)
         best = replace(best, spread=_directions(best, problem, chance, sd))
     return best, sd
 

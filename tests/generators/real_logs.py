@@ -27,6 +27,8 @@ AMPLITUDES_DEG = (15, 20, 30)
 BIASES_DEG = (-50, -40, -30, -20, 0, 20, 30, 40, 50)
 #: The fish's trials that are held out.
 HELD_OUT_DEG = 20
+#: Largest bias of runs that turn gently.
+MILD_DEG = 20
 #: Beat frequencies among which each trial's own is sought, Hz.
 BEATS_HZ = np.linspace(1.5, 2.6, 1101)
 #: The tail is about this far ahead of the yaw rate, which starts the search for each trial's phase.
@@ -79,6 +81,11 @@ def read_fish(data: Path) -> list[FishRun]:
     return runs
 
 
+def mild(runs: list[FishRun]) -> list[FishRun]:
+    """Runs that go straight or turn gently."""
+    return [r for r in runs if abs(r.bias_deg) <= MILD_DEG]
+
+
 def beat(time_s: Array, yaw_rate: Array) -> tuple[float, float]:
     """Frequency and phase of a beat: least squares of a cubic trend and two harmonics.
 
@@ -106,7 +113,9 @@ def beat(time_s: Array, yaw_rate: Array) -> tuple[float, float]:
     return best, float(np.arctan2(weights[4], weights[5]))
 
 
-def write_fish(folder: Path, runs: list[FishRun], robot: Path, *, lag_rad: float) -> Path:
+def write_fish(
+    folder: Path, runs: list[FishRun], robot: Path, *, lag_rad: float, rates_only: bool = False
+) -> Path:
     """Logs and trials file of the fish.
 
     When the tail passed its middle is not recorded. Each log's clock is therefore shifted, so that
@@ -120,6 +129,8 @@ def write_fish(folder: Path, runs: list[FishRun], robot: Path, *, lag_rad: float
     robot : path
         The robot file, named in the trials file.
     lag_rad : float
+    rates_only : bool
+        Surge and yaw rate alone: what the recordings tell wherever on the fish the marker sits.
 
     Returns
     -------
@@ -131,13 +142,17 @@ def write_fish(folder: Path, runs: list[FishRun], robot: Path, *, lag_rad: float
         time = run.rows[:, 0] + (run.phase_rad + lag_rad) / (2 * np.pi * run.frequency_hz)
         # by whole beats to after the start of the drive
         time = time - np.floor(time[0] * run.frequency_hz) / run.frequency_hz
-        np.savetxt(
-            folder / f"{run.name}.csv",
-            np.column_stack([time, run.rows[:, [5, 6]], np.unwrap(run.rows[:, 4]), run.rows[:, 1:4]]),
-            delimiter=",",
-            header="t_s,x_m,y_m,yaw_rad,u_m_s,v_m_s,yaw_rate_rad_s",
-            comments="",
-        )
+        columns = {
+            "t_s": time,
+            "x_m": run.rows[:, 5],
+            "y_m": run.rows[:, 6],
+            "yaw_rad": np.unwrap(run.rows[:, 4]),
+            "u_m_s": run.rows[:, 1],
+            "v_m_s": run.rows[:, 2],
+            "yaw_rate_rad_s": run.rows[:, 3],
+        }
+        kept = ("t_s", "u_m_s", "yaw_rate_rad_s") if rates_only else tuple(columns)
+        _write(folder / f"{run.name}.csv", {name: columns[name] for name in kept})
         role = "validate" if run.amplitude_deg == HELD_OUT_DEG else "fit"
         drive = (
             f"frequency_hz: {run.frequency_hz:.4f}, amplitude_deg: {run.amplitude_deg}, "
@@ -370,6 +385,8 @@ def main(data: Path, folder: Path) -> None:
         (folder / name).mkdir(parents=True, exist_ok=True)
     robot = os.path.relpath(examples / "msu-fish.yaml", folder / "fish")
     print(write_fish(folder / "fish", read_fish(data), Path(robot), lag_rad=LAG_RAD))
+    (folder / "rates").mkdir(parents=True, exist_ok=True)
+    print(write_fish(folder / "rates", mild(read_fish(data)), Path(robot), lag_rad=LAG_RAD, rates_only=True))
     robot = os.path.relpath(examples / "double-pendulum.yaml", folder / "pendulum")
     print(write_pendulum(folder / "pendulum", read_pendulum(data, 2)[0], Path(robot)))
     for name, write in (("roll", write_roll), ("drive", write_screw_drive), ("tanks", write_tanks)):
