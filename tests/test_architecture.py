@@ -30,7 +30,15 @@ ALLOWED = {
     "exporters": {"exporters", "models", "signals", "formats", *BASE},
     "robots": set(),
 }
-ALLOWED["verbs"] = {"verbs", *ALLOWED["experiments"], "tracking", "reporting", "exporters", "effects", "diagnosis"}
+ALLOWED["verbs"] = {
+    "verbs",
+    *ALLOWED["experiments"],
+    "tracking",
+    "reporting",
+    "exporters",
+    "effects",
+    "diagnosis",
+}
 ALLOWED["cli"] = {"cli", "verbs", "formats", *BASE}
 
 

@@ -50,7 +50,12 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
         f = [float(t.inputs["frequency_hz"][0]) for t in trials]
         a = [float(t.inputs["amplitude_rad"][0]) for t in trials]
-        for fx, ax in ((0.7 * min(f), max(a)), (1.3 * max(f), max(a)), (max(f), 0.6 * min(a)), (max(f), 1.4 * max(a))):
+        for fx, ax in (
+            (0.7 * min(f), max(a)),
+            (1.3 * max(f), max(a)),
+            (max(f), 0.6 * min(a)),
+            (max(f), 1.4 * max(a)),
+        ):
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
             trial = replace(template, id="proposed", inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
@@ -60,7 +65,12 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         if "joints" not in template.settings and template.inputs.get("force_N", ()) is not None:
             longer = template.time_s[0] + step * np.arange(int(2.0 * span / step) + 1)
             if not template.inputs or beat is not None:
-                found.append((f"one of the same settings, {2.0 * span:.3g} s long", replace(template, id="proposed", time_s=longer)))
+                found.append(
+                    (
+                        f"one of the same settings, {2.0 * span:.3g} s long",
+                        replace(template, id="proposed", time_s=longer),
+                    )
+                )
     return found
 
 
@@ -88,7 +98,8 @@ def advise(
     known = information(rivals[0], lens)
     for words, trial in proposals(bench.model, bench.trials):
         difference = min(
-            apart(bench, rivals[0], other, trial, floors, known, sorted(_channels(bench))) for other in rivals[1:]
+            apart(bench, rivals[0], other, trial, floors, known, sorted(_channels(bench)))
+            for other in rivals[1:]
         )
         found.append(Advice(f"run {words}", names, difference, now))
     template = max(bench.trials, key=lambda t: len(t.time_s))

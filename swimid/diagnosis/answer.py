@@ -112,8 +112,8 @@ def _told(found: Round, state: State) -> str:
     best = found.ranked[0]
     word = "counts" if passes(state, found) else "does not count"
     return (
-        f"{best.tried.effect.name} gains {best.gain:.4g} ± {best.stderr:.2g} on held-out data against a threshold of "
-        f"{found.threshold:.3g}: it {word}"
+        f"{best.tried.effect.name} gains {best.gain:.0f} ± {best.stderr:.0f} on held-out data against a "
+        f"threshold of {found.threshold:.0f}: it {word}"
     )
 
 
@@ -125,7 +125,9 @@ def _reasons(state: State) -> tuple[str, ...]:
         said.append("the time budget ran out before every effect was refitted")
     for name, sd in zip(state.chance, state.chance_sd, strict=True):
         if sd > 0.02:
-            said.append(f"trials differ by chance in {name}: {sd:.2g} of its typical size; that is in the noise")
+            said.append(
+                f"trials differ by chance in {name}: {sd:.2g} of its typical size; that is in the noise"
+            )
     return tuple(said)
 
 
@@ -297,8 +299,8 @@ def _advice(
         where = _remaining(state, 1.0).where
         return (
             Advice(
-                f"repeat one setting three times, and vary what may drive the {where}: what repeats is physics, "
-                "what does not is chance",
+                f"repeat one setting three times, and vary what may drive the {where}: what repeats is "
+                "physics, what does not is chance",
                 (),
                 math.nan,
                 math.nan,
@@ -314,7 +316,9 @@ def _failed(state: State, nominal: Fit, raw: Sequence[Trial], floor: Mapping[str
     """Squared misfit of the failed samples in units of the noise; 0 where they are too few to name."""
     if state.dropouts.count < FAILED:
         return 0.0
-    total = sum(_failed_squares(state, nominal, raw, c)[0] / max(floor.get(c, 1.0), 1e-300) ** 2 for c in floor)
+    total = sum(
+        _failed_squares(state, nominal, raw, c)[0] / max(floor.get(c, 1.0), 1e-300) ** 2 for c in floor
+    )
     return total if total > FAILED_MISFIT else 0.0
 
 
@@ -351,7 +355,9 @@ def _with_failed(
             continue
         sound = [split(nominal, k, nominal.residuals[k]).get(channel) for k in range(len(raw))]
         own = np.concatenate([s[np.isfinite(s)] for s in sound if s is not None])
-        values = np.concatenate([t.measured[channel][np.isfinite(t.measured[channel])] for t in raw if channel in t.measured])
+        values = np.concatenate(
+            [t.measured[channel][np.isfinite(t.measured[channel])] for t in raw if channel in t.measured]
+        )
         span = float(np.ptp(values)) or 1.0
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
         known = next((s for s in closing if s.channel == channel), None)
@@ -359,17 +365,24 @@ def _with_failed(
         level = floor[channel] / span
         widened.append(
             Shrinkage(
-                channel, before, after, before, level, shrinkage.closed(before, after, level), (math.nan, math.nan)
+                channel,
+                before,
+                after,
+                before,
+                level,
+                shrinkage.closed(before, after, level),
+                (math.nan, math.nan),
             )
         )
     rest = [s for s in closing if s.channel not in {w.channel for w in widened}]
-    kinds = sorted({kind for *_, kind in state.dropouts.stretches})
+    stretches = state.dropouts.stretches
+    kinds = sorted({kind for *_, kind in stretches})
     samples = sum(int(np.isfinite(t.measured[c]).sum()) for t in raw for c in t.measured)
-    first = min(state.dropouts.stretches, key=lambda s: s[2])
+    first = min(stretches, key=lambda s: s[2])
     effect = Cause(
         MarkerDropout.name,
         MarkerDropout.stage,
-        f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in state.dropouts.stretches})} trials)",
+        f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
         MarkerDropout.sources,
         0.97,
         (),

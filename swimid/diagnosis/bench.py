@@ -110,7 +110,9 @@ class Bench:
         """Residuals of the model with effects, nominal coefficients as here."""
         model = self.affected(effects)
         own = model.parameters[len(self.parameters) :]
-        problem = Problem(model, (*self.parameters, *own), self.trials, jobs=self.jobs if jobs is None else jobs)
+        problem = Problem(
+            model, (*self.parameters, *own), self.trials, jobs=self.jobs if jobs is None else jobs
+        )
         problem.near = NEAR
         return problem
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
+from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens
 from swimid.effects.base import Effect
@@ -200,9 +201,9 @@ def screen(
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
     """Largest distance of a point from null, in typical sizes."""
-    return max(
-        (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True)), default=1.0
-    ) or 1.0
+    return (
+        max((abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True)), default=1.0) or 1.0
+    )
 
 
 def _best(
@@ -234,7 +235,7 @@ def _best(
         point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
         inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
         if len(chosen) == 1:
-            moved = tuple(np.flatnonzero(points[chosen[0]][0] != null))
+            moved = tuple(int(j) for j in np.flatnonzero(points[chosen[0]][0] != null))
             if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
                 leaders[moved] = (float(gains.sum()), chosen[0])
             # a size out of bounds is no size: what the screen saw there is not the effect
@@ -318,6 +319,7 @@ def refit(
     *,
     begin: Fit | None = None,
     iterations: int = 12,
+    checkpoint: Checkpoint | None = None,
 ) -> Refitted:
     """Fit an effect together with everything the base has; its gain fold by fold.
 
@@ -325,28 +327,42 @@ def refit(
     ----------
     begin : Fit, optional
         A first refit to go on from with derivatives of its own; without it those of the base are lent.
+    checkpoint : Checkpoint, optional
+        Where an earlier run left optima; this one's are added.
     """
     effects = (*base.effects, tried.effect)
     own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
     points = [tried.point, *tried.starts]
-    starts = [
-        bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points
-    ]
+    starts = [bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points]
     chord = base if begin is None else None
+    if begin is not None:
+        starts = [begin.theta]
+    checkpoint = checkpoint or Checkpoint()
+    name = "+".join(
+        [
+            *(e.name for e in effects),
+            *(p.name for p in tried.parameters),
+            "first" if begin is None else "last",
+        ]
+    )
+    kept = checkpoint.get(name)
+    if kept is not None and len(kept) == len(starts[0]):
+        starts = [kept]
     fit = bench.fit(
         effects,
         lens,
-        starts if begin is None else [begin.theta],
+        starts,
         iterations=iterations,
         tolerance=1e-4,
         jobs=1,
         chord=chord,
     )
+    checkpoint.put(name, fit.theta)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     single = [p for p in tried.parameters if p.per_trial]
     if single:
-        own = [_single(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
-        gains = own_gains(bench, base, lens, own)
+        alone = [_single(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
+        gains = own_gains(bench, base, lens, alone)
     return Refitted(tried, fit, gains)
 
 

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from swimid.diagnosis import candidates, gram, nominal, remainder
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
+from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
@@ -173,6 +174,7 @@ def rank(
     jobs: int,
     step: Callable[[str], None],
     late: Callable[[], bool],
+    checkpoint: Checkpoint,
 ) -> Round:
     """One round: screen, learn the noise from a saturated fit, screen again, refit the best."""
     bench = state.bench
@@ -203,12 +205,12 @@ def rank(
         if late() and tried is not promising[0]:
             state.out_of_time = True
             return None
-        found = candidates.refit(bench, base, plain, lens, tried)
+        found = candidates.refit(bench, base, plain, lens, tried, checkpoint=checkpoint)
         step(tried.effect.name)
         return found
 
     def again(first: Refitted) -> Refitted:
-        return candidates.refit(bench, base, plain, lens, first.tried, begin=first.fit)
+        return candidates.refit(bench, base, plain, lens, first.tried, begin=first.fit, checkpoint=checkpoint)
 
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         ranked = [r for r in pool.map(one, promising) if r is not None]
@@ -231,9 +233,11 @@ def run(
     jobs: int = 1,
     most: int = COMBINED,
     budget_s: float | None = None,
+    checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
     """Everything up to the choice of causes, on the trials that take part in fits."""
+    keep = checkpoint or Checkpoint()
     begun = time.monotonic()
     rng = np.random.default_rng(seed)
 
@@ -262,7 +266,9 @@ def run(
                 def advance(name: str, step=step) -> None:  # type: ignore[no-untyped-def]
                     show(step, name)
 
-                found = rank(state, rest, effects, rng=rng, jobs=jobs, step=advance, late=late)
+                found = rank(
+                    state, rest, effects, rng=rng, jobs=jobs, step=advance, late=late, checkpoint=keep
+                )
             state.rounds.append(found)
             if not found.ranked or not passes(state, found) or state.out_of_time:
                 break

@@ -57,7 +57,9 @@ def named(state: State, found: Round, unknown: float) -> Named:
             continue
         close = weight[own] >= EQUIVALENT
         if not close and other.gain > NEARLY * best.gain:
-            close = abs(candidates.alike(state.bench, found.base, found.lens, best.tried, other.tried)) > COSINE
+            close = (
+                abs(candidates.alike(state.bench, found.base, found.lens, best.tried, other.tried)) > COSINE
+            )
         if close:
             rivals.append(own)
     total = sum(weight.values())
@@ -114,7 +116,7 @@ def scores(state: State) -> tuple[Score, ...]:
 
 def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, float]:
     """Share of the evidence each stage of the chain has."""
-    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
+    shares: dict[str, float] = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
     if not gap:
         return shares
     for row in rows:

@@ -40,7 +40,16 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
 
 
 #: The same for a body of one coordinate.
-RIG_TERMS = ("constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time")
+RIG_TERMS = (
+    "constant",
+    "speed",
+    "speed squared",
+    "speed cubed",
+    "place",
+    "place squared",
+    "place cubed",
+    "time",
+)
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -156,7 +165,14 @@ class SensorTerm(_Generic):
     name: ClassVar[str] = "residual-sensor"
     stage: ClassVar[Stage] = "sensing"
     needs: ClassVar[frozenset[str]] = frozenset({"output"})
-    terms: ClassVar[tuple[str, ...]] = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
+    terms: ClassVar[tuple[str, ...]] = (
+        "gain",
+        "drift",
+        "drift squared",
+        "cos phase",
+        "sin phase",
+        "quadratic",
+    )
 
     def __init__(self, channel: str, size: float, *, dynamic: bool) -> None:
         self.channel, self.size = channel, size
@@ -199,7 +215,13 @@ class StrokeTable(_Generic):
     stage: ClassVar[Stage] = "actuation"
     needs: ClassVar[frozenset[str]] = frozenset({"stroke"})
     place = "thrust"
-    terms: ClassVar[tuple[str, ...]] = ("frequency", "frequency squared", "amplitude", "amplitude squared", "product")
+    terms: ClassVar[tuple[str, ...]] = (
+        "frequency",
+        "frequency squared",
+        "amplitude",
+        "amplitude squared",
+        "product",
+    )
 
     def __init__(self, frequency_hz: float, amplitude_rad: float) -> None:
         self.frequency_hz, self.amplitude_rad = frequency_hz, amplitude_rad
@@ -242,8 +264,12 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
     channels = sorted({c for t in trials for c in t.measured})
 
     def top(name: str, least: float) -> float:
-        values = [np.nanmax(np.abs(t.measured[name] - t.measured[name][np.isfinite(t.measured[name])][0]))
-                  for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 1]  # fmt: skip
+        values = []
+        for t in trials:
+            y = t.measured.get(name, np.empty(0))
+            y = y[np.isfinite(y)]
+            if len(y) > 1:
+                values.append(float(np.max(np.abs(y - y[0]))))
         return max(float(max(values, default=least)), least)
 
     length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0

@@ -17,7 +17,6 @@ from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
 
 
-
 @dataclass(frozen=True)
 class Folded:
     """Inner products of columns in each fold, start states of single trials projected out.

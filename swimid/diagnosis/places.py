@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.diagnosis import remainder
 from swimid.diagnosis.bench import Bench, Fit
@@ -15,6 +16,7 @@ from swimid.diagnosis.remainder import Left
 from swimid.diagnosis.result import Cell, Sketch
 from swimid.models.base import Array, Trial
 
+Mask = NDArray[np.bool_]
 #: Bins of the stroke's phase, and of the time of a trial.
 PHASES, TIMES = 8, 6
 #: The start-up lasts this many beats, or this share of a trial without a beat.
@@ -42,7 +44,7 @@ class Map:
         values = [v[np.isfinite(v)] - 1.0 for by in self.excess for v in by.values()]
         self.total = max(float(np.concatenate(values).sum()) if values else 0.0, 1e-12)
 
-    def cell(self, kind: str, label: str, pick: list[tuple[int, Array]]) -> Cell | None:
+    def cell(self, kind: str, label: str, pick: list[tuple[int, Mask]]) -> Cell | None:
         """The gap in some samples: trial and mask over its samples."""
         parts = [v[m & np.isfinite(v)] for k, m in pick for v in self.excess[k].values()]
         values = np.concatenate(parts) if parts else np.empty(0)
@@ -51,7 +53,7 @@ class Map:
         share = float(np.sum(values - 1.0)) / self.total
         return Cell(kind, label, float(np.sqrt(np.mean(values))), float(np.clip(share, 0.0, 1.0)))
 
-    def every(self, k: int) -> Array:
+    def every(self, k: int) -> Mask:
         """All samples of a trial."""
         return np.ones(len(self.trials[k].time_s), dtype=bool)
 
@@ -155,7 +157,11 @@ def _change(where: Map, k: int) -> float | None:
     between = cut * (n - cut) / n * (after - before) ** 2
     best = int(np.argmax(between))
     spread = float(np.sum((x - x.mean()) ** 2))
-    if after[best] > 4.0 * max(before[best], 1.0) and between[best] > CHANGED * spread:
+    # a step, not a ramp: what grows steadily has no moment at which it began
+    line = np.polynomial.Polynomial.fit(np.arange(n), x, 1)
+    ramp = float(np.sum((line(np.arange(n)) - x.mean()) ** 2))
+    step = between[best] > CHANGED * spread and between[best] > 1.3 * ramp
+    if step and after[best] > 4.0 * max(before[best], 1.0):
         return float(where.trials[k].time_s[cut[best]])
     return None
 
@@ -164,7 +170,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     """Heat maps of root-mean-square residual over floor."""
     found: dict[str, tuple[list[str], list[str], Array]] = {}
 
-    def ratio(k: int, channel: str, mask: Array) -> float:
+    def ratio(k: int, channel: str, mask: Mask) -> float:
         v = where.excess[k].get(channel)
         if v is None:
             return math.nan
@@ -199,7 +205,9 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
                         continue
                     turn = (t.time_s * beat_hz(t)) % 1.0
                     v = where.excess[k][channel]
-                    parts.append(v[(np.minimum((turn * PHASES).astype(int), PHASES - 1) == i) & np.isfinite(v)])
+                    parts.append(
+                        v[(np.minimum((turn * PHASES).astype(int), PHASES - 1) == i) & np.isfinite(v)]
+                    )
                 row.append(float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else math.nan)
             rows.append(row)
         labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]

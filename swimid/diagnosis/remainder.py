@@ -184,7 +184,7 @@ SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
 
 def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
-    """What moves slower than noise in each channel, though no trim, gain or clock of single trials explains it.
+    """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
 
     It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
     differs from day to day show here, and nowhere else.
@@ -207,7 +207,11 @@ def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
             there, moved = np.isfinite(series), np.isfinite(steps)
             if moved.sum() > 20:
                 sums.setdefault(channel, []).append(
-                    (float(np.mean(series[there] ** 2)), float(np.mean(steps[moved] ** 2) / 2), int(moved.sum()))
+                    (
+                        float(np.mean(series[there] ** 2)),
+                        float(np.mean(steps[moved] ** 2) / 2),
+                        int(moved.sum()),
+                    )
                 )
     ratios = {}
     for channel, parts in sums.items():
@@ -216,7 +220,10 @@ def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
     if not ratios:
         return {}
     least = max(min(ratios.values()), 1.0)
-    return {c: Slow(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0) for c, q in ratios.items()}
+    return {
+        c: Slow(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0)
+        for c, q in ratios.items()
+    }
 
 
 def moves(found: dict[str, Slow]) -> list[str]:
@@ -224,9 +231,7 @@ def moves(found: dict[str, Slow]) -> list[str]:
     if not found:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)
-    return [
-        c for c, s in found.items() if s.ratio > SURE or (s.ratio > SLOW and s.ratio > AGAINST * least)
-    ]
+    return [c for c, s in found.items() if s.ratio > SURE or (s.ratio > SLOW and s.ratio > AGAINST * least)]
 
 
 def force_terms(left: Left) -> dict[str, dict[str, float]]:

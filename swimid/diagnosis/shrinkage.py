@@ -160,7 +160,11 @@ def _stretch(
     for i, p in enumerate(nominal.parameters):
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
-    runs = [nominal.simulate(as_given, trial), nominal.simulate(vectors[0], trial), model.simulate(vectors[1], trial)]
+    runs = [
+        nominal.simulate(as_given, trial),
+        nominal.simulate(vectors[0], trial),
+        model.simulate(vectors[1], trial),
+    ]
     found, at = [], 0
     for channel, mask in zip(bench.shape.channels[k], bench.shape.masks[k], strict=True):
         count = int(mask.sum())
@@ -204,9 +208,13 @@ def shrinkages(
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / span
         shares = [closed(b, a, floor) for b, a in roots]
         known = [s for s in shares if math.isfinite(s)]
-        ci = (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))) if len(known) > 20 else (
-            math.nan,
-            math.nan,
+        ci = (
+            (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975)))
+            if len(known) > 20
+            else (
+                math.nan,
+                math.nan,
+            )
         )
         result.append(
             Shrinkage(
@@ -239,12 +247,9 @@ def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6)
         if trial not in chosen or len(parts[0].time_s) < 3:
             continue
         order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
-
-        def joined(name: str, parts: list[Piece] = parts, order: Array = order) -> Array:
-            return np.asarray(np.concatenate([getattr(p, name) for p in parts])[order])
-
-        result.append(
-            Overlay(trial, channel, units.get(channel, ""), True, joined("time_s"), joined("measured"),
-                    joined("before"), joined("after"))
-        )  # fmt: skip
+        traces = [
+            np.concatenate([getattr(p, name) for p in parts])[order]
+            for name in ("time_s", "measured", "before", "after")
+        ]
+        result.append(Overlay(trial, channel, units.get(channel, ""), True, *traces))
     return tuple(result)

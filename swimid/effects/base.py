@@ -69,7 +69,7 @@ class Effect(ABC):
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Points at which it is tried before anything is fitted, within the bounds."""
         null = np.array([p.start for p in parameters])
-        found = []
+        found: list[Array] = []
         for k, p in enumerate(parameters):
             for size, sign in itertools.product(SIZES[:1] if self.smooth else SIZES, (1.0, -1.0)):
                 value = p.start + sign * size * p.scale

@@ -200,7 +200,7 @@ class Problem:
         return np.concatenate(parts) if parts else np.empty(0)
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
-        """The measured samples' places of some channels of a trial, in the order of its residuals, shape (n_k,)."""
+        """Values of channels where a trial was measured, in the order of its residuals, shape (n_k,)."""
         parts = [series[c][mask] for c, mask in zip(self.channels[k], self.masks[k], strict=True)]
         return np.concatenate(parts) if parts else np.empty(0)
 

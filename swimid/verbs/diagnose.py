@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+import swimid
 from swimid.diagnosis import answer, chain, nominal
+from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.nominal import Given
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
@@ -93,13 +97,6 @@ def diagnose(
         tried = effect_catalogue.applicable(known, model, fitted)
         same = _own_data(loaded)
         prior = nominal.prior(refitted, given, own_data=same)
-        workers = jobs or os.cpu_count() or 1
-        state = chain.run(
-            model, refitted, fitted, prior, tried,
-            seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, progress=progress,
-        )  # fmt: skip
-        with threadpool_limits(limits=1, user_api="blas"):
-            gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
         origin = provenance.collect(
             [*experiment.inputs, *(Path(p) for p in own)],
             settings={
@@ -112,6 +109,17 @@ def diagnose(
                 "max_step_s": max_step,
             },
         )
+        key = json.dumps([origin["inputs"], origin["settings"], swimid.__version__], sort_keys=True)
+        partial = output.with_name(f"{output.name}.partial") if output is not None else None
+        keep = Checkpoint(partial, hashlib.sha256(key.encode()).hexdigest())
+        workers = jobs or os.cpu_count() or 1
+        state = chain.run(
+            model, refitted, fitted, prior, tried,
+            seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, checkpoint=keep,
+            progress=progress,
+        )  # fmt: skip
+        with threadpool_limits(limits=1, user_api="blas"):
+            gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
     file = diagnose_file.gap_file(
         gap,
         model=model.name,
@@ -136,6 +144,7 @@ def diagnose(
         gap_format.write(output, file)
         ev.write(ev.sidecar(output), evidence)
         outputs = [output, ev.sidecar(output)]
+        keep.done()
     return Outcome("diagnose", diagnose_summary.summary(file), file.model_dump(mode="json"), outputs)
 
 

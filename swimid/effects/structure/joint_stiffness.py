@@ -34,7 +34,11 @@ class JointStiffness(Effect):
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
         if isinstance(model, MultilinkModel):
             found = common.tables(model)
-            return [self] if any(common.joint_stiffness(found, k) > 0 for k in range(len(found["passive"]))) else []
+            return (
+                [self]
+                if any(common.joint_stiffness(found, k) > 0 for k in range(len(found["passive"])))
+                else []
+            )
         held = isinstance(model, RigModel) and model.name == "free-decay"
         return [self] if held and not common.estimated(model, "stiffness") else []
 

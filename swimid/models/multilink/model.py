@@ -320,9 +320,10 @@ class MultilinkModel(Model):
             a, b = body.reference.station_m, body.reference.offset_m
             start[n : n + 3] = u + r * b, v + r * a, r
             if hooks.flow:
+                _, water = _flows(hooks, np.array([begin]))
                 start[n : n + 2] -= _turned(
-                    *_flows(hooks, np.array([begin]))[1].T, -self._start_heading(values, trial)
-                )[:, 0]
+                    float(water[0, 0]), float(water[0, 1]), -self._start_heading(values, trial)
+                )
             if self._heading_matters():
                 start[2] = self._start_heading(values, trial)
         else:

@@ -1,0 +1,66 @@
+"""Optima found so far, kept beside the result so that a killed run goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from swimid.models.base import Array
+
+
+class Checkpoint:
+    """A file of optima, one JSON line each, under a first line that says what they belong to.
+
+    Parameters
+    ----------
+    path : Path or None
+        None keeps nothing.
+    key : str
+        Of inputs and settings; a file of another key is begun anew.
+    """
+
+    def __init__(self, path: Path | None = None, key: str = "") -> None:
+        self.path = path
+        self._known: dict[str, list[float]] = {}
+        self._lock = threading.Lock()
+        if path is None:
+            return
+        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        if lines and lines[0] == self._head(key):
+            for line in lines[1:]:
+                try:
+                    name, numbers = json.loads(line)
+                except ValueError:
+                    break  # the line that was being written when the run was killed
+                self._known[name] = numbers
+        else:
+            path.write_text(self._head(key) + "\n", encoding="utf-8")
+
+    @staticmethod
+    def _head(key: str) -> str:
+        return json.dumps({"swimid": "diagnose", "key": key})
+
+    @property
+    def resumed(self) -> int:
+        """How many optima an earlier run left."""
+        return len(self._known)
+
+    def get(self, name: str) -> Array | None:
+        """Numbers kept under a name."""
+        found = self._known.get(name)
+        return None if found is None else np.array(found)
+
+    def put(self, name: str, numbers: Array) -> None:
+        """Keep numbers under a name."""
+        if self.path is None:
+            return
+        with self._lock, self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps([name, [float(v) for v in numbers]]) + "\n")
+
+    def done(self) -> None:
+        """Remove the file: the result is written."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
