@@ -71,6 +71,8 @@ class Bench:
     prior : mapping of name to (mean, sd)
         Of shared coefficients.
     jobs : int
+    quick : Model, optional
+        A coarser one for differences between simulations.
     """
 
     def __init__(
@@ -81,12 +83,14 @@ class Bench:
         prior: Mapping[str, tuple[float, float]],
         *,
         jobs: int = 1,
+        quick: Model | None = None,
     ) -> None:
         self.model = model
         self.parameters = tuple(parameters)
         self.trials = list(trials)
         self.prior = dict(prior)
         self.jobs = jobs
+        self.quick = quick
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -114,6 +118,8 @@ class Bench:
             model, (*self.parameters, *own), self.trials, jobs=self.jobs if jobs is None else jobs
         )
         problem.near = NEAR
+        if self.quick is not None:
+            problem.quick = Affected(self.quick, effects, self.trials)
         return problem
 
     def expected(self, problem: Problem) -> tuple[Array, Array]:
@@ -223,9 +229,9 @@ class Bench:
         point : ndarray
             Values of all the effect's parameters.
         """
-        effects = (*base.effects, effect)
-        model = self.affected(effects)
+        model = Affected(self.quick or self.model, (*base.effects, effect), self.trials)
         size = len(model.own[-1])
+        null = np.array([p.start for p in model.own[-1]])
         found = []
         for k, trial in enumerate(self.trials):
             own = base.problem.vector(base.theta, k)
@@ -234,9 +240,9 @@ class Bench:
                     seen = model.simulate(np.concatenate((own, point[:size])), trial)
                 except (ArithmeticError, np.linalg.LinAlgError):
                     seen = {c: np.full(len(trial.time_s), np.nan) for c in base.problem.channels[k]}
-            stacked = base.problem.stacked(k, seen)
-            plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
-            found.append((stacked - plain) * base.problem.sample_weights(k))
+            unaffected = model.simulate(np.concatenate((own, null)), trial)
+            change = base.problem.stacked(k, seen) - base.problem.stacked(k, unaffected)
+            found.append(change * base.problem.sample_weights(k))
         return found
 
     def moved(self, base: Fit, index: int, step: float) -> list[Array]:

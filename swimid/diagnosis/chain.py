@@ -20,7 +20,7 @@ from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
-from swimid.diagnosis.remainder import Left, Slow
+from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
 from swimid.models.base import Array, Model, Parameter, Trial
@@ -30,13 +30,15 @@ from swimid.progress import Progress, show, silent
 WEIGHTINGS = 2
 #: Relative tolerance of the cost meanwhile.
 COARSE = 1e-3
-#: A longer integration step may change a sample by this share of its noise.
-COARSE_CHANGE = 0.02
+#: For differences, in which its error cancels, a longer step may change a sample by this much of its noise.
+COARSE_CHANGE = 1.0
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
 #: Of those, so many are refitted to the end.
 FINISHED = 4
+#: Of those again, only what comes this close to the best.
+CLOSE = 0.4
 #: What an effect loses in some folds may be this share of what it gains in the others.
 LOST = 0.25
 #: Numbers of single trials that a model knows and holds: they, too, may differ by chance.
@@ -85,6 +87,7 @@ class State:
     chance_sd: Array = field(default_factory=lambda: np.empty(0))
     out_of_time: bool = False
     slow: dict[str, Slow] = field(default_factory=dict)
+    generic: Generic | None = None
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -103,7 +106,7 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
 
 
 def coarser(bench: Bench, fit: Fit) -> Model | None:
-    """The model with twice the integration step, where that changes no sample by more than noise can show."""
+    """The model with twice the integration step, where that changes samples little."""
     model = bench.model.coarser()
     if model is None:
         return None
@@ -180,9 +183,11 @@ def rank(
     bench = state.bench
     base, lens = state.base, state.lens
     simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
-    generic = remainder.simulate(bench, base, jobs=jobs)
+    generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
     for _ in range(2):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
+        if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
+            return Round(base, screened, [], lens, candidates.LEAST_GAIN)
         promising = [t for t in screened.tried if t.gain > 0][:MOST]
         left = remainder.find(bench, base, lens, generic, rng=rng)
         columns = [t.signature for t in promising] + left.columns
@@ -215,11 +220,23 @@ def rank(
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         ranked = [r for r in pool.map(one, promising) if r is not None]
         ranked.sort(key=lambda r: -r.merit)
-        ranked[:FINISHED] = pool.map(again, ranked[:FINISHED])
+        best = max((r.merit for r in ranked), default=0.0)
+        near = [r for r in ranked[:FINISHED] if r is ranked[0] or r.merit > CLOSE * best]
+        ranked[: len(near)] = pool.map(again, near)
     ranked.sort(key=lambda r: -r.merit)
     samples = float(sum(len(r) for r in base.residuals))
     threshold = max(screened.threshold, candidates.PER_SAMPLE * samples, candidates.LEAST_GAIN)
     return Round(base, screened, ranked, lens, threshold)
+
+
+def _hopeful(
+    bench: Bench, base: Fit, lens: Lens, screened: Screen, generic: Generic, rng: np.random.Generator
+) -> bool:
+    """Whether anything, an effect or a generic description, still promises more than half of what counts."""
+    promised = max((t.gain for t in screened.tried), default=0.0)
+    if promised > 0.5 * candidates.LEAST_GAIN:
+        return True
+    return remainder.find(bench, base, lens, generic, rng=rng).found
 
 
 def run(
@@ -253,8 +270,7 @@ def run(
             lens, fit = weigh(bench)
         coarse = coarser(bench, fit)
         if coarse is not None:
-            bench = Bench(coarse, parameters, bench.trials, prior, jobs=jobs)
-            fit = bench.fit((), lens, [fit.theta], tolerance=COARSE, chord=fit)
+            bench = Bench(model, parameters, bench.trials, prior, jobs=jobs, quick=coarse)
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
         state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
@@ -284,7 +300,9 @@ def run(
                 for k, t in enumerate(trials)
             ]
             state.dropouts = dropouts.confirmed(look(trials, simulated))
-        generic = remainder.simulate(bench, state.base, jobs=jobs)
+        generic = state.generic
+        if generic is None or state.rounds[-1].base.effects != state.base.effects:
+            generic = remainder.simulate(bench, state.base, jobs=jobs)
         state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
         chance, _ = chance_columns(bench, state.base, effects)
         state.slow = remainder.slow(state.base, chance)

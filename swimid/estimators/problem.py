@@ -45,6 +45,8 @@ class Problem:
         depend on it. :meth:`close` ends them.
     near : float
         As :data:`NEAR`, of this problem.
+    quick : Model or None
+        In place of the model where derivatives are taken: a coarser one, whose errors cancel in differences.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Problem:
         self.trials = list(trials)
         self.jobs = jobs
         self.near = NEAR
+        self.quick: Model | None = None
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
@@ -211,7 +214,11 @@ class Problem:
             if (was_central or not central) and self._near(theta, where, known):
                 return known
         size = np.maximum(np.abs(theta), self.scale)
-        here = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
+        if self.quick is None:
+            here = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
+        else:
+            base = self._simulate([(theta, k) for k in range(len(self.trials))], self.quick)
+            here = [self.stacked(k, s) for k, s in enumerate(base)]
         steps = (1e-5 if central else 1e-6) * size
         # step towards the inside of the bounds
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -230,7 +237,7 @@ class Problem:
                     moved[j] += sign * steps[j]
                     points.append((moved, k))
                 places.append((k, j))
-        moves = iter(zip(points, self._simulate(points), strict=True))
+        moves = iter(zip(points, self._simulate(points, self.quick), strict=True))
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
             ahead, back, back_at = self.stacked(k, simulated), here[k], theta
@@ -256,25 +263,28 @@ class Problem:
         # a step of one standard error in any direction changes the cost by the residuals' variance
         return moved * samples <= self.near**2 * left
 
-    def _simulate(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+    def _simulate(
+        self, points: list[tuple[Array, int]], model: Model | None = None
+    ) -> list[dict[str, Array]]:
         """Simulations of (numbers, trial) pairs, in their order."""
+        model = model or self.model
         self.evaluations += len(points)
         if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
-            timed = list(self._pool.map(self._simulate_one, *zip(*points, strict=True)))
+            timed = list(self._pool.map(lambda point: self._simulate_one(*point, model), points))
         else:
-            timed = [self._simulate_one(theta, k) for theta, k in points]
+            timed = [self._simulate_one(theta, k, model) for theta, k in points]
         # the median, since the first may have compiled the model and a broken one ends early
         self._typical_s = float(np.median([seconds for _, seconds in timed])) if timed else 0.0
         return [found for found, _ in timed]
 
-    def _simulate_one(self, theta: Array, k: int) -> tuple[dict[str, Array], float]:
+    def _simulate_one(self, theta: Array, k: int, model: Model) -> tuple[dict[str, Array], float]:
         begun = time.perf_counter()
         trial = self.trials[k]
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                found = self.model.simulate(self.vector(theta, k), trial)
+                found = model.simulate(self.vector(theta, k), trial)
         except (ArithmeticError, np.linalg.LinAlgError):
             found = {c.name: np.full(len(trial.time_s), np.nan) for c in self.model.channels}
         seconds = time.perf_counter() - begun
