@@ -128,7 +128,7 @@ def test_tanks_that_overflow_are_beyond_the_catalogue(
     assert swimid("rwls", tmp_path / "estimation.csv", *orders, "-o", nominal).status == 0
     gap = diagnosed(swimid, trials, nominal)
     assert gap["verdict"] == "unexplained"
-    assert not gap["remaining"]["white"]
+    assert not gap["causes"]
 
 
 def test_what_is_named_for_the_fish_helps_at_the_amplitude_held_out(
