@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.diagnosis import advice, candidates, conclusion, gram, places, shrinkage
+from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
 from swimid.diagnosis.bench import Bench, Fit, errors
 from swimid.diagnosis.chain import Round, State, passes
 from swimid.diagnosis.conclusion import SET, Named
@@ -74,6 +74,8 @@ def answer(
             bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
+    if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
+        word = "unexplained"
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
         causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
@@ -272,6 +274,10 @@ def _remaining(state: State, unknown: float) -> Remaining:
     if left is None:
         return Remaining(0.0, "", True, 0.0)
     if not left.found:
+        moving = remainder.moves(state.slow)
+        if moving:
+            where = f"{' and '.join(moving)}, slower than noise and not alike in all trials"
+            return Remaining(max(state.slow[c].share for c in moving), where, False, max(left.gain, 0.0))
         return Remaining(0.0, "nothing that a smooth description finds", True, max(left.gain, 0.0))
     ranked = sorted(left.places.items(), key=lambda item: -item[1])
     named = [place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300)]
@@ -401,6 +407,3 @@ def _with_failed(
         head, shrinkage=(*widened, *rest), absorbed=carried.absorbed, extrapolations=carried.extrapolations
     )
     return [ordered[0], *(replace(c, shrinkage=(), absorbed=(), extrapolations=()) for c in ordered[1:])]
-
-
-__all__ = ["answer", "candidates"]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.lens import Lens
@@ -121,6 +122,19 @@ class Bench:
         if self.quick is not None:
             problem.quick = Affected(self.quick, effects, self.trials)
         return problem
+
+    def single(self, problem: Problem) -> NDArray[np.bool_]:
+        """Numbers that are a trial's own business in a comparison of folds, shape (p,).
+
+        Start states always; what an effect has for each trial only where whole trials are held out.
+        """
+        return np.array(
+            [
+                owner is not None and (self.folds.whole or "/" not in problem.parameters[index].name)
+                for index, owner in problem.slots
+            ],
+            dtype=bool,
+        )
 
     def expected(self, problem: Problem) -> tuple[Array, Array]:
         """Prior mean and inverse standard deviation of each number; 0 where there is none."""

@@ -357,6 +357,23 @@ def refit(
         jobs=1,
         chord=chord,
     )
+    for share in (0.5, 0.2, 0.0):
+        # far from null a linear guess may be no start: towards the model that has it not
+        if begin is not None or not fit.cost > base.cost:
+            break
+        near = {
+            n: p.start + share * (v - p.start)
+            for n, p, v in zip(own, tried.parameters, tried.point, strict=True)
+        }
+        fit = bench.fit(
+            effects,
+            lens,
+            [bench.start(effects, base, near)],
+            iterations=iterations,
+            tolerance=1e-4,
+            jobs=1,
+            chord=chord,
+        )
     checkpoint.put(name, fit.theta)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     single = [p for p in tried.parameters if p.per_trial]

@@ -35,6 +35,8 @@ COARSE_CHANGE = 1.0
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
+#: Of one effect, so many forms.
+FORMS = 2
 #: Of those, so many are refitted to the end.
 FINISHED = 4
 #: Of those again, only what comes this close to the best.
@@ -200,10 +202,12 @@ def rank(
     state.base, state.lens = base, lens
     plain = gram.folded(bench, base, lens)
     best = screened.tried[0].gain if screened.tried else 0.0
+    each: list[Tried] = []
+    for t in screened.tried:
+        if sum(other.effect.name == t.effect.name for other in each) < FORMS:
+            each.append(t)
     promising = [
-        t
-        for i, t in enumerate(screened.tried)
-        if t.gain > 0 and (i < LEAST or (i < MOST and t.gain > SHARE * best))
+        t for i, t in enumerate(each) if t.gain > 0 and (i < LEAST or (i < MOST and t.gain > SHARE * best))
     ]
 
     def one(tried: Tried) -> Refitted | None:
@@ -286,6 +290,7 @@ def run(
                     state, rest, effects, rng=rng, jobs=jobs, step=advance, late=late, checkpoint=keep
                 )
             state.rounds.append(found)
+            lead(state, found)
             if not found.ranked or not passes(state, found) or state.out_of_time:
                 break
             if len(state.base.effects) + 1 > most:
@@ -309,9 +314,21 @@ def run(
     return state
 
 
+def lead(state: State, found: Round) -> None:
+    """Put the first effect of a round that counts at its head."""
+    for i, candidate in enumerate(found.ranked):
+        if counts(state, found, candidate):
+            found.ranked.insert(0, found.ranked.pop(i))
+            return
+
+
 def passes(state: State, found: Round) -> bool:
-    """Whether the best effect of a round is one: beyond noise, in more than one fold, worth naming."""
-    best = found.ranked[0]
+    """Whether the effect at the head of a round counts."""
+    return bool(found.ranked) and counts(state, found, found.ranked[0])
+
+
+def counts(state: State, found: Round, best: Refitted) -> bool:
+    """Whether an effect is one: beyond noise, in more than one fold, worth naming."""
     if best.gain <= found.threshold or best.lost > LOST * (best.gain + best.lost):
         return False
     # a single fold tells nothing by itself: the effect was then read off it alone

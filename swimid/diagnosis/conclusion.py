@@ -11,6 +11,7 @@ from swimid.diagnosis import candidates, remainder
 from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chain import FORM, Round, State, passes
+from swimid.diagnosis.floor import split
 from swimid.diagnosis.result import Score, Verdict
 from swimid.effects.base import STAGES
 
@@ -147,6 +148,15 @@ def structured_share(state: State) -> float:
     return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
 
 
+def stays(state: State, channel: str) -> float:
+    """Share of a channel's squared residuals that stays once the causes are in the model."""
+    sums = [
+        sum(float(np.nansum(split(fit, k, r)[channel] ** 2)) for k, r in enumerate(fit.residuals))
+        for fit in (state.rounds[0].base, state.base)
+    ]
+    return sums[1] / max(sums[0], 1e-300)
+
+
 def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: bool) -> Verdict:
     """The verdict in one word."""
     structured = state.left is not None and state.left.found
@@ -155,7 +165,9 @@ def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: boo
         if dropout:
             return "explained"
         return "unexplained" if structured or moving else "none"
-    if (structured and share > REMAINDER) or any(state.slow[c].ratio > STRONG for c in moving):
+    if (structured and share > REMAINDER) or any(
+        state.slow[c].ratio > STRONG and stays(state, c) > REMAINDER for c in moving
+    ):
         return "unexplained"
     first = chosen[0]
     if len(first.equivalent) + 1 > SET or first.alone < CLEAR:

@@ -130,7 +130,8 @@ def _failed(values: Array, simulated: Array) -> tuple[NDArray[np.bool_], list[st
     well = ~mask[there]
     there, r = there[well], r[well]
     smooth = median_filter(r, size=5, mode="nearest")
-    jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * size)
+    local = np.maximum(size, 1.4826 * median_filter(np.abs(np.diff(r)), size=25, mode="nearest"))
+    jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * local[2:-1])
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
         # what agrees with the last sound samples is sound again

@@ -63,7 +63,7 @@ def folded(
     problem = fit.problem
     whole = bench.folds.whole
     mean, weight = bench.expected(problem)
-    single = np.array([owner is not None for _, owner in problem.slots], dtype=bool) & whole
+    single = bench.single(problem)
     shared = np.flatnonzero(~single)
     count = bench.folds.count
     width = len(shared) + len(columns) + 1
@@ -149,7 +149,10 @@ def solved(normal: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
     scaled = scale[..., :, None] * normal * scale[..., None, :]
     scaled = scaled + 1e-11 * np.eye(normal.shape[-1])
-    return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
+    try:
+        return np.asarray(scale[..., :, None] * np.linalg.solve(scaled, scale[..., :, None] * right))
+    except np.linalg.LinAlgError:
+        return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))
 
 
 def together(gram: Folded, chosen: Sequence[int], prior: Sequence[float]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,17 +27,22 @@ class Given:
 
 
 def refitted(
-    parameters: Sequence[Parameter], given: Mapping[str, Given], values: Array
+    parameters: Sequence[Parameter], given: Mapping[str, Given], values: Array, own: Collection[str] = ()
 ) -> tuple[Parameter, ...]:
     """The model's parameters as the diagnosis refits them.
 
-    Those the file estimated are free and start there, those it fixed stay; start states are free where
-    the model says so.
+    Those the file estimated are free and start there, those it fixed stay; what each trial has for itself is
+    free where the model says so.
+
+    Parameters
+    ----------
+    own : collection of str
+        Parameters of single trials that the file estimated for some.
     """
     found = []
     for p, value in zip(parameters, values, strict=True):
         if p.per_trial:
-            found.append(p)
+            found.append(replace(p, free=p.free or p.name in own))
             continue
         known = given.get(p.name)
         free = p.free if known is None else known.status != "fixed"

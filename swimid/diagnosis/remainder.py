@@ -141,7 +141,7 @@ def saturated(
     """
     inner = gram.folded(bench, base, lens, columns)
     problem = base.problem
-    single = np.array([owner is not None for _, owner in problem.slots], dtype=bool) & bench.folds.whole
+    single = bench.single(problem)
     shared = np.flatnonzero(~single)
     factors = gram.together(inner, range(len(columns)), prior)
     found = []

@@ -111,8 +111,7 @@ def pieces(
 def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
     """Numbers of a fit with each fold left out, by one Gauss-Newton step; within bounds."""
     inner = gram.folded(bench, fit, lens)
-    whole = bench.folds.whole
-    single = np.array([owner is not None for _, owner in fit.problem.slots], dtype=bool) & whole
+    single = bench.single(fit.problem)
     shared = np.flatnonzero(~single)
     found = []
     for f in range(bench.folds.count):
@@ -207,7 +206,7 @@ def shrinkages(
         drawn = squares[picks].sum(axis=1)
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / span
         shares = [closed(b, a, floor) for b, a in roots]
-        known = [s for s in shares if math.isfinite(s)]
+        known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
         ci = (
             (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975)))
             if len(known) > 20
@@ -222,6 +221,19 @@ def shrinkages(
             )
         )
     return tuple(result)
+
+
+def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
+    """Whether the causes make held-out data fit better, all channels together in units of their noise."""
+    gained = 0.0
+    for p in found:
+        floor = max(floors.get(p.channel, 1.0), 1e-300)
+        errors = [
+            np.minimum(np.nan_to_num((p.measured - y) / floor, nan=0.0) ** 2, 1e12)
+            for y in (p.before, p.after)
+        ]
+        gained += float(np.sum(errors[0] - errors[1]))
+    return gained > 0.0 or not found
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -272,7 +272,7 @@ class Problem:
         if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
-            timed = list(self._pool.map(lambda point: self._simulate_one(*point, model), points))
+            timed = list(self._pool.map(lambda point: self._simulate_one(point[0], point[1], model), points))
         else:
             timed = [self._simulate_one(theta, k, model) for theta, k in points]
         # the median, since the first may have compiled the model and a broken one ends early

@@ -88,7 +88,8 @@ def diagnose(
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
         given = _given(loaded)
-        refitted = nominal.refitted(model.parameters, given, applied.values())
+        refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
+        model.parameters = refitted
         trials = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
         fitted = [t for t in trials if t.role == "fit"]
         validation = [t for t in trials if t.role == "validate"]
