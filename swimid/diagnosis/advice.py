@@ -71,7 +71,8 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
                         replace(template, id="proposed", time_s=longer),
                     )
                 )
-    return found
+    # simulations are kept by the id of their trial
+    return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
 def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str]]:

@@ -199,7 +199,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Forces of functions from outside (:class:`swimid.models.hooks.Force`)."""
-    first, second, third, links, places, constants, ends, frame, pose, velocity, wrench = forced
+    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third = forced
     for e in range(len(links)):
         i = links[e]
         x, y = places[e, 0], places[e, 1]
@@ -498,7 +498,6 @@ def outside(
     functions = [f.function for f in forces] + [no_force] * (MOST_FORCES - len(forces))
     ends = np.concatenate(([0], np.cumsum([len(f.constants) for f in forces]))).astype(np.int64)
     return (
-        *functions,
         np.array([f.link % links for f in forces], dtype=np.int64),
         np.array([(f.x, f.y) for f in forces]).reshape(-1, 2),
         np.concatenate([np.asarray(f.constants, dtype=float) for f in forces]),
@@ -507,6 +506,7 @@ def outside(
         np.zeros(3),
         np.zeros(3),
         np.zeros(3),
+        *functions,
     )
 
 

@@ -331,7 +331,11 @@ class MultilinkModel(Model):
         for k, axis in enumerate(self.assembly.passive):
             start[3 + k] = self._value(values, f"initial_angle_{axis.joint.name}")
             start[n + 3 + k] = self._value(values, f"initial_rate_{axis.joint.name}")
-        tables = hooks.changed(self.assembly.tables(values[: self._count]), "tables")
+        tables = self.assembly.tables(values[: self._count])
+        if hooks.tables:
+            # a table without coefficients is the robot's own: an effect must not write into that
+            own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
+            tables = hooks.changed(own, "tables")
         if hooks.force:
             x, y, _ = trial.settings.get("pose", (0.0, 0.0, 0.0))
             frame = (x, y, 0.0 if self._heading_matters() else self._start_heading(values, trial))
