@@ -123,14 +123,16 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
 
 def test_a_tether_is_a_spring() -> None:
     k = 5.0
-    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (k, 0.0)), (InitialSpeed(), 0.2)])
+    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (k, 0.0, 0.0)), (InitialSpeed(), 0.2)])
     rate = np.sqrt(k / INERTIA)
     np.testing.assert_allclose(seen["x_m"], 0.2 / rate * np.sin(rate * TIME), atol=1e-7)
 
 
 def test_a_slack_tether_pulls_only_when_it_is_out() -> None:
     k, slack = 5.0, 0.3
-    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (k, slack)), (InitialSpeed(), 0.2)])
+    seen = acted(
+        weight_model(), weight_trial(force=0.0), [(Tether(), (k, slack, 0.0)), (InitialSpeed(), 0.2)]
+    )
     free = TIME < 1.5
     np.testing.assert_allclose(seen["x_m"][free], 0.2 * TIME[free], atol=1e-12)
     energy = 0.5 * INERTIA * seen["u_m_s"] ** 2 + 0.5 * k * np.maximum(seen["x_m"] - slack, 0) ** 2
@@ -139,10 +141,20 @@ def test_a_slack_tether_pulls_only_when_it_is_out() -> None:
 
 def test_a_tether_pulls_home_whatever_the_heading() -> None:
     wrench = np.zeros(3)
-    pull_back._pyfunc(0.0, np.array([1.3, 2.4, 0.5]), np.zeros(3), np.array([2.0, 0.1, 1.0, 2.0]), wrench)
+    pull_back._pyfunc(
+        0.0, np.array([1.3, 2.4, 0.5]), np.zeros(3), np.array([2.0, 0.1, 0.0, 1.0, 2.0]), wrench
+    )
     c, s = np.cos(0.5), np.sin(0.5)
     world = np.array([c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]])
     np.testing.assert_allclose(world, -2.0 * (0.5 - 0.1) * np.array([0.6, 0.8]), rtol=1e-12)
+
+
+def test_a_line_paid_out_drags() -> None:
+    c, v0 = 2.0, 0.2
+    seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (0.0, 0.0, c)), (InitialSpeed(), v0)])
+    # M v dv/dx = -c x v^2
+    expected = v0 * np.exp(-0.5 * c * seen["x_m"] ** 2 / INERTIA)
+    np.testing.assert_allclose(seen["u_m_s"], expected, rtol=1e-5)
 
 
 def test_a_tether_takes_its_work_from_a_cruise() -> None:

@@ -132,7 +132,7 @@ def test_added_mass_slows_a_swing_on_a_tether() -> None:
     model = dry_fish()
     mass, k, extra = 2.133 + 3 * 0.081 + 0.096, 30.0, 1.1
     trial = coasting(model)
-    seen = acted(model, trial, [(Tether(), (k, 0.0)), (AddedMass(), (extra, 0.0))], initial_surge=0.3)
+    seen = acted(model, trial, [(Tether(), (k, 0.0, 0.0)), (AddedMass(), (extra, 0.0))], initial_surge=0.3)
     rate = np.sqrt(k / (mass + extra))
     np.testing.assert_allclose(seen["x_m"], 0.3 / rate * np.sin(rate * trial.time_s), atol=1e-7)
 

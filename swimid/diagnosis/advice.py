@@ -75,10 +75,10 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
-def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str]]:
-    """Channels the model has and no trial measures."""
+def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str, str]]:
+    """Meaning, name and unit of the channels the model has and no trial measures."""
     measured = {c for t in trials for c in t.measured}
-    return [(c.meaning or c.name, c.name) for c in model.channels if c.name not in measured]
+    return [(c.meaning or c.name, c.name, c.unit) for c in model.channels if c.name not in measured]
 
 
 def advise(
@@ -104,7 +104,8 @@ def advise(
         )
         found.append(Advice(f"run {words}", names, difference, now))
     template = max(bench.trials, key=lambda t: len(t.time_s))
-    for meaning, channel in sensors(bench.model, bench.trials):
+    sensed: dict[str, Advice] = {}
+    for meaning, channel, unit in sensors(bench.model, bench.trials):
         noise = typical_noise(channel, floors)
         if noise is None:
             continue
@@ -112,8 +113,12 @@ def advise(
             apart(bench, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
             for other in rivals[1:]
         )
-        words = f"log {meaning} ({channel}) as well, to {noise:.2g}"
-        found.append(Advice(words, names, difference, now))
+        words = f"log {meaning} ({channel}) as well, to {noise:.2g} {unit}"
+        # one joint of several stands for all
+        kind = channel[:5]
+        if kind not in sensed or difference > sensed[kind].difference:
+            sensed[kind] = Advice(words, names, difference, now)
+    found += sensed.values()
     found.sort(key=lambda a: -a.difference)
     return tuple(found[:MOST])
 

@@ -19,9 +19,13 @@ from swimid.models.rig import RigModel
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """A spring to a point of the world; constants stiffness, slack, and the point's coordinates."""
-    dx, dy = pose[0] - constants[2], pose[1] - constants[3]
+    """A spring to a point of the world and a line that drags; stiffness, slack, line drag, the point."""
+    dx, dy = pose[0] - constants[3], pose[1] - constants[4]
     distance = math.sqrt(dx * dx + dy * dy)
+    u, v = velocity[0], velocity[1]
+    drag = constants[2] * distance * math.sqrt(u * u + v * v)
+    wrench[0] -= drag * u
+    wrench[1] -= drag * v
     if distance > constants[1]:
         pull = constants[0] * (distance - constants[1]) / distance
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -32,7 +36,7 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
 class Tether(Effect):
     """``-k (d - slack)`` towards the start, d the distance from it, once d exceeds the slack.
 
-    A cruise feels its mean over the run.
+    The line paid out drags behind it, ``-c d v |v|``. A cruise feels the mean of the pull over the run.
     """
 
     name = "tether"
@@ -47,9 +51,9 @@ class Tether(Effect):
         return [self] if rig or isinstance(model, RecoilModel) or common.swims_freely(model) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Stiffness, N/m, and slack, m."""
+        """Stiffness, N/m, slack, m, and for what moves in time the drag of the line, N s2/m3."""
         size = _reach(model, trials)
-        return (
+        pull = (
             Parameter(
                 "stiffness_N_m",
                 "N/m",
@@ -61,11 +65,22 @@ class Tether(Effect):
             ),
             Parameter("slack_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="length before it pulls"),
         )
+        if isinstance(model, RecoilModel):
+            return pull
+        drag = 0.3 * common.force(model, trials) / (size * common.speed(model, trials) ** 2)
+        line = Parameter(
+            "line_drag_N_s2_m3", "N s^2/m^3", 0.0, math.inf, 0.0, drag, meaning="drag of the line per length"
+        )
+        return (*pull, line)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Sizes of the stiffness, without slack and with some."""
-        stiffness, slack = parameters
-        return [np.array([s * stiffness.scale, n * slack.scale]) for n in (0.0, 2.0) for s in SIZES[1:2]]
+        stiffness, slack, *line = parameters
+        size = SIZES[1]
+        pulls = [
+            np.array([size * stiffness.scale, n * slack.scale, *(0.0 for _ in line)]) for n in (0.0, 2.0)
+        ]
+        return pulls + [np.array([0.0, 0.0, size * p.scale]) for p in line]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the base, or on the mean of a run."""
