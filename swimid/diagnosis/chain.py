@@ -30,17 +30,17 @@ from swimid.progress import Progress, show, silent
 WEIGHTINGS = 2
 #: Relative tolerance of the cost meanwhile.
 COARSE = 1e-3
-#: For differences, in which its error cancels, a longer step may change a sample by this much of its noise.
-COARSE_CHANGE = 1.0
+#: For differences, in which its error cancels, a longer step may change a sample by this share of the range.
+COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
 #: Of one effect, so many forms.
 FORMS = 2
 #: Of those, so many are refitted to the end.
-FINISHED = 4
+FINISHED = 3
 #: Of those again, only what comes this close to the best.
-CLOSE = 0.4
+CLOSE = 0.6
 #: What an effect loses in some folds may be this share of what it gains in the others.
 LOST = 0.25
 #: Numbers of single trials that a model knows and holds: they, too, may differ by chance.
@@ -107,20 +107,19 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     return lens, fit
 
 
-def coarser(bench: Bench, fit: Fit) -> Model | None:
+def coarser(model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial]) -> Model | None:
     """The model with twice the integration step, where that changes samples little."""
-    model = bench.model.coarser()
-    if model is None:
+    quick = model.coarser()
+    if quick is None:
         return None
-    problem = fit.problem
-    for k, trial in enumerate(bench.trials):
-        values = problem.vector(fit.theta, k)
-        change = problem.stacked(k, model.simulate(values, trial)) - problem.stacked(
-            k, problem.simulations(fit.theta)[k]
-        )
-        if not np.max(np.abs(change * problem.sample_weights(k)), initial=0.0) <= COARSE_CHANGE:
-            return None
-    return model
+    values = np.array([p.start for p in parameters])
+    for trial in trials:
+        fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
+        for channel in trial.measured:
+            span = float(np.ptp(fine[channel]))
+            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= COARSE_CHANGE * span:
+                return None
+    return quick
 
 
 def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[str]]:
@@ -266,15 +265,13 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        bench = Bench(model, parameters, trials, prior, jobs=jobs)
+        quick = coarser(model, parameters, trials)
+        bench = Bench(model, parameters, trials, prior, jobs=jobs, quick=quick)
         lens, fit = weigh(bench)
         dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
         if dropouts.count:
-            bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs)
+            bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs, quick=quick)
             lens, fit = weigh(bench)
-        coarse = coarser(bench, fit)
-        if coarse is not None:
-            bench = Bench(model, parameters, bench.trials, prior, jobs=jobs, quick=coarse)
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
         state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)

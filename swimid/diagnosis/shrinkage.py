@@ -15,6 +15,8 @@ from swimid.diagnosis.result import Overlay, Shrinkage
 from swimid.estimators import start_states
 from swimid.models.base import Array, Model, Trial
 
+#: Relative tolerance of the search for a held-out trial's start state.
+TOLERANCE = 1e-4
 #: Resamples of trials for the interval.
 RESAMPLES = 1000
 
@@ -47,7 +49,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     )
     held = trial.settings.get("held", ())
     parameters = tuple(replace(p, free=False) if p.name in held else p for p in parameters)
-    found = start_states.estimate(model, parameters, trial, sd)
+    found = start_states.estimate(model, parameters, trial, sd, tolerance=TOLERANCE)
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
 
@@ -101,6 +103,16 @@ def pieces(
             if not np.any(inside):
                 continue
             if bench.folds.whole:
+                known = {
+                    label.split("[")[0]: float(v)
+                    for label, (_, owner), v in zip(
+                        before.labels, before.problem.slots, before.theta, strict=True
+                    )
+                    if owner == k
+                }
+                # the search begins where the trial started when it took part; it ends where it must
+                near = {**trial.settings, "starts": {**trial.settings.get("starts", {}), **known}}
+                trial = replace(trial, settings=near)
                 found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd)
             else:
                 found += _stretch(bench, k, inside, nominal, models[1], (before, after), thetas, f, shipped)

@@ -20,7 +20,12 @@ TOLERANCE = 1e-8
 
 
 def estimate(
-    model: Model, parameters: tuple[Parameter, ...], trial: Trial, sd: Mapping[str, float]
+    model: Model,
+    parameters: tuple[Parameter, ...],
+    trial: Trial,
+    sd: Mapping[str, float],
+    *,
+    tolerance: float = TOLERANCE,
 ) -> dict[str, float]:
     """Per-trial parameters of one trial, the shared ones held at their start values.
 
@@ -30,6 +35,8 @@ def estimate(
         Shared ones with their values as ``start``; of the others those that are free are estimated.
     sd : mapping of channel name to float
         Noise of each channel, for the weights; channels that are not in it are not used.
+    tolerance : float
+        Of the search, relative.
 
     Returns
     -------
@@ -44,7 +51,7 @@ def estimate(
             return {}
         for i, channel in enumerate(problem.channels[0]):
             problem.sd[0][i] = np.full(len(trial.time_s), sd[channel])
-        solution = problem.solve(problem.start, tolerance=TOLERANCE)
+        solution = problem.solve(problem.start, tolerance=tolerance)
         return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
     finally:
         problem.close()
