@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.cli.common import Shared, protect, reading_option, running, shared_options, step_option
 from swimid.cli.parsing import named_word
 
 
@@ -56,20 +56,8 @@ from swimid.cli.parsing import named_word
     help="Of the random draws behind thresholds and intervals.",
 )
 @click.option("--robot", metavar="NAME|FILE", help="Accept the parameters for this robot.")
-@click.option(
-    "--reading",
-    "readings",
-    multiple=True,
-    metavar="NAME=OPTION",
-    help="Read an ambiguity of the robot's source otherwise. Repeatable.",
-)
-@click.option(
-    "--dt",
-    type=click.FloatRange(0, min_open=True),
-    default=0.005,
-    show_default=True,
-    help="Integration step, s.",
-)
+@reading_option
+@step_option
 @shared_options("Gap file to write (YAML).")
 def command(
     trials: Path,

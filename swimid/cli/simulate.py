@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.cli.common import Shared, protect, reading_option, running, shared_options, step_option
 from swimid.cli.parsing import named_number, named_word
 
 _POSITIVE = click.FloatRange(0, min_open=True)
@@ -35,17 +35,11 @@ _POSITIVE = click.FloatRange(0, min_open=True)
 )
 @click.option("--duration-s", type=_POSITIVE, help="Length of the run  [default: 15]")
 @click.option("--sample-rate-hz", type=_POSITIVE, help="Samples a second of the log  [default: 50]")
-@click.option("--dt", type=_POSITIVE, default=0.005, show_default=True, help="Integration step, s.")
+@step_option
 @click.option(
     "--set", "chosen", multiple=True, metavar="NAME=VALUE", help="Use this value of a parameter. Repeatable."
 )
-@click.option(
-    "--reading",
-    "readings",
-    multiple=True,
-    metavar="NAME=OPTION",
-    help="Read an ambiguity of the robot's source otherwise. Repeatable.",
-)
+@reading_option
 @click.option(
     "--input",
     type=click.Path(path_type=Path),

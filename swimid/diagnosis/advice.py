@@ -15,8 +15,6 @@ from swimid.diagnosis.result import Advice
 from swimid.estimators.problem import Problem
 from swimid.models.base import Array, Model, Trial
 
-#: A proposal counts as telling rivals apart beyond this many units of noise.
-APART = 4.0
 #: Proposals reported.
 MOST = 4
 
@@ -143,7 +141,7 @@ def information(fit: Fit, lens: Lens) -> dict[str, Array | list[str]]:
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
     for k, rows in enumerate(fit.rows):
-        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        mine = fit.problem.own(k)
         seen = lens.through(fit.problem, k, rows[:, shared + mine])
         inner = seen.T @ seen
         s = len(shared)

@@ -348,15 +348,11 @@ def refit(
     kept = checkpoint.get(name)
     if kept is not None and len(kept) == len(starts[0]):
         starts = [kept]
-    fit = bench.fit(
-        effects,
-        lens,
-        starts,
-        iterations=iterations,
-        tolerance=1e-4,
-        jobs=1,
-        chord=chord,
-    )
+
+    def fitted(begins: list[Array]) -> Fit:
+        return bench.fit(effects, lens, begins, iterations=iterations, tolerance=1e-4, jobs=1, chord=chord)
+
+    fit = fitted(starts)
     for share in (0.5, 0.2, 0.0):
         # far from null a linear guess may be no start: towards the model that has it not
         if begin is not None or not fit.cost > base.cost:
@@ -365,15 +361,7 @@ def refit(
             n: p.start + share * (v - p.start)
             for n, p, v in zip(own, tried.parameters, tried.point, strict=True)
         }
-        fit = bench.fit(
-            effects,
-            lens,
-            [bench.start(effects, base, near)],
-            iterations=iterations,
-            tolerance=1e-4,
-            jobs=1,
-            chord=chord,
-        )
+        fit = fitted([bench.start(effects, base, near)])
     checkpoint.put(name, fit.theta)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     single = [p for p in tried.parameters if p.per_trial]
@@ -418,7 +406,7 @@ def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]
     gains = np.zeros(bench.folds.count)
     q = len(own)
     for k, trial in enumerate(bench.trials):
-        mine = [j for j, (_, owner) in enumerate(problem.slots) if owner == k]
+        mine = problem.own(k)
         block = np.column_stack([*(c[k] for c in own), base.residuals[k], base.rows[k][:, mine]])
         seen = lens.through(problem, k, block)
         if mine:

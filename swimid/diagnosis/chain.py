@@ -8,17 +8,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, gram, nominal, remainder
+from swimid.diagnosis import candidates, gram, remainder
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
@@ -124,7 +123,14 @@ def coarser(model: Model, parameters: Sequence[Parameter], trials: Sequence[Tria
 
 def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[str]]:
     """Changes of each trial by what may differ from trial to trial by chance, shape (n_k, q)."""
-    columns, names = [], []
+    columns: list[list[Array]] = []
+    names: list[str] = []
+
+    def keep(name: str, half: list[Array]) -> None:
+        if all(np.isfinite(c).all() for c in half) and sum(float(c @ c) for c in half) > 0:
+            columns.append([2.0 * c for c in half])
+            names.append(name)
+
     for effect in effects:
         if not effect.scatters:
             continue
@@ -135,17 +141,10 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
             point = np.array([q.start for q in parameters])
             sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
             point[j] = p.start + sign * 0.5 * p.scale
-            change = bench.change(fit, effect, point)
-            if all(np.isfinite(c).all() for c in change) and sum(float(c @ c) for c in change) > 0:
-                columns.append([2.0 * c for c in change])
-                names.append(effect.name)
+            keep(effect.name, bench.change(fit, effect, point))
     for index, p in enumerate(bench.parameters):
-        if not p.per_trial or p.free or p.name not in OWN:
-            continue
-        change = bench.moved(fit, index, 0.5 * p.scale)
-        if all(np.isfinite(c).all() for c in change) and sum(float(c @ c) for c in change) > 0:
-            columns.append([2.0 * c for c in change])
-            names.append(p.name)
+        if p.per_trial and not p.free and p.name in OWN:
+            keep(p.name, bench.moved(fit, index, 0.5 * p.scale))
     stacked = [
         np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
         for k in range(len(bench.trials))
@@ -163,7 +162,7 @@ def see(
     chance, names = chance_columns(bench, fit, effects)
     own = []
     for k in range(len(bench.trials)):
-        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        mine = fit.problem.own(k)
         own.append(fit.rows[k][:, mine] * fit.problem.scale[mine])
     lens, sd = spread(lens, fit.problem, residuals, own, chance)
     return lens, sd, names
@@ -333,15 +332,3 @@ def counts(state: State, found: Round, best: Refitted) -> bool:
         return False
     first = state.rounds[0].ranked[0].gain if state.rounds and state.rounds[0] is not found else None
     return first is None or best.gain > FURTHER * first
-
-
-def weights(found: Round) -> Array:
-    """Weight of each ranked effect against the best, 1 for that."""
-    gains = np.array([r.gain for r in found.ranked])
-    if not len(gains):
-        return gains
-    scale = max(2.0, FORM * gains[0])
-    return np.exp(np.minimum(gains - gains[0], 0.0) / scale)
-
-
-__all__ = ["Folded", "Left", "Round", "State", "nominal", "passes", "rank", "replace", "run", "weights"]

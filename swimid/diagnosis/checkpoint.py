@@ -43,11 +43,6 @@ class Checkpoint:
     def _head(key: str) -> str:
         return json.dumps({"swimid": "diagnose", "key": key})
 
-    @property
-    def resumed(self) -> int:
-        """How many optima an earlier run left."""
-        return len(self._known)
-
     def get(self, name: str) -> Array | None:
         """Numbers kept under a name."""
         found = self._known.get(name)

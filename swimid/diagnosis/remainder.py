@@ -196,7 +196,7 @@ def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
     """
     sums: dict[str, list[tuple[float, float, int]]] = {}
     for k, r in enumerate(fit.residuals):
-        mine = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner == k]
+        mine = fit.problem.own(k)
         columns = np.column_stack((fit.rows[k][:, mine] * fit.problem.scale[mine], chance[k]))
         if len(r) < 4 * columns.shape[1] + 20:
             continue

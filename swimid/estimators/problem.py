@@ -111,6 +111,10 @@ class Problem:
         known = {} if owner is None else self.trials[owner].settings.get("starts", {})
         return float(known.get(parameter.name, parameter.start))
 
+    def own(self, trial: int) -> list[int]:
+        """Places of the numbers that belong to one trial alone."""
+        return [j for j, (_, owner) in enumerate(self.slots) if owner == trial]
+
     def vector(self, theta: Array, trial: int) -> Array:
         """Full parameter vector of one trial."""
         values = self.base.copy()
