@@ -111,7 +111,7 @@ class Screen:
     tried : list of Tried
         Best first.
     threshold : float
-        Held-out gain that the best of all effects reaches on pure noise once in twenty.
+        Held-out gain that the best of all effects reaches on pure noise at most once in forty.
     left_out : dict of name to reason
         Effects that change nothing here.
     """

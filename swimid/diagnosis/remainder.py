@@ -30,7 +30,7 @@ class Left:
         Held-out drop of misfit, all terms together.
     gains : ndarray, shape (folds,)
     threshold : float
-        What noise alone gives once in twenty.
+        What noise alone gives at most once in forty.
     places : dict of place to float
         Held-out gain of the terms of one place alone.
     columns : list of lists of ndarray

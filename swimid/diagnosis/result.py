@@ -255,7 +255,7 @@ class Gap:
     Attributes
     ----------
     threshold : float
-        Held-out gain that noise alone exceeds once in twenty.
+        Held-out gain that noise alone exceeds at most once in forty.
     stages : mapping of stage to float
         Share of the evidence each stage of the chain has, summing to 1 (0 for all when no gap).
     maps : mapping of title to (row labels, column labels, ratios)

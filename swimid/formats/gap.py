@@ -184,7 +184,7 @@ class GapFile(yamlio.Document):
     experiment: str = ""
     params: str = ""
     trials: list[str] = []
-    #: Held-out gain that noise alone exceeds once in twenty.
+    #: Held-out gain that noise alone exceeds at most once in forty.
     threshold: Number = None
     #: How the noise floor was found.
     floor_from: str = ""

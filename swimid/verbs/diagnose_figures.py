@@ -134,7 +134,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
     ]
     marks = []
     if file.threshold is not None:
-        marks.append(ev.Mark(at=file.threshold, label="noise alone, once in twenty"))
+        marks.append(ev.Mark(at=file.threshold, label="noise alone, at most once in forty"))
     return [
         ev.Figure(
             id="effects",

@@ -199,7 +199,7 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
                     "tried",
                     f"{len({s.effect for s in file.scores})} effects; the most gained is "
                     f"{numbers.number(best.gain, 3)} ({best.effect}), noise alone exceeds "
-                    f"{numbers.number(file.threshold, 3)} once in twenty",
+                    f"{numbers.number(file.threshold, 3)} at most once in forty",
                 )
             )
         return rows
