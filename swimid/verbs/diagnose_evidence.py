@@ -364,7 +364,7 @@ def _scores(file: GapFile) -> ev.Table:
         columns=[*columns, "Probability"],
         rows=rows,
         caption="Gain: drop of the squared residuals on trials left out of the fit, in units of the noise; "
-        f"noise alone exceeds {numbers.number(file.threshold, 3)} at most once in forty. Imitated: the share of "
+        f"noise alone exceeds {numbers.number(file.threshold, 3)} at most once in forty. Imitated: share of "
         "an effect's signature that the refitted coefficients reproduce without it. Screen: the gain "
         "predicted before refitting; effects it left out have no other. Good: one gain far above all others.",
     )
