@@ -103,17 +103,8 @@ def pieces(
             if not np.any(inside):
                 continue
             if bench.folds.whole:
-                known = {
-                    label.split("[")[0]: float(v)
-                    for label, (_, owner), v in zip(
-                        before.labels, before.problem.slots, before.theta, strict=True
-                    )
-                    if owner == k
-                }
-                # the search begins where the trial started when it took part; it ends where it must
-                near = {**trial.settings, "starts": {**trial.settings.get("starts", {}), **known}}
-                trial = replace(trial, settings=near)
-                found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd)
+                near = [_near(trial, k, fit) for fit in (before, after)]
+                found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd, near)
             else:
                 found += _stretch(bench, k, inside, nominal, models[1], (before, after), thetas, f, shipped)
             step()
@@ -142,16 +133,30 @@ def _whole(
     before: Mapping[str, float],
     after: Mapping[str, float],
     sd: Mapping[str, float],
+    near: Sequence[Trial] = (),
 ) -> list[Piece]:
+    first, last = near or (trial, trial)
     runs = [
-        m.simulate(_own_start(m, values, trial, sd), trial)
-        for m, values in ((nominal, shipped), (nominal, before), (model, after))
+        m.simulate(_own_start(m, values, begun, sd), trial)
+        for m, values, begun in ((nominal, shipped, first), (nominal, before, first), (model, after, last))
     ]
     return [
         Piece(trial, c, trial.time_s, y, runs[0][c], runs[1][c], runs[2][c])
         for c, y in trial.measured.items()
         if c in runs[0] and np.isfinite(y).any()
     ]
+
+
+def _near(trial: Trial, k: int, fit: Fit) -> Trial:
+    """The trial, with the start state a fit found for it as where a search begins."""
+    known = {
+        label.split("[")[0]: float(v)
+        for label, (_, owner), v in zip(fit.labels, fit.problem.slots, fit.theta, strict=True)
+        if owner == k
+    }
+    return replace(
+        trial, settings={**trial.settings, "starts": {**trial.settings.get("starts", {}), **known}}
+    )
 
 
 def _stretch(

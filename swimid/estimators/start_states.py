@@ -51,7 +51,11 @@ def estimate(
             return {}
         for i, channel in enumerate(problem.channels[0]):
             problem.sd[0][i] = np.full(len(trial.time_s), sd[channel])
-        solution = problem.solve(problem.start, tolerance=tolerance)
+        begin = problem.start
+        if problem.broken(begin):
+            # known from other coefficients, with which it did not diverge
+            begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
+        solution = problem.solve(begin, tolerance=tolerance)
         return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
     finally:
         problem.close()

@@ -235,7 +235,7 @@ def make_case(
     Parameters
     ----------
     folder : path
-        Made if missing. Gets ``trials.yaml``, one log per trial and, in a third of the cases,
+        Made if missing. Gets ``trials.yaml``, one log per trial and, in two thirds of the cases,
         ``params_prior.yaml``: a calibration of another day.
     robot : {"tfish", "dolphin"}
     effect : str, tuple of str or None
@@ -281,7 +281,7 @@ def make_case(
         log = {name: clean[name] + noise.draw(name, len(clean["t_s"]), own) for name in columns}
         logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
-    if rng.random() < 1.0 / 3.0:
+    if rng.random() < 2.0 / 3.0:
         swim_files.write_prior(Path(folder) / "params_prior.yaml", robot, coefficients, FITTED[robot], rng)
     sd = {name: noise.sd(name) for name in columns}
     shown = {t.id: _broken(t, acts, with_it[t.id]) for t in trials}
