@@ -185,16 +185,26 @@ def _refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("chosen, weights", [((), ()), ((0,), (0.5,)), ((1, 0), (0.5, 2.0))])
+@pytest.mark.parametrize("lean", [0.0, gram.LEAN])
 def test_held_out_is_a_refit_without_the_fold(
-    blocks: list[np.ndarray], chosen: tuple[int, ...], weights: tuple[float, ...]
+    blocks: list[np.ndarray],
+    chosen: tuple[int, ...],
+    weights: tuple[float, ...],
+    lean: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """With so much of what all folds tell of the shared numbers as its prior."""
+    monkeypatch.setattr(gram, "LEAN", lean)
     at = [0, 1, 2, *(3 + c for c in chosen)]
     found = gram.held_out(_folded(blocks), chosen, weights)
+    prior = np.concatenate((PRIOR, weights))
+    whole = _refit(blocks, at, prior)
+    shared = np.concatenate(blocks)[:, :3] * np.sqrt(lean)
+    known = np.column_stack((shared, np.zeros((len(shared), 2)), shared @ whole[:3]))
     for f, block in enumerate(blocks):
-        theta = _refit(blocks[:f] + blocks[f + 1 :], at, np.concatenate((PRIOR, weights)))
+        theta = _refit([*blocks[:f], *blocks[f + 1 :], known], at, prior)
         assert found[f] == pytest.approx(float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2)), rel=1e-8)
-    theta = _refit(blocks, at, np.concatenate((PRIOR, weights)))
-    np.testing.assert_allclose(gram.together(_folded(blocks), chosen, weights), theta, rtol=1e-8)
+    np.testing.assert_allclose(gram.together(_folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
 def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
@@ -416,7 +426,7 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
     bench = Bench(model, (), trials, {})
     fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    floor, how = floors(bench, fit, 0.0)
+    floor, how = floors(bench, fit, fit.residuals, 0.0)
     assert floor["y"] == pytest.approx(0.1, rel=0.1)
     assert how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])

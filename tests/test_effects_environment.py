@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from tests.effect_cases import (
     weight_model,
     weight_trial,
 )
+from tests.toy_models import Toy
 
 ALL = [Buoyancy(), Current(), SurfaceBreach(), Tether(), Wall(), Waves()]
 
@@ -42,6 +44,8 @@ ALL = [Buoyancy(), Current(), SurfaceBreach(), Tether(), Wall(), Waves()]
 def test_null_and_tries_of_swimmers(effect: Effect, robot: str) -> None:
     model = swimmer(robot)
     trial = swim(model)
+    rocked = {n: v + 1e-3 * np.sin(4.0 * trial.time_s) for n, v in trial.measured.items() if n.endswith("_m")}
+    trial = replace(trial, measured={**trial.measured, **rocked})
     if robot == "tfish" and effect.name in ("buoyancy", "surface-breach"):
         assert not effect.variants(model, [trial])
     else:
@@ -114,8 +118,17 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
         track += 1e-3 * rng.standard_normal(len(time))
         settings = {"beat": Beat("sine", beat, 0.3)}
         trials.append(Trial(str(beat), "fit", time, {"x_m": track}, settings=settings))
-    assert lines(trials, "x")[0] == pytest.approx(0.63, abs=0.05)
-    assert lines(trials, "y") == ()
+    model = Toy(lambda values, time: {"x_m": np.full(len(time), 0.2)}, (), ("x_m",))
+    assert lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
+    assert lines(model, trials, "y") == ()
+
+
+def test_lines_the_model_has_itself_are_no_waves() -> None:
+    time = np.arange(0.0, 12.0, 0.04)
+    own = {"x_m": 0.01 * np.sin(2 * np.pi * 0.4 * time)}
+    model = Toy(lambda values, time: own, (), ("x_m",))
+    trial = Trial("a", "fit", time, {"x_m": own["x_m"] + 1e-3 * np.sin(2 * np.pi * 0.9 * time)})
+    assert lines(model, [trial], "x")[0] == pytest.approx(0.9, abs=0.05)
 
 
 # ------------------------------------------------------------ forces
@@ -205,11 +218,15 @@ def test_walls_stand_at_the_extremes_of_the_tracks() -> None:
 
 def test_breaching_costs_the_weight_of_the_water() -> None:
     wrench = np.zeros(3)
-    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4]), wrench)
+    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0]), wrench)
     world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
     assert world == pytest.approx(-4.0, rel=1e-3)
     wrench[:] = 0.0
-    sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4]), wrench)
+    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, -0.2, 0.1]), wrench)
+    world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
+    assert world == pytest.approx(-40.0 * (0.1 - 0.2 * np.sin(0.3) + 0.1 * np.cos(0.3)), rel=1e-3)
+    wrench[:] = 0.0
+    sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0]), wrench)
     assert np.abs(wrench).max() < 1e-3
 
 

@@ -128,11 +128,28 @@ def test_drag_of_a_coasting_fish_that_changes_with_speed_in_closed_form() -> Non
     np.testing.assert_allclose(seen["u_m_s"], speed, rtol=1e-6)
 
 
+def test_drag_that_changes_from_trial_to_trial_is_that_of_the_robot_file() -> None:
+    """A trial at twice the reference speed, all coefficients by ``2^-n``."""
+    names = ("c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
+    model = swimmer("tfish")
+    trial = swim(model)
+    (effect,) = (e for e in DragReynolds().variants(model, [trial, trial]) if e.whole)
+    effect = DragReynolds(0.5 * effect.reference_m_s, whole=True)
+    seen = acted(model, trial, [(effect, 0.5)])
+    values = {p.name: p.start * 2.0**-0.5 for p in model.parameters if p.name in names}
+    slick = swimmer("tfish", **values)
+    expected = slick.simulate(start(slick), trial)
+    for name in ("x_m", "y_m", "yaw_rad"):
+        np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
+
+
 def test_added_mass_slows_a_swing_on_a_tether() -> None:
     model = dry_fish()
     mass, k, extra = 2.133 + 3 * 0.081 + 0.096, 30.0, 1.1
     trial = coasting(model)
-    seen = acted(model, trial, [(Tether(), (k, 0.0, 0.0)), (AddedMass(), (extra, 0.0))], initial_surge=0.3)
+    seen = acted(
+        model, trial, [(Tether(), (k, 0.0, 0.0)), (AddedMass(), (extra, 0.0, 0.0))], initial_surge=0.3
+    )
     rate = np.sqrt(k / (mass + extra))
     np.testing.assert_allclose(seen["x_m"], 0.3 / rate * np.sin(rate * trial.time_s), atol=1e-7)
 
@@ -149,13 +166,13 @@ def test_added_mass_of_a_swimmer_is_that_of_the_robot_file() -> None:
                     name=f"{name}-more",
                     link=name,
                     surge_kg=0.4 * share,
-                    sway_kg=0.7 * share,
+                    sway_kg=0.7 * share + (0.02 if name == list(masses)[-1] else 0.0),
                 )
             )
 
     model, built = swimmer("tfish"), changed(robots.read("tfish"), heavier)
     trial = swim(model)
-    seen = acted(model, trial, [(AddedMass(), (0.4, 0.7))])
+    seen = acted(model, trial, [(AddedMass(), (0.4, 0.7, 0.02))])
     expected = built.simulate(start(built), trial)
     for name in ("x_m", "y_m", "yaw_rad"):
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)

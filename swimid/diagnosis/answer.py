@@ -61,7 +61,9 @@ def answer(
     bench = state.bench
     nominal = state.rounds[0].base if state.rounds else state.base
     unknown = conclusion.unknown_share(state)
-    floor, how = noise_floors(bench, state.base, conclusion.structured_share(state))
+    floor, how = noise_floors(bench, state.base, state.quiet, conclusion.structured_share(state))
+    for channel in remainder.moves(state.slow):
+        floor[channel] *= math.sqrt(1.0 - state.slow[channel].share)
     found = [r for r in state.rounds if r.ranked and passes(state, r)]
     chosen = [conclusion.named(state, r, unknown) for r in found]
     failed = _failed(state, nominal, raw, floor)
@@ -94,7 +96,7 @@ def answer(
         regime=places.regimes(where),
         time=places.times(where),
         causes=tuple(causes) if gap else (),
-        remaining=_remaining(state, unknown),
+        remaining=_remaining(state, unknown, nominal, floor),
         advice=_advice(state, found, chosen, word, floor),
         scores=rows,
         threshold=state.rounds[0].threshold if state.rounds else math.nan,
@@ -152,10 +154,7 @@ def _channels(
     for p in held:
         error = (p.measured - p.shipped)[np.isfinite(p.measured)]
         as_given.setdefault(p.channel, []).append(error**2)
-    excess = {}
-    for channel, parts in squares.items():
-        values = np.concatenate(parts)
-        excess[channel] = float(max(np.sum(values / max(floor[channel], 1e-300) ** 2 - 1.0), 0.0))
+    excess = _excess(nominal, nominal.residuals, floor)
     total = sum(excess.values()) or 1.0
     found = []
     for channel, parts in squares.items():
@@ -269,19 +268,41 @@ def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
     return tuple(found)
 
 
-def _remaining(state: State, unknown: float) -> Remaining:
+def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
+    """Squared residuals beyond those of the noise, in units of it, by channel."""
+    found: dict[str, float] = {}
+    for k, r in enumerate(residuals):
+        for channel, series in split(fit, k, r).items():
+            values = series[np.isfinite(series)] / max(floor[channel], 1e-300)
+            found[channel] = found.get(channel, 0.0) + float(np.sum(values**2 - 1.0))
+    return {c: max(v, 0.0) for c, v in found.items()}
+
+
+def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, float]) -> Remaining:
     left = state.left
     if left is None:
         return Remaining(0.0, "", True, 0.0)
+    where = _where(state)
     if not left.found:
         moving = remainder.moves(state.slow)
         if moving:
-            where = f"{' and '.join(moving)}, slower than noise and not alike in all trials"
-            return Remaining(max(state.slow[c].share for c in moving), where, False, max(left.gain, 0.0))
-        return Remaining(0.0, "nothing that a smooth description finds", True, max(left.gain, 0.0))
+            gap, still = _excess(nominal, nominal.residuals, floor), _excess(state.base, state.quiet, floor)
+            share = sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300)
+            return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
+        return Remaining(0.0, where, True, max(left.gain, 0.0))
+    return Remaining(unknown, where, False, left.gain)
+
+
+def _where(state: State) -> str:
+    """Where what is left acts, in words."""
+    left = state.left
+    if left is None or not left.found:
+        moving = remainder.moves(state.slow)
+        if moving:
+            return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
+        return "nothing that a smooth description finds"
     ranked = sorted(left.places.items(), key=lambda item: -item[1])
-    named = [place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300)]
-    return Remaining(unknown, " and ".join(named), False, left.gain)
+    return " and ".join(place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300))
 
 
 def _advice(
@@ -302,7 +323,7 @@ def _advice(
             except (ArithmeticError, np.linalg.LinAlgError):
                 return ()
     if word == "unexplained":
-        where = _remaining(state, 1.0).where
+        where = _where(state)
         return (
             Advice(
                 f"repeat one setting three times, and vary what may drive the {where}: what repeats is "

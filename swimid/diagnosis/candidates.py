@@ -206,6 +206,16 @@ def _strength(parameters: Sequence[Parameter], point: Array) -> float:
     )
 
 
+def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
+    """The factor of a step from null, cut where it leaves the bounds."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.array([(lower - null) / step, (upper - null) / step])
+    ends = ends[:, step != 0.0]
+    low = float(np.max(np.min(ends, axis=0), initial=-np.inf))
+    high = float(np.min(np.max(ends, axis=0), initial=np.inf))
+    return float(np.clip(factor, low, high))
+
+
 def _best(
     inner: Folded,
     effect: Effect,
@@ -232,15 +242,18 @@ def _best(
         gains = plain - gram.held_out(inner, where, prior)
         drawn = np.maximum(drawn, (plain_drawn - gram.held_out(inner, where, prior, draws)).sum(axis=0))
         factors = gram.together(inner, where, prior)[s:]
-        point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
         inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
         if len(chosen) == 1:
-            moved = tuple(int(j) for j in np.flatnonzero(points[chosen[0]][0] != null))
+            tried_at = points[chosen[0]][0]
+            moved = tuple(int(j) for j in np.flatnonzero(tried_at != null))
             if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
                 leaders[moved] = (float(gains.sum()), chosen[0])
-            # a size out of bounds is no size: what the screen saw there is not the effect
-            if np.any(point < inside[0] - 1e-12) or np.any(point > inside[1] + 1e-12):
-                gains = np.minimum(gains, 0.0)
+            # a size out of bounds is no size: what the effect does there is what it does at the bound
+            allowed = _allowed(null, tried_at - null, float(factors[0]), *inside)
+            if allowed != factors[0]:
+                gains = np.minimum(gains, plain - gram.held_out_less(inner, where[0], allowed))
+                factors = np.array([allowed])
+        point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
         if best is None or gains.sum() > best.gain:
             whole = float(total[s + where[0], s + where[0]])
             own = float(left[where[0], where[0]])

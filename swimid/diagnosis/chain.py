@@ -18,7 +18,8 @@ from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.lens import Lens, coloured, spread
+from swimid.diagnosis.floor import quiet
+from swimid.diagnosis.lens import Lens, brief, coloured, spread
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
@@ -89,6 +90,7 @@ class State:
     out_of_time: bool = False
     slow: dict[str, Slow] = field(default_factory=dict)
     generic: Generic | None = None
+    quiet: list[Array] = field(default_factory=list)
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -157,9 +159,14 @@ def see(
 ) -> tuple[Lens, Array, list[str]]:
     """The lens as some residuals show the noise: colour first, then chance differences between trials."""
     lens = coloured(fit.problem, residuals, Lens(lens.sd), unknowns=unknowns)
-    if not bench.folds.whole or all(len(r) < 20 for r in residuals):
+    short = all(len(r) < 20 for r in residuals)
+    none = [np.empty((len(r), 0)) for r in residuals]
+    chance, names = (none, []) if short else chance_columns(bench, fit, effects)
+    if not short:
+        moving = remainder.moves(remainder.slow(fit, residuals, chance))
+        lens = brief(lens, fit.problem, residuals, moving)
+    if short or not bench.folds.whole:
         return lens, np.empty(0), []
-    chance, names = chance_columns(bench, fit, effects)
     own = []
     for k in range(len(bench.trials)):
         mine = fit.problem.own(k)
@@ -306,7 +313,8 @@ def run(
             generic = remainder.simulate(bench, state.base, jobs=jobs)
         state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
         chance, _ = chance_columns(bench, state.base, effects)
-        state.slow = remainder.slow(state.base, chance)
+        state.slow = remainder.slow(state.base, state.base.residuals, chance)
+        state.quiet = quiet(state.base, state.base.residuals, chance)
     return state
 
 

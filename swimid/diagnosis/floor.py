@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from swimid.diagnosis.bench import Bench, Fit
@@ -32,13 +34,40 @@ def repeats(bench: Bench) -> list[list[int]]:
     return [g for g in groups.values() if len(g) > 1]
 
 
-def floors(bench: Bench, last: Fit, share: float) -> tuple[dict[str, float], str]:
+def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list[Array]:
+    """Weighted residuals once each trial has had its own start state, trims, gains and clock.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray, shape (n_k,)
+    chance : sequence of ndarray, shape (n_k, q)
+        Weighted changes by what may differ from trial to trial.
+
+    Returns
+    -------
+    list of ndarray, shape (n_k,)
+        Of trials too short for it, the residuals as they are.
+    """
+    found = []
+    for k, r in enumerate(residuals):
+        mine = fit.problem.own(k)
+        columns = np.column_stack((fit.rows[k][:, mine] * fit.problem.scale[mine], chance[k]))
+        if len(r) >= 4 * columns.shape[1] + 20:
+            size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+            r = r - columns / size @ np.linalg.lstsq(columns / size, r, rcond=1e-10)[0]
+        found.append(r)
+    return found
+
+
+def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) -> tuple[dict[str, float], str]:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
     ----------
     last : Fit
         The model with all that was found.
+    residuals : sequence of ndarray, shape (n_k,)
+        What it leaves, weighted, without what differs between trials by chance.
     share : float
         Of its squared residuals through the lens, what a generic description still finds.
 
@@ -51,7 +80,7 @@ def floors(bench: Bench, last: Fit, share: float) -> tuple[dict[str, float], str
     """
     parts: dict[str, list[Array]] = {}
     for k in range(len(bench.trials)):
-        for channel, series in split(last, k, last.residuals[k]).items():
+        for channel, series in split(last, k, residuals[k]).items():
             parts.setdefault(channel, []).append(series[np.isfinite(series)])
     rest = float(np.sqrt(max(1.0 - share, 0.05)))
     floor = {c: rest * float(np.sqrt(np.mean(np.concatenate(p) ** 2))) for c, p in parts.items()}

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from swimid.estimators.problem import Problem
@@ -19,6 +20,8 @@ from swimid.models.base import Array
 
 #: Largest order of the autoregression, and samples each coefficient needs.
 ORDER, PER_ORDER = 6, 25
+#: Noise of short memory: share of its variance with a memory, and that memory from sample to sample.
+COLOURED, POLE = 0.4, 0.8
 #: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
 FEWEST, CLEAR = 3, 2.0
 #: Chance differences are at most this large, in typical sizes: beyond, they are an effect.
@@ -128,6 +131,38 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
         colour[channel] = a
         size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
         whole[channel] = float(np.sqrt(max(np.nanmean(x**2) / freedom, 1e-300))) if n else 1.0
+    return Lens(lens.sd, colour, size, whole, lens.spread)
+
+
+def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]) -> Lens:
+    """The lens with noise of short memory in some channels: what moves slower there is no noise.
+
+    Its size is that of the second differences, to which slow motion adds little; a part of it, `COLOURED`,
+    has a memory of a few samples (`POLE`), as a tracker's has.
+    """
+    colour, size, whole = dict(lens.colour), dict(lens.size), dict(lens.whole)
+    lags = COLOURED * POLE ** np.arange(ORDER + 1.0)
+    lags[0] = 1.0
+    a = -solve_toeplitz(lags[:-1], lags[1:])
+    innovation = float(1.0 + a @ lags[1:])
+    for channel in channels:
+        bends = []
+        for k, values in enumerate(residuals):
+            at = 0
+            for name, mask in zip(problem.channels[k], problem.masks[k], strict=True):
+                count = int(mask.sum())
+                if name == channel:
+                    series = np.full(len(mask), np.nan)
+                    series[mask] = values[at : at + count]
+                    bend = np.diff(series, 2)
+                    bends.append(bend[np.isfinite(bend)])
+                at += count
+        bend = np.concatenate(bends) if bends else np.empty(0)
+        if len(bend) < PER_ORDER:
+            continue
+        variance = max(float(np.mean(bend**2)) / (6.0 - 8.0 * lags[1] + 2.0 * lags[2]), 1e-300)
+        colour[channel], size[channel] = a, float(np.sqrt(innovation * variance))
+        whole[channel] = float(np.sqrt(variance))
     return Lens(lens.sd, colour, size, whole, lens.spread)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
 from swimid.diagnosis.candidates import DRAWS, LEAST_GAIN, PER_SAMPLE, QUANTILE, within
-from swimid.diagnosis.floor import split
+from swimid.diagnosis.floor import quiet, split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
@@ -183,7 +183,7 @@ class Slow:
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
 
-def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
+def slow(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> dict[str, Slow]:
     """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
 
     It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
@@ -191,18 +191,16 @@ def slow(fit: Fit, chance: Sequence[Array]) -> dict[str, Slow]:
 
     Parameters
     ----------
+    residuals : sequence of ndarray, shape (n_k,)
+        Weighted.
     chance : sequence of ndarray, shape (n_k, q)
         Weighted changes by what may differ from trial to trial.
     """
     sums: dict[str, list[tuple[float, float, int]]] = {}
-    for k, r in enumerate(fit.residuals):
-        mine = fit.problem.own(k)
-        columns = np.column_stack((fit.rows[k][:, mine] * fit.problem.scale[mine], chance[k]))
-        if len(r) < 4 * columns.shape[1] + 20:
+    for k, r in enumerate(quiet(fit, residuals, chance)):
+        if len(r) < 20:
             continue
-        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-        factors = np.linalg.lstsq(columns / size, r, rcond=1e-10)[0]
-        for channel, series in split(fit, k, r - columns / size @ factors).items():
+        for channel, series in split(fit, k, r).items():
             steps = np.diff(series)
             there, moved = np.isfinite(series), np.isfinite(steps)
             if moved.sum() > 20:

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from swimid.models.base import Array
 
+#: Iterations after which a decrease that is small against the noise is small enough.
+PATIENCE = 30
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -48,6 +51,7 @@ def minimise(
     upper: Array,
     scale: Array,
     tolerance: float = 1e-10,
+    enough: float = 0.0,
     max_iterations: int = 200,
     watch: Callable[[Array, float, int], None] | None = None,
 ) -> Solution:
@@ -61,6 +65,9 @@ def minimise(
         ``scale`` is the typical size of each parameter.
     tolerance : float
         Stop when neither the cost nor the parameters change by more than this, relatively.
+    enough : float
+        Once `PATIENCE` iterations are spent, stop when a step lowers the cost by less than this: along a
+        valley the data hardly tell, the last digits would take for ever.
     watch : callable, optional
         Called with the parameters, their cost and the iteration at the start and after every
         step that lowers the cost.
@@ -114,6 +121,7 @@ def minimise(
                 damping = max(damping, 1e-12)
                 growth = 2.0
                 done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
+                done |= iteration > PATIENCE and max(cost - new_cost, predicted) < enough
                 x, r, cost = moved, candidate, new_cost
                 if watch is not None:
                     watch(x, cost, iteration)

@@ -20,15 +20,18 @@ ROUND = 0.002
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Weight of what has left the water; constants force per height and level."""
-    above = pose[1] - constants[1]
+    """Weight of what has left the water; constants force per height, level and the point's place."""
+    above = pose[1] + constants[2] * math.sin(pose[2]) + constants[3] * math.cos(pose[2]) - constants[1]
     down = -0.5 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
     wrench[0] += down * math.sin(pose[2])
     wrench[1] += down * math.cos(pose[2])
 
 
 class SurfaceBreach(Effect):
-    """Above a level the hull is pulled down by the weight of the water it no longer displaces."""
+    """Above a level the hull is pulled down by the weight of the water it no longer displaces.
+
+    Half of it acts a quarter of the hull's length ahead of its centre of mass, half as far behind.
+    """
 
     name = "surface-breach"
     stage = "environment"
@@ -77,11 +80,17 @@ class SurfaceBreach(Effect):
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A force at the centre of mass of the heaviest link."""
+        """Two forces on the heaviest link."""
         assert isinstance(model, MultilinkModel)
         hull = common.hull(model)
         x, y = common.centre(model, hull)
-        return Hooks(force=(Force(sink, np.array(values, dtype=float), hull, x, y),))
+        a, b = common.reference(model) if hull == 0 else (x, y)
+        quarter = 0.25 * model.assembly.links[hull].length_m
+        forces = []
+        for at in (x - quarter, x + quarter):
+            constants = np.array([0.5 * values[0], values[1], at - a, y - b])
+            forces.append(Force(sink, constants, hull, at, y))
+        return Hooks(force=tuple(forces))
 
 
 def _heights(trial: Trial) -> Trial:

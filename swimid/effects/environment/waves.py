@@ -26,7 +26,7 @@ class Waves(Effect):
 
     The frequency is common; amplitude and phase, counted from the start, are each trial's own. The cosine
     sets in with ``1 - exp(-2 pi f t)``: a body that floats at the start moves with the water. It is
-    tried at the strongest lines of the measured track that are no harmonics of the beat.
+    tried at the strongest lines in what the model leaves of the track that are no harmonics of the beat.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Waves(Effect):
         in_time = isinstance(model, RigModel) and not common.rotates(model)
         if not (in_time or common.swims_freely(model)):
             return []
-        return [Waves(axis, line) for axis in common.axes(model) for line in lines(trials, axis)]
+        return [Waves(axis, line) for axis in common.axes(model) for line in lines(model, trials, axis)]
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
@@ -105,11 +105,20 @@ class Waves(Effect):
         return Hooks(flow=(flow,))
 
 
-def lines(trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
-    """The strongest lines in the measured velocity along an axis, Hz, that no beat explains.
+def _simulated(model: Model, trial: Trial, channel: str) -> Array:
+    """A channel as the model has it at its start values; nothing where it cannot be simulated."""
+    known = trial.settings.get("starts", {})
+    values = np.array([known.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters])
+    with np.errstate(all="ignore"):
+        found = model.simulate(values, trial).get(channel)
+    return found if found is not None and np.isfinite(found).all() else np.zeros(len(trial.time_s))
 
-    Each trial's track is freed of its slow course and its beat by least squares; the power of each
-    frequency is its sum over the trials for whose beat it is no harmonic.
+
+def lines(model: Model, trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
+    """The strongest lines along an axis that neither the model nor the beat explains, Hz.
+
+    What the model leaves of each trial's track is freed of its slow course and its beat by least squares;
+    the power of each frequency is its sum over the trials for whose beat it is no harmonic.
     """
     name = f"{axis}_m"
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
@@ -129,7 +138,7 @@ def lines(trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
         known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
-        rest = trial.measured[name][there]
+        rest = (trial.measured[name] - _simulated(model, trial, name))[there]
         rest = rest - known @ (known.T @ rest)
         highest = 0.5 / max(float(np.median(np.diff(time))), 1e-9)
         for k, f in enumerate(grid):
@@ -137,7 +146,7 @@ def lines(trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
                 continue
             pair = np.column_stack([np.cos(2.0 * math.pi * f * time), np.sin(2.0 * math.pi * f * time)])
             pair, _ = np.linalg.qr(pair - known @ (known.T @ pair))
-            power[k] += float(np.sum((pair.T @ rest) ** 2)) * f**2
+            power[k] += float(np.sum((pair.T @ rest) ** 2)) * f
             weight[k] += 1.0
     score = np.where(weight > 0, power / np.maximum(weight, 1.0), 0.0)
     found: list[float] = []

@@ -20,7 +20,8 @@ LEAST = 0.5
 class AddedMass(Effect):
     """Added mass beyond the model's: a rig's, or a swimmer's along and across its links.
 
-    A swimmer's is shared out among the links as their masses are, at their centres of mass.
+    A swimmer's is shared out among the links as their masses are, at their centres of mass; across, more or
+    less of it may follow the last link.
     """
 
     name = "added-mass"
@@ -37,18 +38,15 @@ class AddedMass(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Added mass along and across all links, kg; or that of the rig's coordinate."""
         if isinstance(model, MultilinkModel):
-            own = sum(_masses(model))
+            masses = _masses(model)
+            own, across = sum(masses), model.plane.words[4]
             return tuple(
-                Parameter(
-                    name,
-                    "kg",
-                    -LEAST * own,
-                    math.inf,
-                    0.0,
-                    0.05 * own,
-                    meaning=f"{words} added mass",
+                Parameter(name, "kg", -least, math.inf, 0.0, 0.05 * own, meaning=f"{words} added mass")
+                for name, least, words in (
+                    ("surge_kg", LEAST * own, "surge"),
+                    ("sway_kg", LEAST * own, across),
+                    ("tail_kg", 0.5 * LEAST * masses[-1], f"{across} of the last link's"),
                 )
-                for name, words in (("surge_kg", "surge"), ("sway_kg", model.plane.words[4]))
             )
         rotation = common.rotates(model)
         size = common.inertia(model, trials)
@@ -75,6 +73,7 @@ class AddedMass(Effect):
                 for link, (mass, at) in enumerate(zip(masses, points, strict=True)):
                     share = mass / sum(masses)
                     common.weigh(tables, link, at, share * values[0], share * values[1])
+                common.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
 

@@ -26,12 +26,15 @@ def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
 class DragReynolds(Effect):
     """``C = C_0 (|u| / u_ref)^-n``: 0.5 is a laminar boundary layer, 0.2 a turbulent one.
 
-    It acts on the axial drag, a swimmer's taken together at its heaviest link.
+    It acts on the axial drag, a swimmer's taken together at its heaviest link; or, by the mean speed of each
+    trial, on all drag coefficients of a swimmer's links.
 
     Parameters
     ----------
     reference_m_s : float
         Speed u_ref at which the model's own coefficient holds (rad/s for an angle).
+    whole : bool
+        Whether all drag coefficients change, from trial to trial.
     """
 
     name = "drag-reynolds"
@@ -41,8 +44,9 @@ class DragReynolds(Effect):
     needs = frozenset({"force"})
     smooth = True
 
-    def __init__(self, reference_m_s: float = 0.3) -> None:
+    def __init__(self, reference_m_s: float = 0.3, *, whole: bool = False) -> None:
         self.reference_m_s = reference_m_s
+        self.whole = whole
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs and free swimmers with quadratic drag, about the typical speed of the trials."""
@@ -50,16 +54,26 @@ class DragReynolds(Effect):
             fits = model.assembly.free_base and common.axial_drag(common.tables(model)) > 0
         else:
             fits = "force" in model.offers
-        return [DragReynolds(common.speed(model, trials))] if fits else []
+        typical = common.speed(model, trials)
+        found: list[Effect] = [DragReynolds(typical)] if fits else []
+        if fits and isinstance(model, MultilinkModel) and len(trials) > 1:
+            found.append(DragReynolds(typical, whole=True))
+        return found
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The exponent n."""
-        return (
-            Parameter("exponent", "1", -0.8, 0.8, 0.0, 0.2, meaning="the drag coefficient falls as speed^-n"),
-        )
+        name = "trial_exponent" if self.whole else "exponent"
+        return (Parameter(name, "1", -1.5, 1.5, 0.0, 0.2, meaning="the drag coefficient falls as speed^-n"),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Adds the difference to the model's own quadratic drag."""
+        """Adds the difference to the model's own quadratic drag, or changes its coefficients."""
+        if self.whole:
+            factor = (common.speed(model, [trial]) / self.reference_m_s) ** -float(values[0])
+
+            def change(tables: dict[str, Any]) -> None:
+                tables["drag"][:, [2, 3, 6]] *= factor
+
+            return Hooks(tables=(change,))
         constants = np.array([0.0, values[0], self.reference_m_s])
         if isinstance(model, MultilinkModel):
             hull = common.hull(model)
