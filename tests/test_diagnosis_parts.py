@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from swimid.diagnosis import dropouts, folds, gram, places
 from swimid.diagnosis.bench import Bench, errors
 from swimid.diagnosis.floor import floors, split
-from swimid.diagnosis.gram import START_PRIOR, Folded
+from swimid.diagnosis.gram import START_PRIOR, Drawn, Folded
 from swimid.diagnosis.lens import Lens, coloured, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.estimators.problem import Problem
@@ -203,19 +203,22 @@ def test_held_out_is_a_refit_without_the_fold(
     known = np.column_stack((shared, np.zeros((len(shared), 2)), shared @ whole[:3]))
     for f, block in enumerate(blocks):
         theta = _refit([*blocks[:f], *blocks[f + 1 :], known], at, prior)
-        assert found[f] == pytest.approx(float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2)), rel=1e-8)
+        strain = float(PRIOR @ (theta[:3] - PULL) ** 2) / len(blocks)
+        misfit = float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2))
+        assert found[f] == pytest.approx(misfit + strain, rel=1e-8)
     np.testing.assert_allclose(gram.together(_folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
 def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
     """Draws of noise, against refits to them: the misfit less that of the residuals themselves."""
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
-    draws = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
-    found = gram.held_out(_folded(blocks), (1,), (0.5,), draws)
-    unpulled = replace(_folded(blocks), pull=np.zeros(3))
+    right = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
+    pull = rng.normal(size=(3, 3))
+    found = gram.held_out(_folded(blocks), (1,), (0.5,), Drawn(right, pull))
     for m in range(3):
         swapped = [np.column_stack((b[:, :-1], o[:, m])) for b, o in zip(blocks, others, strict=True)]
-        whole = gram.held_out(replace(unpulled, products=_folded(swapped).products), (1,), (0.5,))
+        one = replace(_folded(blocks), pull=pull[:, m], products=_folded(swapped).products)
+        whole = gram.held_out(one, (1,), (0.5,))
         size = [float(o[:, m] @ o[:, m]) for o in others]
         np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
 
@@ -228,9 +231,10 @@ def test_projection_leaves_what_the_shared_numbers_cannot_imitate(blocks: list[n
 
 
 def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
-    draws = gram.noise(_folded(blocks), rng, 40_000)
+    drawn = gram.noise(_folded(blocks), rng, 40_000)
+    np.testing.assert_allclose(drawn.pull.std(axis=1), [0.0, 0.5, 2.0], rtol=0.03)
     for f, block in enumerate(blocks):
-        covariance = draws[f] @ draws[f].T / draws.shape[2]
+        covariance = drawn.right[f] @ drawn.right[f].T / 40_000
         exact = block[:, :-1].T @ block[:, :-1]
         scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
         np.testing.assert_allclose(covariance / scale, exact / scale, atol=0.03)

@@ -218,16 +218,22 @@ def test_walls_stand_at_the_extremes_of_the_tracks() -> None:
 
 def test_breaching_costs_the_weight_of_the_water() -> None:
     wrench = np.zeros(3)
-    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0]), wrench)
+    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.0]), wrench)
     world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
     assert world == pytest.approx(-4.0, rel=1e-3)
     wrench[:] = 0.0
-    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, -0.2, 0.1]), wrench)
+    sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, -0.2, 0.1, 0.0]), wrench)
     world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
+    assert wrench[2] == 0.0
     assert world == pytest.approx(-40.0 * (0.1 - 0.2 * np.sin(0.3) + 0.1 * np.cos(0.3)), rel=1e-3)
     wrench[:] = 0.0
-    sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0]), wrench)
+    sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.0]), wrench)
     assert np.abs(wrench).max() < 1e-3
+    # the end that is out is pulled down, half of it
+    sink._pyfunc(0.0, np.array([0.0, 0.4, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.2]), wrench)
+    out = 0.2 * np.sin(0.3)
+    assert np.hypot(wrench[0], wrench[1]) == pytest.approx(20.0 * out, rel=2e-2)
+    assert wrench[2] == pytest.approx(-20.0 * out * 0.2 * np.cos(0.3), rel=2e-2)
 
 
 def test_buoyancy_is_a_force_of_the_robot_file() -> None:

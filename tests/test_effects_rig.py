@@ -148,6 +148,6 @@ def test_more_forces_than_the_kernel_takes_are_refused() -> None:
     from swimid.models.hooks import Force, no_force
 
     model = weight_model()
-    many = Hooks(force=(Force(no_force, np.zeros(1)),) * 4)
-    with pytest.raises(ValueError, match="at most 3"):
+    many = Hooks(force=(Force(no_force, np.zeros(1)),) * 5)
+    with pytest.raises(ValueError, match="at most 4"):
         model.hooked(start(model), weight_trial(), many)

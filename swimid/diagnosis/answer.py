@@ -12,7 +12,7 @@ import numpy as np
 from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
 from swimid.diagnosis.bench import Bench, Fit, errors
 from swimid.diagnosis.chain import Round, State, passes
-from swimid.diagnosis.conclusion import SET, Named
+from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.floor import floors as noise_floors
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.folds import Folds
@@ -310,7 +310,7 @@ def _advice(
 ) -> tuple[Advice, ...]:
     bench = state.bench
     if chosen:
-        names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent[: SET - 1])
+        names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent)
         rivals = [next(r for r in found[0].ranked if r.tried.effect.name == n) for n in names]
         if len(rivals) == 1:
             others = [r for r in found[0].ranked if r.tried.effect.name != names[0]]

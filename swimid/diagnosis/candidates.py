@@ -191,7 +191,12 @@ def screen(
             best, drawn = _best(inner, effect, parameters, points, at, plain, draws, plain_drawn, left, total)
             largest = np.maximum(largest, drawn)
         if best is None:
-            left_out[effect.name] = "it changes nothing that was measured in these trials"
+            broke = not tried.points
+            left_out[effect.name] = (
+                "the model broke down with it"
+                if broke
+                else "it changes nothing that was measured in these trials"
+            )
         else:
             found.append(best)
             left_out.pop(effect.name, None)
@@ -223,13 +228,13 @@ def _best(
     points: list[tuple[Array, list[Array]]],
     at: list[int],
     plain: Array,
-    draws: Array,
+    draws: gram.Drawn,
     plain_drawn: Array,
     left: Array,
     total: Array,
 ) -> tuple[Tried | None, Array]:
     """The best of an effect's tries, single ones and one per parameter together; what noise would do."""
-    drawn = np.zeros(draws.shape[2])
+    drawn = np.zeros(DRAWS)
     best: Tried | None = None
     leaders: dict[tuple[int, ...], tuple[float, int]] = {}
     null = np.array([p.start for p in parameters])

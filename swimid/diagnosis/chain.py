@@ -35,6 +35,8 @@ COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
+#: Of these, so many take part before chance differences between trials are looked for.
+LIKELIEST = 2
 #: Of one effect, so many forms.
 FORMS = 2
 #: Of those, so many are refitted to the end.
@@ -108,13 +110,18 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     return lens, fit
 
 
-def coarser(model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial]) -> Model | None:
-    """The model with twice the integration step, where that changes samples little."""
+def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
+    """The model with twice the integration step, where that changes samples little.
+
+    Parameters
+    ----------
+    vectors : sequence of ndarray
+        Parameters of each trial.
+    """
     quick = model.coarser()
     if quick is None:
         return None
-    values = np.array([p.start for p in parameters])
-    for trial in trials:
+    for values, trial in zip(vectors, trials, strict=True):
         fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(fine[channel]))
@@ -155,23 +162,43 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
 
 
 def see(
-    bench: Bench, fit: Fit, lens: Lens, residuals: Sequence[Array], effects: Sequence[Effect], unknowns: int
+    bench: Bench,
+    fit: Fit,
+    lens: Lens,
+    residuals: Sequence[Array],
+    effects: Sequence[Effect],
+    unknowns: int,
+    *,
+    common: int | None = None,
 ) -> tuple[Lens, Array, list[str]]:
-    """The lens as some residuals show the noise: colour first, then chance differences between trials."""
-    lens = coloured(fit.problem, residuals, Lens(lens.sd), unknowns=unknowns)
+    """The lens as some residuals show the noise: colour first, then chance differences between trials.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray, shape (n_k,)
+        Weighted.
+    unknowns : int
+        Numbers fitted to them.
+    common : int, optional
+        Of these, effects that all trials share; without it chance differences are left out, as they would
+        hide what no effect has yet been tried on.
+    """
     short = all(len(r) < 20 for r in residuals)
     none = [np.empty((len(r), 0)) for r in residuals]
     chance, names = (none, []) if short else chance_columns(bench, fit, effects)
+    # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
+    still = residuals if short else quiet(fit, residuals, chance)
+    unknowns += len(names) * len(residuals)
+    lens = coloured(fit.problem, still, Lens(lens.sd), unknowns=unknowns)
     if not short:
-        moving = remainder.moves(remainder.slow(fit, residuals, chance))
-        lens = brief(lens, fit.problem, residuals, moving)
-    if short or not bench.folds.whole:
+        lens = brief(lens, fit.problem, still, remainder.moves(remainder.slow(fit, still)))
+    if short or common is None or not bench.folds.whole:
         return lens, np.empty(0), []
     own = []
     for k in range(len(bench.trials)):
         mine = fit.problem.own(k)
         own.append(fit.rows[k][:, mine] * fit.problem.scale[mine])
-    lens, sd = spread(lens, fit.problem, residuals, own, chance)
+    lens, sd = spread(lens, fit.problem, residuals, own, chance, used=common)
     return lens, sd, names
 
 
@@ -191,16 +218,21 @@ def rank(
     base, lens = state.base, state.lens
     simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
     generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
-    for _ in range(2):
+    # the likeliest effects first, chance differences only in what they leave; then everything together
+    for first in (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
-        promising = [t for t in screened.tried if t.gain > 0][:MOST]
-        left = remainder.find(bench, base, lens, generic, rng=rng)
-        columns = [t.signature for t in promising] + left.columns
-        prior = [1.0] * len(promising) + left.prior
+        promising = _likeliest(screened) if first else [t for t in screened.tried if t.gain > 0][:MOST]
+        columns, prior = [t.signature for t in promising], [1.0] * len(promising)
+        if not first:
+            left = remainder.find(bench, base, lens, generic, rng=rng)
+            columns, prior = columns + left.columns, prior + left.prior
         bare = remainder.saturated(bench, base, lens, columns, prior)
-        lens, sd, names = see(bench, base, lens, bare, scattering, len(columns) + len(base.labels))
+        unknowns = len(columns) + len(base.labels)
+        lens, sd, names = see(
+            bench, base, lens, bare, scattering, unknowns, common=len(promising) if first else 0
+        )
         state.chance_sd, state.chance = sd, names
         base = bench.fit(base.effects, lens, [base.theta], chord=base)
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
@@ -238,6 +270,15 @@ def rank(
     return Round(base, screened, ranked, lens, threshold)
 
 
+def _likeliest(screened: Screen) -> list[Tried]:
+    """The best effects that all trials share: what each trial has for itself may be chance."""
+    found: dict[str, Tried] = {}
+    for t in screened.tried:
+        if t.gain > 0 and not any(p.per_trial for p in t.parameters):
+            found.setdefault(t.effect.name, t)
+    return list(found.values())[:LIKELIEST]
+
+
 def _hopeful(
     bench: Bench, base: Fit, lens: Lens, screened: Screen, generic: Generic, rng: np.random.Generator
 ) -> bool:
@@ -271,13 +312,18 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        quick = coarser(model, parameters, trials)
+        quick = coarser(model, [np.array([p.start for p in parameters])] * len(trials), trials)
         bench = Bench(model, parameters, trials, prior, jobs=jobs, quick=quick)
         lens, fit = weigh(bench)
         dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
         if dropouts.count:
             bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs, quick=quick)
             lens, fit = weigh(bench)
+        if (
+            bench.quick is not None
+        ):  # a coarse step may do at the start values and not from where trials begin
+            own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
+            bench.quick = coarser(model, own, bench.trials)
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
         state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
@@ -313,8 +359,8 @@ def run(
             generic = remainder.simulate(bench, state.base, jobs=jobs)
         state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
         chance, _ = chance_columns(bench, state.base, effects)
-        state.slow = remainder.slow(state.base, state.base.residuals, chance)
         state.quiet = quiet(state.base, state.base.residuals, chance)
+        state.slow = remainder.slow(state.base, state.quiet)
     return state
 
 

@@ -19,7 +19,7 @@ from swimid.effects.base import STAGES
 EQUIVALENT = 0.12
 #: So is one of whose change this much looks the same, if it gains nearly as much.
 COSINE, NEARLY = 0.97, 0.85
-#: Largest set of equivalents that still is an answer.
+#: Largest set of equivalents that still is an answer: of more, the likeliest are told.
 SET = 3
 #: The best explains the gap when what a generic description still finds is at most this share of it.
 REMAINDER = 0.3
@@ -31,13 +31,14 @@ CLEAR = 0.55
 
 @dataclass(frozen=True)
 class Named:
-    """An effect chosen in a round, with its rivals there."""
+    """An effect chosen in a round, with its rivals there; the likeliest of them if they are too many."""
 
     best: Refitted
     equivalent: tuple[str, ...]
     probability: float
     alone: float
     found: Round
+    crowded: bool = False
 
 
 def named(state: State, found: Round, unknown: float) -> Named:
@@ -64,9 +65,11 @@ def named(state: State, found: Round, unknown: float) -> Named:
         if close:
             rivals.append(own)
     total = sum(weight.values())
-    inside = sum(weight[n] for n in (name, *rivals[: SET - 1]))
+    shown = sorted(rivals, key=lambda n: -weight[n])[: SET - 1]
+    inside = sum(weight[n] for n in (name, *shown))
     alone = weight[name] / total
-    return Named(best, tuple(rivals), (1.0 - unknown) * inside / total, (1.0 - unknown) * alone, found)
+    probability, alone = (1.0 - unknown) * inside / total, (1.0 - unknown) * alone
+    return Named(best, tuple(shown), probability, alone, found, crowded=len(rivals) > len(shown))
 
 
 def _by_name(found: Round) -> dict[str, float]:
@@ -170,7 +173,7 @@ def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: boo
     ):
         return "unexplained"
     first = chosen[0]
-    if len(first.equivalent) + 1 > SET or first.alone < CLEAR:
+    if first.crowded or first.alone < CLEAR:
         return "ambiguous"
     return "explained"
 

@@ -47,6 +47,22 @@ class Folded:
         return len(self.prior)
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Draws of what noise alone would show.
+
+    Attributes
+    ----------
+    right : ndarray, shape (folds, c - 1, m)
+        Inner products of the columns with m other residuals.
+    pull : ndarray, shape (shared, m)
+        What the prior means would be off.
+    """
+
+    right: Array
+    pull: Array
+
+
 def folded(
     bench: Bench,
     fit: Fit,
@@ -97,9 +113,12 @@ def folded(
 
 
 def held_out(
-    gram: Folded, chosen: Sequence[int] = (), prior: Sequence[float] = (), draws: Array | None = None
+    gram: Folded, chosen: Sequence[int] = (), prior: Sequence[float] = (), draws: Drawn | None = None
 ) -> Array:
     """Misfit of each fold with everything fitted on the other folds.
+
+    What is known of the shared numbers from elsewhere are data, too: each fold bears its part of how far the
+    others' fit is from it.
 
     Parameters
     ----------
@@ -107,9 +126,8 @@ def held_out(
         Further columns that take part, counted from the first one after the shared numbers.
     prior : sequence of float
         Inverse variance of each of their factors.
-    draws : ndarray, shape (folds, c - 1, m), optional
-        Inner products of the columns with m other residuals; the misfit is then less that of the
-        residuals themselves.
+    draws : Drawn, optional
+        Of m other residuals; the misfit is then less that of the residuals themselves.
 
     Returns
     -------
@@ -119,12 +137,11 @@ def held_out(
     at = np.concatenate((np.arange(gram.shared), gram.shared + np.asarray(chosen, dtype=int))).astype(int)
     inner = gram.products[:, at[:, None], at[None, :]]
     ridge = np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
-    pull = np.concatenate((gram.prior * gram.pull, np.zeros(len(chosen))))[:, None]
-    right = gram.products[:, at, -1][:, :, None] if draws is None else draws[:, at, :]
-    if draws is not None:
-        pull = 0.0 * pull
+    off = gram.pull[:, None] if draws is None else draws.pull
+    pull = np.concatenate((gram.prior[:, None] * off, np.zeros((len(chosen), off.shape[1]))))
+    right = gram.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
     theta = _without(inner, ridge, right, pull, gram.shared)
-    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(gram, theta, off)
     return misfit[:, 0] + gram.products[:, -1, -1] if draws is None else misfit
 
 
@@ -137,15 +154,21 @@ def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int)
     return solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
 
 
+def _strain(gram: Folded, theta: Array, off: Array) -> Array:
+    """Each fold's part of how far numbers are from what is known of them, shape (folds, m)."""
+    apart = theta[:, : gram.shared] - off
+    return np.asarray(np.einsum("j,fjm->fm", gram.prior, apart**2) / len(theta))
+
+
 def held_out_less(gram: Folded, column: int, factor: float = 1.0) -> Array:
     """Misfit of each fold, as :func:`held_out`, once so much of a further column is off the residuals."""
     at = np.arange(gram.shared)
     c = gram.shared + column
     inner = gram.products[:, at[:, None], at[None, :]]
     right = (gram.products[:, at, -1] - factor * gram.products[:, at, c])[:, :, None]
-    pull = (gram.prior * gram.pull)[:, None]
-    theta = _without(inner, np.diag(gram.prior), right, pull, gram.shared)
-    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1)[:, 0]
+    off = gram.pull[:, None]
+    theta = _without(inner, np.diag(gram.prior), right, gram.prior[:, None] * off, gram.shared)
+    misfit = (np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(gram, theta, off))[:, 0]
     products = gram.products
     return np.asarray(
         misfit + products[:, -1, -1] - 2.0 * factor * products[:, c, -1] + factor**2 * products[:, c, c]
@@ -192,12 +215,14 @@ def projected(gram: Folded) -> Array:
     return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
 
 
-def noise(gram: Folded, rng: np.random.Generator, count: int) -> Array:
-    """Inner products of the columns with ``count`` draws of pure noise, shape (folds, c - 1, count)."""
+def noise(gram: Folded, rng: np.random.Generator, count: int) -> Drawn:
+    """So many draws of pure noise, and of what is known from elsewhere."""
     found = np.empty((len(gram.products), gram.products.shape[1] - 1, count))
     for f, inner in enumerate(gram.products[:, :-1, :-1]):
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         sizes, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(sizes, 0.0))
         found[f] = scale[:, None] * (root @ rng.standard_normal((len(scale), count)))
-    return found
+    known = np.zeros_like(gram.prior)
+    np.divide(1.0, np.sqrt(gram.prior), out=known, where=gram.prior > 0)
+    return Drawn(found, known[:, None] * rng.standard_normal((len(known), count)))

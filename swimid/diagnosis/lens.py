@@ -167,7 +167,13 @@ def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Se
 
 
 def spread(
-    lens: Lens, problem: Problem, residuals: Sequence[Array], own: Sequence[Array], chance: Sequence[Array]
+    lens: Lens,
+    problem: Problem,
+    residuals: Sequence[Array],
+    own: Sequence[Array],
+    chance: Sequence[Array],
+    *,
+    used: int = 0,
 ) -> tuple[Lens, Array]:
     """The lens with the chance differences between trials, as the trials show them.
 
@@ -179,6 +185,8 @@ def spread(
         Weighted derivatives to the trial's own start state, which is estimated.
     chance : sequence of ndarray, shape (n_k, q)
         Weighted derivatives to what may differ by chance, each per its typical size.
+    used : int
+        Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
 
     Returns
     -------
@@ -199,7 +207,7 @@ def spread(
             best.through(problem, k, np.column_stack((chance[k][:, left], own[k], r)))
             for k, r in enumerate(residuals)
         ]
-        found = [_variance(seen, i, len(left)) for i in range(len(left))]
+        found = [_variance(seen, i, len(left), used) for i in range(len(left))]
         i = int(np.argmax([clear for _, clear in found]))
         variance, clear = found[i]
         if variance <= 0.0 or clear <= CLEAR:
@@ -209,7 +217,7 @@ def spread(
     return best, sd
 
 
-def _variance(seen: Sequence[Array], i: int, kinds: int) -> tuple[float, float]:
+def _variance(seen: Sequence[Array], i: int, kinds: int, used: int) -> tuple[float, float]:
     """Variance of one kind of difference between trials, and how clear it is: its ratio to the sampling's."""
     estimates, errors = [], []
     for block in seen:
@@ -230,7 +238,7 @@ def _variance(seen: Sequence[Array], i: int, kinds: int) -> tuple[float, float]:
     b, c = np.array(estimates), np.array(errors)
     # median absolute deviation against the standard deviation: one odd trial is not the rule
     robust = (1.4826 * float(np.median(np.abs(b - np.median(b)))) * (1.0 + 0.8 / n)) ** 2
-    spread = min(max(robust, 0.0), float(np.var(b, ddof=1)))
+    spread = min(max(robust, 0.0), float(np.var(b, ddof=1))) * (n - 1) / max(n - 1 - used, 1)
     typical = float(np.median(c))
     return spread - typical, spread / typical
 

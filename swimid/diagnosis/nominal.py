@@ -12,7 +12,7 @@ from swimid.models.base import Array, Channel, Model, Parameter, Trial
 
 #: Prior of a coefficient that these very trials told: a factor of its size. Of one from other trials: its
 #: standard error, and this share of its value on top, since days differ.
-OWN_PRIOR, OTHER_PRIOR = 0.6, 0.1
+OWN_PRIOR, OTHER_PRIOR = 0.6, 0.03
 #: A rate whose noise follows the differenced pose this closely was computed from it.
 DERIVED = 0.3
 

@@ -11,7 +11,7 @@ import numpy as np
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
 from swimid.diagnosis.candidates import DRAWS, LEAST_GAIN, PER_SAMPLE, QUANTILE, within
-from swimid.diagnosis.floor import quiet, split
+from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
@@ -183,7 +183,7 @@ class Slow:
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
 
-def slow(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> dict[str, Slow]:
+def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
     """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
 
     It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
@@ -192,12 +192,10 @@ def slow(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> dict[
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted.
-    chance : sequence of ndarray, shape (n_k, q)
-        Weighted changes by what may differ from trial to trial.
+        Weighted, as :func:`swimid.diagnosis.floor.quiet` leaves them.
     """
     sums: dict[str, list[tuple[float, float, int]]] = {}
-    for k, r in enumerate(quiet(fit, residuals, chance)):
+    for k, r in enumerate(residuals):
         if len(r) < 20:
             continue
         for channel, series in split(fit, k, r).items():

@@ -26,8 +26,8 @@ warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 FORCE_SIGNATURE = types.void(
     types.float64, types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1]
 )
-#: How many forces act at once in a compiled step.
-MOST_FORCES = 3
+#: How many forces act at once in a compiled step: three causes and one that is tried beside them.
+MOST_FORCES = 4
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)

@@ -54,13 +54,15 @@ def _acceleration(t, x, v, side, force, w, dw, c, extra, scratch):  # type: igno
     through = v - w
     pose, velocity, wrench = scratch[0], scratch[1], scratch[2]
     pose[0], velocity[0], wrench[0] = x, through, 0.0
-    acting, (c1, f1), (c2, f2), (c3, f3) = extra
+    acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4) = extra
     if acting > 0:
         f1(t, pose, velocity, c1, wrench)
     if acting > 1:
         f2(t, pose, velocity, c2, wrench)
     if acting > 2:
         f3(t, pose, velocity, c3, wrench)
+    if acting > 3:
+        f4(t, pose, velocity, c4, wrench)
     push = force + wrench[0] - linear * through - quadratic * through * abs(through) - stiffness * (x - rest)
     return (push - dry * side) / inertia + dw
 
@@ -117,7 +119,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra, scratch):  # type: igno
 
 @numba.njit(cache=True, nogil=True)
 def integrate_forced(  # type: ignore[no-untyped-def]
-    time, start, max_step, force, water, x0, v0, c, acting, f1, c1, f2, c2, f3, c3
+    time, start, max_step, force, water, x0, v0, c, acting, f1, c1, f2, c2, f3, c3, f4, c4
 ):
     """Positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
 
@@ -137,7 +139,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
         Inertia, quadratic drag, linear drag, dry friction, stiffness and rest position.
     acting : int
         How many of the forces act.
-    f1, c1, f2, c2, f3, c3
+    f1, c1, f2, c2, f3, c3, f4, c4
         Compiled forces (:class:`swimid.models.hooks.Force`) and their constants.
 
     Returns
@@ -147,7 +149,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
     n = len(time)
     positions, speeds = np.empty(n), np.empty(n)
     scratch = np.zeros((3, 3))
-    extra = (acting, (c1, f1), (c2, f2), (c3, f3))
+    extra = (acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4))
     x, v, now = x0, v0, start
     constant = len(force) == 1
     at = 0

@@ -20,11 +20,15 @@ ROUND = 0.002
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Weight of what has left the water; constants force per height, level and the point's place."""
-    above = pose[1] + constants[2] * math.sin(pose[2]) + constants[3] * math.cos(pose[2]) - constants[1]
-    down = -0.5 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
-    wrench[0] += down * math.sin(pose[2])
-    wrench[1] += down * math.cos(pose[2])
+    """Weight of what has left the water; constants force per height, level, place of the point, lever."""
+    s, c = math.sin(pose[2]), math.cos(pose[2])
+    middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
+    for side in (-1.0, 1.0):
+        above = middle + side * constants[4] * s
+        down = -0.25 * constants[0] * (above + math.sqrt(above * above + ROUND * ROUND))
+        wrench[0] += down * s
+        wrench[1] += down * c
+        wrench[2] += side * constants[4] * down * c
 
 
 class SurfaceBreach(Effect):
@@ -80,17 +84,14 @@ class SurfaceBreach(Effect):
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Two forces on the heaviest link."""
+        """A force and its moment on the heaviest link."""
         assert isinstance(model, MultilinkModel)
         hull = common.hull(model)
         x, y = common.centre(model, hull)
         a, b = common.reference(model) if hull == 0 else (x, y)
         quarter = 0.25 * model.assembly.links[hull].length_m
-        forces = []
-        for at in (x - quarter, x + quarter):
-            constants = np.array([0.5 * values[0], values[1], at - a, y - b])
-            forces.append(Force(sink, constants, hull, at, y))
-        return Hooks(force=tuple(forces))
+        constants = np.array([*values, x - a, y - b, quarter])
+        return Hooks(force=(Force(sink, constants, hull, x, y),))
 
 
 def _heights(trial: Trial) -> Trial:

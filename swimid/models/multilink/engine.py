@@ -199,7 +199,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Forces of functions from outside (:class:`swimid.models.hooks.Force`)."""
-    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third = forced
+    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
     for e in range(len(links)):
         i = links[e]
         x, y = places[e, 0], places[e, 1]
@@ -218,8 +218,10 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
             first(time, pose, velocity, own, wrench)
         elif e == 1:
             second(time, pose, velocity, own, wrench)
-        else:
+        elif e == 2:
             third(time, pose, velocity, own, wrench)
+        else:
+            fourth(time, pose, velocity, own, wrench)
         _push(work, i, x, y, wrench[0], wrench[1])
         work[i, 10] -= wrench[2]
 
