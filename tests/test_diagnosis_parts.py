@@ -430,7 +430,7 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
     bench = Bench(model, (), trials, {})
     fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    floor, how = floors(bench, fit, fit.residuals, 0.0)
+    floor, how = floors(bench, fit, fit.residuals, {}, 0.0)
     assert floor["y"] == pytest.approx(0.1, rel=0.1)
     assert how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])

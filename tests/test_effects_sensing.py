@@ -26,6 +26,7 @@ from swimid.models.difference import Orders
 from swimid.models.multilink import drive
 from swimid.models.multilink.model import MultilinkModel
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel
+from tests import effect_cases
 
 SCALE, TURN, LATE = camera_scale.CameraScale(), camera_rotation.CameraRotation(), time_offset.TimeOffset()
 LOST, OFF = marker_dropout.MarkerDropout(), marker_offset.MarkerOffset()
@@ -254,3 +255,19 @@ class TestGyroscope:
         np.testing.assert_allclose(found["yaw_rate_rad_s"], plain["yaw_rate_rad_s"] - 0.03, atol=1e-15)
         for name in set(plain) - {"yaw_rate_rad_s"}:
             np.testing.assert_array_equal(found[name], plain[name])
+
+
+def test_the_cameras_clock_alone() -> None:
+    """Poses late, the gyroscope not; before the first sample the robot rests."""
+    model = effect_cases.swimmer("tfish")
+    trial = effect_cases.swim(model)
+    variants = time_offset.TimeOffset().variants(model, [trial])
+    assert [v.camera for v in variants] == [False, True]  # type: ignore[attr-defined]
+    seen = effect_cases.acted(model, trial, [(variants[1], 0.1)])
+    plain, late = (
+        model.simulate(effect_cases.start(model), trial),
+        effect_cases.acted(model, trial, [(variants[0], 0.1)]),
+    )
+    for name in ("x_m", "y_m", "yaw_rad"):
+        np.testing.assert_allclose(seen[name], late[name], atol=2e-4)
+    np.testing.assert_array_equal(seen["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])

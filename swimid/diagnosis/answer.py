@@ -61,7 +61,9 @@ def answer(
     bench = state.bench
     nominal = state.rounds[0].base if state.rounds else state.base
     unknown = conclusion.unknown_share(state)
-    floor, how = noise_floors(bench, state.base, state.quiet, conclusion.structured_share(state))
+    floor, how = noise_floors(
+        bench, state.base, state.quiet, state.scatter, conclusion.structured_share(state)
+    )
     for channel in remainder.moves(state.slow):
         floor[channel] *= math.sqrt(1.0 - state.slow[channel].share)
     found = [r for r in state.rounds if r.ranked and passes(state, r)]

@@ -96,6 +96,13 @@ class Refitted:
         return self.gain - 2.0 * self.lost
 
     @property
+    def size(self) -> float:
+        """How far the effect is from none, in typical sizes."""
+        known = {f"{self.tried.effect.name}/{p.name}": p for p in self.tried.parameters}
+        named = ((label.split("[")[0], v) for label, v in zip(self.fit.labels, self.fit.theta, strict=True))
+        return max((abs(v - known[n].start) / known[n].scale for n, v in named if n in known), default=0.0)
+
+    @property
     def stderr(self) -> float:
         """Standard error of the gain, from its spread over folds."""
         n = len(self.gains)

@@ -18,8 +18,8 @@ from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.floor import quiet
-from swimid.diagnosis.lens import Lens, brief, coloured, spread
+from swimid.diagnosis.floor import quiet, scatter
+from swimid.diagnosis.lens import FEWEST, Lens, brief, coloured, spread
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
@@ -35,6 +35,8 @@ COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
+#: Trials shorter than so many samples do not tell how noise is coloured.
+SHORT = 20
 #: Of these, so many take part before chance differences between trials are looked for.
 LIKELIEST = 2
 #: Of one effect, so many forms.
@@ -45,6 +47,8 @@ FINISHED = 3
 CLOSE = 0.6
 #: What an effect loses in some folds may be this share of what it gains in the others.
 LOST = 0.25
+#: An effect this small, in typical sizes, is none.
+NONE = 1e-3
 #: Numbers of single trials that a model knows and holds: they, too, may differ by chance.
 OWN = ("friction_deviation", "start_offset", "initial_speed")
 #: A further effect must gain this share of what the first one did.
@@ -93,6 +97,7 @@ class State:
     slow: dict[str, Slow] = field(default_factory=dict)
     generic: Generic | None = None
     quiet: list[Array] = field(default_factory=list)
+    scatter: dict[str, float] = field(default_factory=dict)
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -183,16 +188,15 @@ def see(
         Of these, effects that all trials share; without it chance differences are left out, as they would
         hide what no effect has yet been tried on.
     """
-    short = all(len(r) < 20 for r in residuals)
-    none = [np.empty((len(r), 0)) for r in residuals]
-    chance, names = (none, []) if short else chance_columns(bench, fit, effects)
+    apart = _apart(bench)
+    chance, names = chance_columns(bench, fit, effects) if apart else ([], [])
     # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
-    still = residuals if short else quiet(fit, residuals, chance)
-    unknowns += len(names) * len(residuals)
+    still = quiet(fit, residuals, chance) if apart else residuals
+    unknowns += len(names) * len(residuals) if apart else 0
     lens = coloured(fit.problem, still, Lens(lens.sd), unknowns=unknowns)
-    if not short:
+    if apart:
         lens = brief(lens, fit.problem, still, remainder.moves(remainder.slow(fit, still)))
-    if short or common is None or not bench.folds.whole:
+    if common is None or not apart:
         return lens, np.empty(0), []
     own = []
     for k in range(len(bench.trials)):
@@ -200,6 +204,12 @@ def see(
         own.append(fit.rows[k][:, mine] * fit.problem.scale[mine])
     lens, sd = spread(lens, fit.problem, residuals, own, chance, used=common)
     return lens, sd, names
+
+
+def _apart(bench: Bench) -> bool:
+    """Whether there are trials enough to tell what differs between them by chance."""
+    short = all(sum(int(m.sum()) for m in masks) < SHORT for masks in bench.shape.masks)
+    return bench.folds.whole and len(bench.trials) >= FEWEST and not short
 
 
 def rank(
@@ -223,16 +233,17 @@ def rank(
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
-        promising = _likeliest(screened) if first else [t for t in screened.tried if t.gain > 0][:MOST]
-        columns, prior = [t.signature for t in promising], [1.0] * len(promising)
-        if not first:
+        likely = [t for t in screened.tried if t.gain > 0][:MOST]
+        if _apart(bench):
+            likely = _likeliest(screened) if first else _certain(screened)
+        columns, prior = [t.signature for t in likely], [1.0] * len(likely)
+        if not (first and _apart(bench)):
             left = remainder.find(bench, base, lens, generic, rng=rng)
-            columns, prior = columns + left.columns, prior + left.prior
+            if left.found or not _apart(bench):
+                columns, prior = columns + left.columns, prior + left.prior
         bare = remainder.saturated(bench, base, lens, columns, prior)
-        unknowns = len(columns) + len(base.labels)
-        lens, sd, names = see(
-            bench, base, lens, bare, scattering, unknowns, common=len(promising) if first else 0
-        )
+        unknowns, common = len(columns) + len(base.labels), min(len(likely), LIKELIEST)
+        lens, sd, names = see(bench, base, lens, bare, scattering, unknowns, common=common)
         state.chance_sd, state.chance = sd, names
         base = bench.fit(base.effects, lens, [base.theta], chord=base)
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
@@ -277,6 +288,12 @@ def _likeliest(screened: Screen) -> list[Tried]:
         if t.gain > 0 and not any(p.per_trial for p in t.parameters):
             found.setdefault(t.effect.name, t)
     return list(found.values())[:LIKELIEST]
+
+
+def _certain(screened: Screen) -> list[Tried]:
+    """Effects that gain more than noise would: more of them would take chance differences for their own."""
+    enough = max(screened.threshold, candidates.LEAST_GAIN)
+    return [t for t in screened.tried if t.gain > enough][:MOST]
 
 
 def _hopeful(
@@ -361,6 +378,8 @@ def run(
         chance, _ = chance_columns(bench, state.base, effects)
         state.quiet = quiet(state.base, state.base.residuals, chance)
         state.slow = remainder.slow(state.base, state.quiet)
+        if len(state.chance_sd):
+            state.scatter = scatter(state.base, chance, state.chance_sd)
     return state
 
 
@@ -381,8 +400,10 @@ def counts(state: State, found: Round, best: Refitted) -> bool:
     """Whether an effect is one: beyond noise, in more than one fold, worth naming."""
     if best.gain <= found.threshold or best.lost > LOST * (best.gain + best.lost):
         return False
+    if best.size < NONE:  # what gained is a better optimum of the model without it
+        return False
     # a single fold tells nothing by itself: the effect was then read off it alone
-    if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.25 * found.threshold:
+    if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.5 * found.threshold:
         return False
     first = state.rounds[0].ranked[0].gain if state.rounds and state.rounds[0] is not found else None
     return first is None or best.gain > FURTHER * first

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -59,7 +59,41 @@ def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list
     return found
 
 
-def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) -> tuple[dict[str, float], str]:
+def _by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
+    """Residuals of all trials together, by channel, in its unit."""
+    parts: dict[str, list[Array]] = {}
+    for k, r in enumerate(residuals):
+        for channel, series in split(fit, k, r).items():
+            parts.setdefault(channel, []).append(series[np.isfinite(series)])
+    return {c: np.concatenate(p) for c, p in parts.items()}
+
+
+def scatter(fit: Fit, chance: Sequence[Array], sd: Array) -> dict[str, float]:
+    """Variance of each channel that chance differences between trials cause, beyond each one's start state.
+
+    Parameters
+    ----------
+    chance : sequence of ndarray, shape (n_k, q)
+        Weighted changes by what differs from trial to trial, of typical size.
+    sd : ndarray, shape (q,)
+        How much it differs, in typical sizes.
+    """
+    found: dict[str, float] = {}
+    for j in np.flatnonzero(sd):
+        changes = []
+        for k, columns in enumerate(chance):
+            mine = fit.problem.own(k)
+            own = fit.rows[k][:, mine] * fit.problem.scale[mine]
+            size, column = np.maximum(np.linalg.norm(own, axis=0), 1e-12), columns[:, j] * sd[j]
+            changes.append(column - own / size @ np.linalg.lstsq(own / size, column, rcond=1e-10)[0])
+        for channel, values in _by_channel(fit, changes).items():
+            found[channel] = found.get(channel, 0.0) + float(np.mean(values**2))
+    return found
+
+
+def floors(
+    bench: Bench, last: Fit, residuals: Sequence[Array], between: Mapping[str, float], share: float
+) -> tuple[dict[str, float], str]:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
@@ -68,6 +102,8 @@ def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) ->
         The model with all that was found.
     residuals : sequence of ndarray, shape (n_k,)
         What it leaves, weighted, without what differs between trials by chance.
+    between : mapping of channel to float
+        Variance of what differs between trials by chance.
     share : float
         Of its squared residuals through the lens, what a generic description still finds.
 
@@ -75,20 +111,21 @@ def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) ->
     -------
     floor : dict of channel to float
         What two repeats of one setting do not share, where there are repeats and they differ by less than
-        the model leaves; else what the model leaves, less the share that has structure.
+        the model leaves; else the noise within trials that the model leaves, less the share that has
+        structure, and the chance differences between them.
     how : str
     """
-    parts: dict[str, list[Array]] = {}
-    for k in range(len(bench.trials)):
-        for channel, series in split(last, k, residuals[k]).items():
-            parts.setdefault(channel, []).append(series[np.isfinite(series)])
-    rest = float(np.sqrt(max(1.0 - share, 0.05)))
-    floor = {c: rest * float(np.sqrt(np.mean(np.concatenate(p) ** 2))) for c, p in parts.items()}
-    how = "what the model with all that was found leaves, less what still has structure"
+    rest = max(1.0 - share, 0.05)
+    noise, whole = (
+        {c: float(np.mean(v**2)) for c, v in _by_channel(last, r).items()}
+        for r in (residuals, last.residuals)
+    )
+    floor = {c: float(np.sqrt(min(rest * noise[c] + between.get(c, 0.0), whole[c]))) for c in noise}
+    how = "the noise that the model with all that was found leaves, and what differs between trials by chance"
     groups = [g for g in repeats(bench) if len({bench.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
         return floor, how
-    between: dict[str, list[Array]] = {}
+    parts: dict[str, list[Array]] = {}
     for group in groups:
         split_up = [split(last, k, last.residuals[k]) for k in group]
         for channel in split_up[0]:
@@ -96,7 +133,7 @@ def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) ->
             if len(stack) > 1:
                 with np.errstate(all="ignore"):
                     spread = np.nanvar(stack, axis=0, ddof=1)
-                between.setdefault(channel, []).append(spread[np.isfinite(spread)])
-    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in between.items() if v}
-    floor = {c: min(v, lower.get(c, v)) for c, v in floor.items()}
+                parts.setdefault(channel, []).append(spread[np.isfinite(spread)])
+    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if v}
+    floor = {c: min(lower.get(c, v), float(np.sqrt(whole[c]))) for c, v in floor.items()}
     return floor, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"

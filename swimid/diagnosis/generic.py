@@ -7,7 +7,7 @@ cause themselves. After Kennedy and O'Hagan (2001): a discrepancy with its own p
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -209,7 +209,7 @@ class SensorTerm(_Generic):
 
 
 class StrokeTable(_Generic):
-    """A smooth factor on the thrust of a table of steady runs, by frequency, amplitude and order."""
+    """A smooth factor on the thrust of a table of steady runs: by frequency, amplitude, order of the runs."""
 
     name: ClassVar[str] = "residual-thrust"
     stage: ClassVar[Stage] = "actuation"
@@ -221,10 +221,11 @@ class StrokeTable(_Generic):
         "amplitude",
         "amplitude squared",
         "product",
+        "order",
     )
 
-    def __init__(self, frequency_hz: float, amplitude_rad: float) -> None:
-        self.frequency_hz, self.amplitude_rad = frequency_hz, amplitude_rad
+    def __init__(self, frequency_hz: float, amplitude_rad: float, order: Mapping[str, float]) -> None:
+        self.frequency_hz, self.amplitude_rad, self.order = frequency_hz, amplitude_rad, order
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """One factor per term."""
@@ -238,7 +239,7 @@ class StrokeTable(_Generic):
 
             f = np.log(stroke.frequency_hz / self.frequency_hz)
             a = np.log(stroke.amplitude_rad / self.amplitude_rad)
-            parts = (f, f**2, a, a**2, f * a)
+            parts = (f, f**2, a, a**2, f * a, self.order.get(trial.id, 0.0))
             factor = np.exp(np.clip(sum(v * p for v, p in zip(values, parts, strict=True)), -3.0, 3.0))
             return replace(stroke, thrust=stroke.thrust * factor)
 
@@ -293,7 +294,8 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
         f = [float(np.median(t.inputs["frequency_hz"])) for t in trials if "frequency_hz" in t.inputs]
         a = [float(np.median(t.inputs["amplitude_rad"])) for t in trials if "amplitude_rad" in t.inputs]
         if f and a:
-            found.append(StrokeTable(float(np.median(f)), float(np.median(a))))
+            order = {t.id: k / max(len(trials) - 1, 1) - 0.5 for k, t in enumerate(trials)}
+            found.append(StrokeTable(float(np.median(f)), float(np.median(a)), order))
     for channel in channels:
         found.append(SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic))
     return found

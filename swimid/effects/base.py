@@ -67,16 +67,22 @@ class Effect(ABC):
         return [self] if self.needs & model.offers else []
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Points at which it is tried before anything is fitted, within the bounds."""
+        """Points at which it is tried before anything is fitted, within the bounds.
+
+        Where the change is smooth, small and large ones suffice, and of the small ones one sign.
+        """
         null = np.array([p.start for p in parameters])
         found: list[Array] = []
         for k, p in enumerate(parameters):
-            for size, sign in itertools.product(SIZES[:1] if self.smooth else SIZES, (1.0, -1.0)):
+            near = 0
+            for size, sign in itertools.product(SIZES[::2] if self.smooth else SIZES, (1.0, -1.0)):
                 value = p.start + sign * size * p.scale
-                if p.lower <= value <= p.upper and not (self.smooth and sign < 0 and len(found) > k):
-                    point = null.copy()
-                    point[k] = value
-                    found.append(point)
+                if not p.lower <= value <= p.upper or (self.smooth and size == SIZES[0] and near):
+                    continue
+                near += size == SIZES[0]
+                point = null.copy()
+                point[k] = value
+                found.append(point)
         return found
 
     def __repr__(self) -> str:

@@ -157,10 +157,11 @@ def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
     """What a refit of the nominal model leaves, of a generator that does not say so itself."""
     if "noncentrality" in label or not np.isfinite(label["gap_over_floor"]["overall"]):
         return {}
-    from tests.blind.swim_gap import refit_gap
+    from tests.blind.swim_gap import floors, refit_gap
 
     found = refit_gap(label)
-    return {"noncentrality": found["noncentrality"], "gap_refit": found["refit_over_floor"]}
+    left = {"noncentrality": found["noncentrality"], "gap_refit": found["refit_over_floor"]}
+    return {**left, "floor": floors(label)}
 
 
 def commands(folder: Path) -> list[list[str]]:

@@ -105,3 +105,25 @@ class Refit:
 def refit_gap(label: dict[str, Any]) -> dict[str, Any]:
     """`Refit.left` of a case's own causes."""
     return Refit(label).left(label["with"], label["without"])
+
+
+def floors(label: dict[str, Any]) -> dict[str, float]:
+    """Noise of each channel and what the scatter between trials adds to it once start poses are fitted."""
+    names, squares = label["channels"], {name: [] for name in label["channels"]}
+    for trial in label["trials"]:
+        plain = replace(trial, **dict.fromkeys(SCATTER, 0.0))
+        seen, fair = label["with"][trial.id], swim(plain, label["coefficients"], label["acts"])
+        change = np.concatenate([seen[n] - fair[n] for n in names])
+        starts = [
+            np.concatenate([c.get(n, 0.0) * np.ones(len(fair[n])) for n in names])
+            for c in _started(trial, fair)
+        ]
+        columns = np.column_stack(starts)
+        sd = np.concatenate([np.full(len(fair[n]), label["noise"].sd(n)) for n in names])
+        rest = change - columns @ np.linalg.lstsq(columns / sd[:, None], change / sd, rcond=None)[0]
+        for name, part in zip(names, np.split(rest, len(names)), strict=True):
+            squares[name].append(part**2)
+    return {
+        n: float(np.hypot(label["noise"].sd(n), np.sqrt(np.mean(np.concatenate(v)))))
+        for n, v in squares.items()
+    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
@@ -12,12 +13,22 @@ from swimid.models.base import Array, Model, Parameter, Trial
 from swimid.models.hooks import Hooks
 from swimid.models.propulsion import SPEED, RecoilModel
 
+#: Channels of a camera.
+POSES = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad")
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0
 
 
 class TimeOffset(Effect):
-    """The log shows what happened a constant time earlier; a timed run takes that much longer."""
+    """The log shows what happened a constant time earlier; a timed run takes that much longer.
+
+    Where a log holds turn rates beside poses, the camera's clock alone may be late against that of the robot.
+
+    Parameters
+    ----------
+    camera : bool
+        Whether only poses are late.
+    """
 
     name = "time-offset"
     stage = "sensing"
@@ -30,18 +41,26 @@ class TimeOffset(Effect):
     smooth = True
     scatters = True
 
+    def __init__(self, *, camera: bool = False) -> None:
+        self.camera = camera
+
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """The effect itself where there is a clock that the model does not estimate."""
+        """Where there is a clock the model does not estimate; the camera's alone beside it."""
         if isinstance(model, RecoilModel):
             return [self]
-        return [] if _channels.estimates(model, "clock_offset") else super().variants(model, trials)
+        if _channels.estimates(model, "clock_offset"):
+            return []
+        measured = {c for t in trials for c in t.measured}
+        apart = measured & set(POSES) and any(c.endswith("_rate_rad_s") for c in measured)
+        alone = [TimeOffset(camera=True)] if apart and "output" in model.offers else []
+        return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The time by which the log is late, s."""
         typical = 0.1 if isinstance(model, RecoilModel) else 0.03
         return (
             Parameter(
-                "offset_s",
+                "camera_offset_s" if self.camera else "offset_s",
                 "s",
                 -LARGEST_S,
                 LARGEST_S,
@@ -54,6 +73,14 @@ class TimeOffset(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A late clock; longer times of cruising runs."""
         offset = float(values[0])
+        if self.camera:
+
+            def late(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+                then = np.maximum(time_s - offset, time_s[0])
+                shifted = {c: CubicSpline(time_s, channels[c])(then) for c in POSES if c in channels}
+                return {**channels, **shifted}
+
+            return Hooks(output=(late,) if offset != 0.0 and len(trial.time_s) > 3 else ())
         if not isinstance(model, RecoilModel):
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]
