@@ -7,13 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from swimid.diagnosis import dropouts, folds, gram, places
 from swimid.diagnosis.bench import Bench, errors
-from swimid.diagnosis.floor import floors, split
+from swimid.diagnosis.candidates import _allowed
+from swimid.diagnosis.floor import floors, quiet, scatter, split
 from swimid.diagnosis.gram import START_PRIOR, Drawn, Folded
-from swimid.diagnosis.lens import Lens, coloured, spread
+from swimid.diagnosis.lens import CHANCE, Lens, brief, coloured, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.estimators.problem import Problem
 from swimid.models.base import Trial
@@ -146,10 +148,62 @@ def test_chance_differences_are_whitened(rng: np.random.Generator) -> None:
     lens, sd = spread(Lens(problem.sd), problem, residuals, [np.empty((n, 0))] * count, chance)
     assert sd[0] == pytest.approx(0.5, rel=0.35)
     assert sd[1] < 0.1
+    sd = np.minimum(sd, CHANCE)
     for k in (0, 7):
         covariance = np.eye(n) + (chance[k] * sd) @ (chance[k] * sd).T
         white = lens.through(problem, k, np.eye(n))
         np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
+
+
+def test_differences_beyond_chance_are_told_and_not_whitened(rng: np.random.Generator) -> None:
+    n, count = 40, 60
+    chance = [rng.normal(size=(n, 1)) for _ in range(count)]
+    residuals = [3.0 * rng.normal() * c[:, 0] + rng.normal(size=n) for c in chance]
+    trials = [Trial(f"t{k}", "fit", np.arange(float(n)), {"y": r}) for k, r in enumerate(residuals)]
+    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
+    lens, sd = spread(Lens(problem.sd), problem, residuals, [np.empty((n, 0))] * count, chance)
+    # the error of a median absolute deviation of 60 values is 15 %
+    assert sd[0] == pytest.approx(3.0, rel=0.45)
+    covariance = np.eye(n) + CHANCE**2 * chance[0] @ chance[0].T
+    white = lens.through(problem, 0, np.eye(n))
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
+
+
+def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
+    """White noise under a large slow wave: the wave stands out of noise of short memory."""
+    n, sd = 2000, 0.2
+    x = 3.0 * np.sin(2 * np.pi * np.arange(n) / 200.0) + sd * rng.normal(size=n)
+    problem = _problem(x)
+    lens = brief(coloured(problem, [x], Lens(problem.sd)), problem, [x], ["y"])
+    # of white noise, a little less than all is taken: its second differences are larger than of coloured
+    assert lens.whole["y"] == pytest.approx(sd * np.sqrt(6.0 / (6.0 - 8.0 * 0.32 + 2.0 * 0.256)), rel=0.05)
+    pole = 0.8 ** np.arange(7.0) * 0.4
+    pole[0] = 1.0
+    np.testing.assert_allclose(pole[1:] + toeplitz(pole[:6]) @ lens.colour["y"], 0.0, atol=1e-12)
+
+
+def test_what_single_trials_may_have_is_taken_out(rng: np.random.Generator) -> None:
+    """A trim and the noise around it; what it adds to the floor is its own size."""
+    n, count, size = 400, 30, 0.7
+    time = np.linspace(0.0, 1.0, n)
+    trims = [size * rng.normal() * time + 0.1 * rng.normal(size=n) for _ in range(count)]
+    trials = [Trial(f"t{k}", "fit", time, {"y": y}) for k, y in enumerate(trims)]
+    bench = Bench(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
+    chance = [time[:, None]] * count
+    left = quiet(fit, fit.residuals, chance)
+    assert np.std(np.concatenate(left)) == pytest.approx(0.1, rel=0.05)
+    found = scatter(fit, chance, np.array([size]))
+    assert found["y"] == pytest.approx(size**2 * np.mean(time**2), rel=1e-9)
+    floor, _ = floors(bench, fit, left, found, 0.0)
+    # 30 trims tell their size to 13 %
+    assert floor["y"] == pytest.approx(np.sqrt(found["y"] + 0.01), rel=0.3)
+
+
+@pytest.mark.parametrize("factor, allowed", [(0.5, 0.5), (3.0, 2.0), (-1.0, 0.0)])
+def test_a_size_out_of_bounds_ends_there(factor: float, allowed: float) -> None:
+    null, step = np.array([0.0, 1.0]), np.array([0.5, 0.0])
+    assert _allowed(null, step, factor, np.array([0.0, 1.0]), np.array([1.0, 1.0])) == allowed
 
 
 def test_two_trials_show_no_chance(rng: np.random.Generator) -> None:

@@ -291,7 +291,8 @@ def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, f
             gap, still = _excess(nominal, nominal.residuals, floor), _excess(state.base, state.quiet, floor)
             share = sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300)
             return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
-        return Remaining(0.0, where, True, max(left.gain, 0.0))
+        apart = bool(conclusion.differs(state))
+        return Remaining(float(apart), where, not apart, max(left.gain, 0.0))
     return Remaining(unknown, where, False, left.gain)
 
 
@@ -302,6 +303,9 @@ def _where(state: State) -> str:
         moving = remainder.moves(state.slow)
         if moving:
             return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
+        apart = conclusion.differs(state)
+        if apart:
+            return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
         return "nothing that a smooth description finds"
     ranked = sorted(left.places.items(), key=lambda item: -item[1])
     return " and ".join(place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300))

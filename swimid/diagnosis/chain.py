@@ -19,7 +19,7 @@ from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import quiet, scatter
-from swimid.diagnosis.lens import FEWEST, Lens, brief, coloured, spread
+from swimid.diagnosis.lens import CHANCE, FEWEST, Lens, brief, coloured, spread
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
@@ -49,8 +49,13 @@ CLOSE = 0.6
 LOST = 0.25
 #: An effect this small, in typical sizes, is none.
 NONE = 1e-3
-#: Numbers of single trials that a model knows and holds: they, too, may differ by chance.
-OWN = ("friction_deviation", "start_offset", "initial_speed")
+#: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
+#: their scale, or by a share of a common number.
+OWN: dict[str, tuple[str, float] | None] = {
+    "friction_deviation": ("pulley_friction", 0.1),
+    "start_offset": None,
+    "initial_speed": None,
+}
 #: A further effect must gain this share of what the first one did.
 FURTHER = 0.03
 #: Effects in a combination at most.
@@ -140,6 +145,8 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
     columns: list[list[Array]] = []
     names: list[str] = []
 
+    value = {p.name: p.start for p in bench.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+
     def keep(name: str, half: list[Array]) -> None:
         if all(np.isfinite(c).all() for c in half) and sum(float(c @ c) for c in half) > 0:
             columns.append([2.0 * c for c in half])
@@ -158,7 +165,9 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
             keep(effect.name, bench.change(fit, effect, point))
     for index, p in enumerate(bench.parameters):
         if p.per_trial and not p.free and p.name in OWN:
-            keep(p.name, bench.moved(fit, index, 0.5 * p.scale))
+            share = OWN[p.name]
+            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
+            keep(p.name, bench.moved(fit, index, 0.5 * (size or p.scale)))
     stacked = [
         np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
         for k in range(len(bench.trials))
@@ -379,7 +388,7 @@ def run(
         state.quiet = quiet(state.base, state.base.residuals, chance)
         state.slow = remainder.slow(state.base, state.quiet)
         if len(state.chance_sd):
-            state.scatter = scatter(state.base, chance, state.chance_sd)
+            state.scatter = scatter(state.base, chance, np.minimum(state.chance_sd, CHANCE))
     return state
 
 

@@ -12,6 +12,7 @@ from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chain import FORM, Round, State, passes
 from swimid.diagnosis.floor import split
+from swimid.diagnosis.lens import CHANCE
 from swimid.diagnosis.result import Score, Verdict
 from swimid.effects.base import STAGES
 
@@ -25,6 +26,8 @@ SET = 3
 REMAINDER = 0.3
 #: Something that moves this much more than noise is left whatever was found.
 STRONG = 3.0
+#: Trials that differ by so many times what chance may make them do not differ by chance.
+DIFFERS = 2.0
 #: Share of the probability that the leader alone needs for a clear verdict.
 CLEAR = 0.55
 
@@ -167,7 +170,7 @@ def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: boo
     if not chosen:
         if dropout:
             return "explained"
-        return "unexplained" if structured or moving else "none"
+        return "unexplained" if structured or moving or differs(state) else "none"
     if (structured and share > REMAINDER) or any(
         state.slow[c].ratio > STRONG and stays(state, c) > REMAINDER for c in moving
     ):
@@ -176,6 +179,11 @@ def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: boo
     if first.crowded or first.alone < CLEAR:
         return "ambiguous"
     return "explained"
+
+
+def differs(state: State) -> list[str]:
+    """In what the trials differ by more than chance would make them."""
+    return [n for n, sd in zip(state.chance, state.chance_sd, strict=True) if sd > DIFFERS * CHANCE]
 
 
 def parameter_errors(state: State) -> Mapping[str, float]:

@@ -193,7 +193,7 @@ def spread(
     lens : Lens
     sd : ndarray, shape (q,)
         Of each kind of difference, in its typical size: the variance of the trials' own least-squares
-        estimates, robustly, less its sampling variance.
+        estimates, robustly, less its sampling variance. The lens has at most `CHANCE` of it.
     """
     q = chance[0].shape[1] if len(chance) else 0
     sd = np.zeros(q)
@@ -212,8 +212,8 @@ def spread(
         variance, clear = found[i]
         if variance <= 0.0 or clear <= CLEAR:
             break
-        sd[left.pop(i)] = min(float(np.sqrt(variance)), CHANCE)
-        best = replace(best, spread=_directions(best, problem, chance, sd))
+        sd[left.pop(i)] = float(np.sqrt(variance))
+        best = replace(best, spread=_directions(best, problem, chance, np.minimum(sd, CHANCE)))
     return best, sd
 
 

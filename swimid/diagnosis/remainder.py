@@ -18,6 +18,8 @@ from swimid.models.base import Array
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Ratio from which something moves that is not noise; and against the channel with the least.
+SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
 
 @dataclass(frozen=True)
@@ -172,15 +174,11 @@ class Slow:
         over that of its changes from sample to sample (over the square root of two): one for white
         noise, a little more for a tracker's coloured noise.
     share : float
-        Of its square that is beyond the least ratio of all channels.
+        Of its square that is beyond the least ratio of all channels, and beyond what noise may have.
     """
 
     ratio: float
     share: float
-
-
-#: Ratio from which something moves that is not noise; and against the channel with the least.
-SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
 
 def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
@@ -215,7 +213,7 @@ def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
         ratios[channel] = float(np.sqrt((whole @ weight) / max(float(rough @ weight), 1e-300)))
     if not ratios:
         return {}
-    least = max(min(ratios.values()), 1.0)
+    least = min(max(min(ratios.values()), 1.0), SLOW)
     return {
         c: Slow(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0)
         for c, q in ratios.items()
