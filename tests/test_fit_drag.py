@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.estimators import encoder, output_error, two_point
-from swimid.estimators.levenberg import minimise
+from swimid.estimators.levenberg import PATIENCE, Solution, minimise
 from swimid.estimators.profile import profile_interval
 from swimid.formats import evidence, parameters
 from swimid.models import rig as rig_model
@@ -153,6 +153,27 @@ class TestLevenberg:
             max_iterations=5,
         )
         assert not never.success
+
+    def test_creeping_ends_once_it_is_below_the_noise(self) -> None:
+        """Derivatives ten times too large take a tenth of each step."""
+
+        def search(enough: float) -> Solution:
+            free = np.array([np.inf])
+            return minimise(
+                lambda p: p,
+                lambda p: np.array([[10.0]]),
+                np.array([10.0]),
+                lower=-free,
+                upper=free,
+                scale=np.ones(1),
+                tolerance=0.0,
+                enough=enough,
+            )
+
+        patient, long = search(1e-3), search(0.0)
+        assert patient.success
+        assert PATIENCE < patient.iterations < long.iterations
+        assert patient.cost < 0.01
 
 
 class TestEncoder:

@@ -12,7 +12,7 @@ import pytest
 from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import output_error
+from swimid.estimators import output_error, start_states
 from swimid.estimators.problem import Problem
 from swimid.estimators.sandwich import sandwich
 from swimid.models.base import Trial
@@ -310,3 +310,20 @@ class TestBroken:
         whole = output_error.fit(Toy(decay, DECAY, ("y", "v")), data)
         stderr = np.sqrt(np.diag(whole.covariance))
         assert np.all(np.abs(result.estimate - whole.estimate) < 1e-3 * stderr)
+
+
+def test_a_start_that_diverges_is_left_for_the_default_one(rng: np.random.Generator) -> None:
+    """A start state seen with other coefficients may be none for these."""
+
+    def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        size = np.nan if values[1] > 5.0 else values[1]
+        return {"y": values[0] * np.exp(-t) + size * t}
+
+    own = parameter("rate", 0.0, per_trial=True)
+    model = Toy(formula, (parameter("level", 1.0), own), ("y",))
+    time = np.linspace(0.0, 4.0, 50)
+    y = 1.0 * np.exp(-time) + 0.7 * time + 0.01 * rng.normal(size=50)
+    trial = Trial("t", "validate", time, {"y": y}, settings={"starts": {"rate": 50.0}})
+    found = start_states.estimate(model, model.parameters, trial, {"y": 0.01})
+    # the slope's error is 0.01 over the root of the sum of squared times
+    assert found["rate[t]"] == pytest.approx(0.7, abs=4 * 0.01 / np.sqrt(np.sum(time**2)))
