@@ -30,10 +30,13 @@ def answer(gap: dict[str, Any]) -> set[str]:
     return {first["effect"], *first["equivalent"]}
 
 
-def closed(gap: dict[str, Any]) -> float:
-    """Share of the gap that the causes close on what took no part in the fit."""
+def left(gap: dict[str, Any]) -> float:
+    """Error with the causes over that without them, on what took no part in the fit.
+
+    It does not ask how large the noise is, which one record of unknown noise hardly tells.
+    """
     (channel,) = gap["causes"][0]["shrinkage"]
-    return float(channel["closed"])
+    return float(channel["after"] / channel["before"])
 
 
 def test_a_simulator_without_viscosity_lacks_roll_damping(
@@ -54,7 +57,7 @@ def test_a_simulator_without_viscosity_lacks_roll_damping(
     assert gap["causes"][0]["effect"] in ("linear-drag", "quadratic-drag")
     assert answer(gap) <= {"linear-drag", "quadratic-drag", "pulley-friction"}
     assert gap["causes"][0]["probability"] > 0.7
-    assert closed(gap) > 0.8
+    assert left(gap) < 0.38
     (absorbed,) = gap["causes"][0]["absorbed"]
     for side in ("without", "with_effect"):
         assert absorbed[side]["value"] == pytest.approx(stiffness, rel=0.02)
@@ -76,7 +79,7 @@ def test_a_drive_modelled_as_viscous_lacks_dry_friction(
     assert gap["verdict"] in ("explained", "unexplained")
     assert [c["effect"] for c in gap["causes"]] == ["pulley-friction"]
     assert answer(gap) == {"pulley-friction"}
-    assert closed(gap) > 0.6
+    assert left(gap) < 0.6
     first = gap["causes"][0]
     assert first["parameters"]["friction_N"]["value"] == pytest.approx(20.4, rel=0.1)
     numbers = {a["coefficient"]: a["with_effect"]["value"] for a in first["absorbed"]}
@@ -113,7 +116,7 @@ def test_a_block_on_a_ramp_is_not_frictionless(swimid: Command, real_data: Path,
     gap = diagnosed(swimid, trials, nominal)
     assert gap["verdict"] == "explained"
     assert answer(gap) == {"pulley-friction"}
-    assert closed(gap) > 0.9
+    assert left(gap) < 0.1
     friction = gap["causes"][0]["parameters"]["friction_N"]["value"]
     # per weight across slopes of 21.9 and 26.6 degrees
     assert friction / (9.81 * np.cos(np.radians([21.9, 26.6])).mean()) == pytest.approx(0.33, abs=0.03)

@@ -78,8 +78,12 @@ def answer(
             bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
+    useless = ""
     if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
-        word = "unexplained"
+        # simulated from their own start states, held-out trials are no better with it: it is no cause
+        useless = ", ".join(c.best.tried.effect.name for c in chosen)
+        chosen = []
+        word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
         causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
@@ -108,7 +112,7 @@ def answer(
         maps=places.maps(where),
         forces=dict(left.places) if left is not None else {},
         rounds=tuple(_told(r, state) for r in state.rounds),
-        reasons=_reasons(state),
+        reasons=_reasons(state, useless),
     )
 
 
@@ -123,8 +127,8 @@ def _told(found: Round, state: State) -> str:
     )
 
 
-def _reasons(state: State) -> tuple[str, ...]:
-    said = []
+def _reasons(state: State, useless: str) -> tuple[str, ...]:
+    said = [f"{useless}: held-out trials, simulated anew, are no better with it"] if useless else []
     if state.rounds:
         said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]
     if state.out_of_time:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from swimid.models.base import Array
 
 #: Iterations after which a decrease that is small against the noise is small enough.
-PATIENCE = 30
+PATIENCE = 12
 
 
 @dataclass(frozen=True)

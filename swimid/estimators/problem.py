@@ -18,8 +18,8 @@ WORTH_A_THREAD = 3e-4
 NEAR = 0.01
 #: Weighted residual of a sample the model cannot simulate.
 BROKEN = 1e6
-#: Decrease of the squared residuals, in variances, that moves an estimate by a hundredth of its error.
-IMMATERIAL = 1e-4
+#: Decrease of the squared residuals, in variances, that moves an estimate by a thirtieth of its error.
+IMMATERIAL = 1e-3
 #: Points whose simulations are kept.
 KEPT = 3
 
