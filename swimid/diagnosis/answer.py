@@ -13,8 +13,8 @@ from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrink
 from swimid.diagnosis.bench import Bench, Fit, errors
 from swimid.diagnosis.chain import Round, State, passes
 from swimid.diagnosis.conclusion import Named
+from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
-from swimid.diagnosis.floor import split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.nominal import Given
 from swimid.diagnosis.result import (
@@ -276,12 +276,8 @@ def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
 
 def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
     """Squared residuals beyond those of the noise, in units of it, by channel."""
-    found: dict[str, float] = {}
-    for k, r in enumerate(residuals):
-        for channel, series in split(fit, k, r).items():
-            values = series[np.isfinite(series)] / max(floor[channel], 1e-300)
-            found[channel] = found.get(channel, 0.0) + float(np.sum(values**2 - 1.0))
-    return {c: max(v, 0.0) for c, v in found.items()}
+    found = by_channel(fit, residuals)
+    return {c: max(float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)), 0.0) for c, v in found.items()}
 
 
 def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, float]) -> Remaining:

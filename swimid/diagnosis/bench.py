@@ -54,6 +54,11 @@ class Fit:
     scale: Array
     problem: Problem
 
+    def own(self, k: int) -> Array:
+        """Derivatives to what trial ``k`` has for itself, per typical size, shape (n_k, m)."""
+        mine = self.problem.own(k)
+        return np.asarray(self.rows[k][:, mine] * self.scale[mine])
+
     def value(self, label: str) -> float:
         """An estimate by its label."""
         return float(self.theta[self.labels.index(label)])

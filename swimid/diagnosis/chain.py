@@ -35,10 +35,6 @@ COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
-#: Trials shorter than so many samples do not tell how noise is coloured.
-SHORT = 20
-#: Of these, so many take part before chance differences between trials are looked for.
-LIKELIEST = 2
 #: Of one effect, so many forms.
 FORMS = 2
 #: Of those, so many are refitted to the end.
@@ -47,6 +43,10 @@ FINISHED = 3
 CLOSE = 0.6
 #: What an effect loses in some folds may be this share of what it gains in the others.
 LOST = 0.25
+#: So many effects take part before chance differences between trials are looked for.
+LIKELIEST = 2
+#: Trials shorter than so many samples do not tell how noise is coloured.
+SHORT = 20
 #: An effect this small, in typical sizes, is none.
 NONE = 1e-3
 #: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
@@ -144,7 +144,6 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
     """Changes of each trial by what may differ from trial to trial by chance, shape (n_k, q)."""
     columns: list[list[Array]] = []
     names: list[str] = []
-
     value = {p.name: p.start for p in bench.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
 
     def keep(name: str, half: list[Array]) -> None:
@@ -207,10 +206,7 @@ def see(
         lens = brief(lens, fit.problem, still, remainder.moves(remainder.slow(fit, still)))
     if common is None or not apart:
         return lens, np.empty(0), []
-    own = []
-    for k in range(len(bench.trials)):
-        mine = fit.problem.own(k)
-        own.append(fit.rows[k][:, mine] * fit.problem.scale[mine])
+    own = [fit.own(k) for k in range(len(bench.trials))]
     lens, sd = spread(lens, fit.problem, residuals, own, chance, used=common)
     return lens, sd, names
 
@@ -237,18 +233,20 @@ def rank(
     base, lens = state.base, state.lens
     simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
     generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
+    apart = _apart(bench)
     # the likeliest effects first, chance differences only in what they leave; then everything together
     for first in (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
-        likely = [t for t in screened.tried if t.gain > 0][:MOST]
-        if _apart(bench):
+        if not apart:
+            likely = [t for t in screened.tried if t.gain > 0][:MOST]
+        else:
             likely = _likeliest(screened) if first else _certain(screened)
         columns, prior = [t.signature for t in likely], [1.0] * len(likely)
-        if not (first and _apart(bench)):
+        if not (first and apart):
             left = remainder.find(bench, base, lens, generic, rng=rng)
-            if left.found or not _apart(bench):
+            if left.found or not apart:
                 columns, prior = columns + left.columns, prior + left.prior
         bare = remainder.saturated(bench, base, lens, columns, prior)
         unknowns, common = len(columns) + len(base.labels), min(len(likely), LIKELIEST)
@@ -345,9 +343,8 @@ def run(
         if dropouts.count:
             bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs, quick=quick)
             lens, fit = weigh(bench)
-        if (
-            bench.quick is not None
-        ):  # a coarse step may do at the start values and not from where trials begin
+        # a coarse step may do at the start values, and not from where trials were found to begin
+        if bench.quick is not None:
             own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
             bench.quick = coarser(model, own, bench.trials)
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))

@@ -50,16 +50,18 @@ def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list
     """
     found = []
     for k, r in enumerate(residuals):
-        mine = fit.problem.own(k)
-        columns = np.column_stack((fit.rows[k][:, mine] * fit.problem.scale[mine], chance[k]))
-        if len(r) >= 4 * columns.shape[1] + 20:
-            size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-            r = r - columns / size @ np.linalg.lstsq(columns / size, r, rcond=1e-10)[0]
-        found.append(r)
+        columns = np.column_stack((fit.own(k), chance[k]))
+        found.append(_beyond(columns, r) if len(r) >= 4 * columns.shape[1] + 20 else r)
     return found
 
 
-def _by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
+def _beyond(columns: Array, values: Array) -> Array:
+    """What least squares on some columns leaves of some values, shape (n,)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
+
+
+def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     """Residuals of all trials together, by channel, in its unit."""
     parts: dict[str, list[Array]] = {}
     for k, r in enumerate(residuals):
@@ -80,13 +82,8 @@ def scatter(fit: Fit, chance: Sequence[Array], sd: Array) -> dict[str, float]:
     """
     found: dict[str, float] = {}
     for j in np.flatnonzero(sd):
-        changes = []
-        for k, columns in enumerate(chance):
-            mine = fit.problem.own(k)
-            own = fit.rows[k][:, mine] * fit.problem.scale[mine]
-            size, column = np.maximum(np.linalg.norm(own, axis=0), 1e-12), columns[:, j] * sd[j]
-            changes.append(column - own / size @ np.linalg.lstsq(own / size, column, rcond=1e-10)[0])
-        for channel, values in _by_channel(fit, changes).items():
+        changes = [_beyond(fit.own(k), columns[:, j] * sd[j]) for k, columns in enumerate(chance)]
+        for channel, values in by_channel(fit, changes).items():
             found[channel] = found.get(channel, 0.0) + float(np.mean(values**2))
     return found
 
@@ -117,8 +114,7 @@ def floors(
     """
     rest = max(1.0 - share, 0.05)
     noise, whole = (
-        {c: float(np.mean(v**2)) for c, v in _by_channel(last, r).items()}
-        for r in (residuals, last.residuals)
+        {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()} for r in (residuals, last.residuals)
     )
     floor = {c: float(np.sqrt(min(rest * noise[c] + between.get(c, 0.0), whole[c]))) for c in noise}
     how = "the noise that the model with all that was found leaves, and what differs between trials by chance"

@@ -94,6 +94,20 @@ class Lens:
         return result
 
 
+def _series(problem: Problem, residuals: Sequence[Array]) -> dict[str, list[Array]]:
+    """Weighted residuals of each channel, one series a trial that has it; NaN where a sample is missing."""
+    found: dict[str, list[Array]] = {}
+    for k, values in enumerate(residuals):
+        at = 0
+        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
+            count = int(mask.sum())
+            series = np.full(len(mask), np.nan)
+            series[mask] = values[at : at + count]
+            at += count
+            found.setdefault(channel, []).append(series)
+    return found
+
+
 def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknowns: int = 0) -> Lens:
     """The lens with autoregressions and sizes as the weighted residuals show them.
 
@@ -104,18 +118,10 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
     unknowns : int
         Numbers fitted to them, for the degrees of freedom.
     """
-    parts: dict[str, list[Array]] = {}
-    for k, values in enumerate(residuals):
-        at = 0
-        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
-            series = np.full(len(mask), np.nan)
-            series[mask] = values[at : at + int(mask.sum())]
-            at += int(mask.sum())
-            parts.setdefault(channel, []).append(series)
     total = sum(len(r) for r in residuals)
     freedom = max(1.0 - unknowns / max(total, 1), 0.2)
     colour, size, whole = {}, {}, {}
-    for channel, series_list in parts.items():
+    for channel, series_list in _series(problem, residuals).items():
         x = joined(series_list, gap=ORDER + 1)
         n = int(np.isfinite(x).sum())
         longest = max(int(np.isfinite(s).sum()) for s in series_list)
@@ -145,19 +151,10 @@ def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Se
     lags[0] = 1.0
     a = -solve_toeplitz(lags[:-1], lags[1:])
     innovation = float(1.0 + a @ lags[1:])
+    known = _series(problem, residuals)
     for channel in channels:
-        bends = []
-        for k, values in enumerate(residuals):
-            at = 0
-            for name, mask in zip(problem.channels[k], problem.masks[k], strict=True):
-                count = int(mask.sum())
-                if name == channel:
-                    series = np.full(len(mask), np.nan)
-                    series[mask] = values[at : at + count]
-                    bend = np.diff(series, 2)
-                    bends.append(bend[np.isfinite(bend)])
-                at += count
-        bend = np.concatenate(bends) if bends else np.empty(0)
+        bend = np.concatenate([np.diff(series, 2) for series in known[channel]])
+        bend = bend[np.isfinite(bend)]
         if len(bend) < PER_ORDER:
             continue
         variance = max(float(np.mean(bend**2)) / (6.0 - 8.0 * lags[1] + 2.0 * lags[2]), 1e-300)

@@ -14,7 +14,7 @@ from swimid.models.hooks import Hooks
 from swimid.models.propulsion import SPEED, RecoilModel
 
 #: Channels of a camera.
-POSES = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad")
+POSES = (*_channels.POSITIONS, "yaw_rad", "pitch_rad")
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0
 
