@@ -23,6 +23,8 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of a fit.
 TOLERANCE = 1e-5
+#: A coefficient this many prior standard deviations from what was known of it is distorted.
+DISTORTED = 2.0
 #: Derivatives are taken anew once the numbers have moved by this many standard errors.
 NEAR = 0.3
 
@@ -154,6 +156,24 @@ class Bench:
                 m, sd = self.prior[p.name]
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
         return mean, weight
+
+    def expected_too(self, fit: Fit) -> list[Array]:
+        """Numbers to fit from: those of a fit and, where coefficients went far from what was known of them,
+        the known ones with all else as it is.
+
+        A model distorted by what it lacked may hold an effect in a poor local optimum.
+        """
+        mean, weight = self.expected(fit.problem)
+        known = np.array(
+            [
+                owner is None and fit.problem.parameters[index].name in self.prior
+                for index, owner in fit.problem.slots
+            ]
+        )
+        away = np.abs(fit.theta - mean) * weight
+        if not np.any(known) or np.max(away[known]) <= DISTORTED:
+            return [fit.theta]
+        return [fit.theta, np.where(known, mean, fit.theta)]
 
     def fit(
         self,

@@ -361,7 +361,7 @@ def refit(
     starts = [bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points]
     chord = base if begin is None else None
     if begin is not None:
-        starts = [begin.theta]
+        starts = bench.expected_too(begin)
     checkpoint = checkpoint or Checkpoint()
     name = "+".join(
         [
