@@ -99,6 +99,7 @@ class Bench:
         self.prior = dict(prior)
         self.jobs = jobs
         self.quick = quick
+        self._known: dict[tuple[int, ...], Affected] = {}
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -116,7 +117,14 @@ class Bench:
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """The model with effects."""
-        return Affected(self.model, effects, self.trials)
+        return self._affected(self.model, effects)
+
+    def _affected(self, model: Model, effects: Sequence[Effect]) -> Affected:
+        # their scales are read off the trials: once will do
+        key = (id(model), *(id(e) for e in effects))
+        if key not in self._known:
+            self._known[key] = Affected(model, effects, self.trials)
+        return self._known[key]
 
     def problem(self, effects: Sequence[Effect], *, jobs: int | None = None) -> Problem:
         """Residuals of the model with effects, nominal coefficients as here."""
@@ -127,7 +135,7 @@ class Bench:
         )
         problem.near = NEAR
         if self.quick is not None:
-            problem.quick = Affected(self.quick, effects, self.trials)
+            problem.quick = self._affected(self.quick, effects)
         return problem
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
@@ -268,7 +276,7 @@ class Bench:
         point : ndarray
             Values of all the effect's parameters.
         """
-        model = Affected(self.quick or self.model, (*base.effects, effect), self.trials)
+        model = self._affected(self.quick or self.model, (*base.effects, effect))
         size = len(model.own[-1])
         null = np.array([p.start for p in model.own[-1]])
         found = []

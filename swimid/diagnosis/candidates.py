@@ -28,6 +28,10 @@ DRAWS, QUANTILE = 400, 0.975
 LEAST_GAIN = 30.0
 #: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
 STARTS = 2
+#: Steps after which the best of several starts goes on alone.
+HEAT = 4
+#: Shares of a predicted size to begin at where the prediction was no start.
+NEARER = (0.5, 0.2, 0.0)
 #: Parts of a trial that are judged in turn where each trial has a size for itself.
 PARTS = 4
 
@@ -374,19 +378,21 @@ def refit(
     if kept is not None and len(kept) == len(starts[0]):
         starts = [kept]
 
-    def fitted(begins: list[Array]) -> Fit:
-        return bench.fit(effects, lens, begins, iterations=iterations, tolerance=1e-4, jobs=1, chord=chord)
+    def fitted(begins: list[Array], most: int = iterations) -> Fit:
+        return bench.fit(effects, lens, begins, iterations=most, tolerance=1e-4, jobs=1, chord=chord)
 
-    fit = fitted(starts)
-    for share in (0.5, 0.2, 0.0):
+    def raced(begins: list[Array]) -> Fit:
+        # of several starts the one that is ahead after a few steps
+        return fitted([fitted(begins, HEAT).theta] if len(begins) > 1 else begins)
+
+    fit = raced(starts) if begin is None else fitted(starts)
+    if begin is None and not fit.cost <= base.cost:
         # far from null a linear guess may be no start: towards the model that has it not
-        if begin is not None or not fit.cost > base.cost:
-            break
-        near = {
-            n: p.start + share * (v - p.start)
-            for n, p, v in zip(own, tried.parameters, tried.point, strict=True)
-        }
-        fit = fitted([bench.start(effects, base, near)])
+        towards = [
+            {n: p.start + share * (v - p.start) for n, p, v in zip(own, tried.parameters, tried.point, strict=True)}
+            for share in NEARER
+        ]
+        fit = min(fit, raced([bench.start(effects, base, near) for near in towards]), key=lambda f: f.cost)
     checkpoint.put(name, fit.theta)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     single = [p for p in tried.parameters if p.per_trial]

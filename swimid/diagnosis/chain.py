@@ -261,8 +261,12 @@ def rank(
     for t in screened.tried:
         if sum(other.effect.name == t.effect.name for other in each) < FORMS:
             each.append(t)
+    # beside what was found already, an effect is worth a refit where the screen sees something of it
+    least = 0.5 * candidates.LEAST_GAIN if base.effects else 0.0
     promising = [
-        t for i, t in enumerate(each) if t.gain > 0 and (i < LEAST or (i < MOST and t.gain > SHARE * best))
+        t
+        for i, t in enumerate(each)
+        if t.gain > least and (i < LEAST or (i < MOST and t.gain > SHARE * best))
     ]
 
     def one(tried: Tried) -> Refitted | None:
@@ -367,7 +371,11 @@ def run(
                 break
             if len(state.base.effects) + 1 > most:
                 break
-            state.base = found.ranked[0].fit
+            # candidates are fitted only as far as their order needs
+            chosen_fit = found.ranked[0].fit
+            state.base = bench.fit(
+                chosen_fit.effects, state.lens, [chosen_fit.theta], iterations=12, tolerance=1e-4
+            )
             if late():
                 state.out_of_time = True
                 break

@@ -57,7 +57,7 @@ class Affected(Model):
                 continue
             acting = effect.hooks(own, trial, self.model)
             key = f"{effect.name}:{id(effect)}".encode() + own.tobytes() if acting.moves else b""
-            found = found + replace(acting, key=key)
+            found = found + replace(acting, key=key, command_key=key if acting.command else b"")
         return found
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:

@@ -111,6 +111,8 @@ class Hooks:
         The log shows what happened this much earlier.
     key : bytes
         Tells one motion from another; two hooks of one key move the robot alike.
+    command_key : bytes
+        The same of the commands alone.
     """
 
     command: tuple[Command, ...] = ()
@@ -122,6 +124,7 @@ class Hooks:
     output: tuple[Output, ...] = ()
     clock_s: float = 0.0
     key: bytes = b""
+    command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
         return Hooks(
@@ -134,6 +137,7 @@ class Hooks:
             self.output + other.output,
             self.clock_s + other.clock_s,
             self.key + other.key,
+            self.command_key + other.command_key,
         )
 
     @property

@@ -362,7 +362,7 @@ class MultilinkModel(Model):
             else tuple(q.at(dict(zip(self.assembly.names, values, strict=False))) for q in s)
             for s in self._servos
         )
-        key = (trial.id, begin, step, steps, phase, servos, hooks.key if hooks.command else b"")
+        key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
         if key in self._tables:
             return self._tables[key]
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
