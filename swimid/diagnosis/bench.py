@@ -25,6 +25,8 @@ START_PRIOR = 30.0
 TOLERANCE = 1e-5
 #: A coefficient this many prior standard deviations from what was known of it is distorted.
 DISTORTED = 2.0
+#: A prior as wide as this share of a coefficient says little.
+LOOSE = 0.3
 #: Derivatives are taken anew once the numbers have moved by this many standard errors.
 NEAR = 0.3
 
@@ -165,23 +167,25 @@ class Bench:
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
         return mean, weight
 
-    def expected_too(self, fit: Fit) -> list[Array]:
-        """Numbers to fit from: those of a fit and, where coefficients went far from what was known of them,
+    def begins(self, problem: Problem, theta: Array) -> list[Array]:
+        """Numbers to fit from: given ones and, where their coefficients are far from what is known of them,
         the known ones with all else as it is.
 
-        A model distorted by what it lacked may hold an effect in a poor local optimum.
+        A model distorted by what it lacks may hold an effect in a poor local optimum.
         """
-        mean, weight = self.expected(fit.problem)
-        known = np.array(
-            [
-                owner is None and fit.problem.parameters[index].name in self.prior
-                for index, owner in fit.problem.slots
-            ]
-        )
-        away = np.abs(fit.theta - mean) * weight
-        if not np.any(known) or np.max(away[known]) <= DISTORTED:
-            return [fit.theta]
-        return [fit.theta, np.where(known, mean, fit.theta)]
+        plain, distorted = theta.copy(), False
+        for j, (index, owner) in enumerate(problem.slots):
+            p = problem.parameters[index]
+            if owner is not None or p.name not in self.prior:
+                continue
+            mean, sd = self.prior[p.name]
+            size = max(abs(mean), p.scale)
+            if p.known is not None and sd > LOOSE * size:
+                # the trials themselves told the prior: what lacks has distorted it, too
+                mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
+            plain[j] = mean
+            distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
+        return [theta, plain] if distorted else [theta]
 
     def fit(
         self,

@@ -365,7 +365,7 @@ def refit(
     starts = [bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points]
     chord = base if begin is None else None
     if begin is not None:
-        starts = bench.expected_too(begin)
+        starts = bench.begins(begin.problem, begin.theta)
     checkpoint = checkpoint or Checkpoint()
     name = "+".join(
         [

@@ -112,7 +112,7 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     lens = Lens([list(sds) for sds in problem.sd])
     start = np.clip(problem.start, problem.lower, problem.upper)
     previous: dict[str, tuple[float, float]] = {}
-    fit = bench.fit((), lens, [start], tolerance=COARSE)
+    fit = bench.fit((), lens, bench.begins(problem, start), tolerance=COARSE)
     for _ in range(WEIGHTINGS):
         previous = noise_model.estimate(problem, fit.theta, previous)
         lens = Lens([list(sds) for sds in problem.sd])

@@ -43,6 +43,8 @@ class Parameter:
         Each trial has a value of its own (a start offset, say).
     meaning, source : str
         For the report.
+    known : float, optional
+        What it was elsewhere: published, or measured otherwise.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Parameter:
     per_trial: bool = False
     meaning: str = ""
     source: str = ""
+    known: float | None = None
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:

@@ -126,6 +126,7 @@ class MultilinkModel(Model):
                     c.free,
                     meaning=c.meaning,
                     source=c.source,
+                    known=c.value,
                 )
             )
         return found
