@@ -129,6 +129,7 @@ def _told(found: Round, state: State) -> str:
 
 def _reasons(state: State, useless: str) -> tuple[str, ...]:
     said = [f"{useless}: held-out trials, simulated anew, are no better with it"] if useless else []
+    said += [f"{name}: beside {other} it gains nothing" for name, other in state.taken_back.items()]
     if state.rounds:
         said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]
     if state.out_of_time:

@@ -365,7 +365,7 @@ def refit(
     starts = [bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points]
     chord = base if begin is None else None
     if begin is not None:
-        starts = bench.begins(begin.problem, begin.theta)
+        starts = bench.begins(bench.problem(effects), bench.start(effects, begin))
     checkpoint = checkpoint or Checkpoint()
     name = "+".join(
         [
@@ -389,7 +389,10 @@ def refit(
     if begin is None and not fit.cost <= base.cost:
         # far from null a linear guess may be no start: towards the model that has it not
         towards = [
-            {n: p.start + share * (v - p.start) for n, p, v in zip(own, tried.parameters, tried.point, strict=True)}
+            {
+                n: p.start + share * (v - p.start)
+                for n, p, v in zip(own, tried.parameters, tried.point, strict=True)
+            }
             for share in NEARER
         ]
         fit = min(fit, raced([bench.start(effects, base, near) for near in towards]), key=lambda f: f.cost)

@@ -58,6 +58,8 @@ OWN: dict[str, tuple[str, float] | None] = {
 }
 #: A further effect must gain this share of what the first one did.
 FURTHER = 0.03
+#: One chosen earlier must still gain this share of what the one chosen last does, or it stood in for it.
+BESIDE = 0.1
 #: Effects in a combination at most.
 COMBINED = 3
 #: Misfit by which two effects of unlike form may differ though they are one, as a share of the gain.
@@ -101,6 +103,8 @@ class State:
     out_of_time: bool = False
     slow: dict[str, Slow] = field(default_factory=dict)
     generic: Generic | None = None
+    #: Effects chosen first and found needless beside another, by name.
+    taken_back: dict[str, str] = field(default_factory=dict)
     quiet: list[Array] = field(default_factory=list)
     scatter: dict[str, float] = field(default_factory=dict)
 
@@ -354,10 +358,10 @@ def run(
         lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
         state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
-        for number in range(max(most, 1)):
+        while len(state.rounds) < max(most, 1):
             chosen = {e.name for e in state.base.effects}
             rest = [e for e in effects if e.name not in chosen]
-            with progress(f"effects, round {number + 1}", total=len(rest) + MOST) as step:
+            with progress(f"effects, round {len(state.rounds) + 1}", total=len(rest) + MOST) as step:
 
                 def advance(name: str, step=step) -> None:  # type: ignore[no-untyped-def]
                     show(step, name)
@@ -369,13 +373,11 @@ def run(
             lead(state, found)
             if not found.ranked or not passes(state, found) or state.out_of_time:
                 break
-            if len(state.base.effects) + 1 > most:
+            if not without_the_needless(state, keep) and len(state.base.effects) + 1 > most:
                 break
             # candidates are fitted only as far as their order needs
-            chosen_fit = found.ranked[0].fit
-            state.base = bench.fit(
-                chosen_fit.effects, state.lens, [chosen_fit.theta], iterations=12, tolerance=1e-4
-            )
+            best = state.rounds[-1].ranked[0].fit
+            state.base = bench.fit(best.effects, state.lens, [best.theta], iterations=12, tolerance=1e-4)
             if late():
                 state.out_of_time = True
                 break
@@ -395,6 +397,41 @@ def run(
         if len(state.chance_sd):
             state.scatter = scatter(state.base, chance, np.minimum(state.chance_sd, CHANCE))
     return state
+
+
+def without_the_needless(state: State, checkpoint: Checkpoint) -> bool:
+    """Take back an effect chosen earlier that gains nothing beside the one chosen last; whether there was one.
+
+    An effect that stood in for the true one is found first where its linear guess was better.
+    """
+    bench, found = state.bench, state.rounds[-1]
+    last = found.ranked[0]
+    for i, earlier in enumerate(state.rounds[:-1]):
+        stood_in = earlier.ranked[0].tried
+        if stood_in.effect.name in state.taken_back:
+            continue
+        others = [e for e in last.fit.effects if e is not stood_in.effect]
+        begin = bench.start(others, last.fit)
+        without = bench.fit(
+            others, found.lens, bench.begins(bench.problem(others), begin), iterations=12, tolerance=1e-4
+        )
+        plain = gram.folded(bench, without, found.lens)
+        again = candidates.refit(
+            bench, without, plain, found.lens, stood_in, begin=last.fit, checkpoint=checkpoint
+        )
+        if again.gain > max(found.threshold, BESIDE * last.gain):
+            continue
+        state.taken_back[stood_in.effect.name] = last.tried.effect.name
+        # the last effect takes its place, and what else was chosen after it is chosen anew
+        plain = gram.folded(bench, earlier.base, earlier.lens)
+        kept = [r for r in earlier.ranked if r.tried.effect is not last.tried.effect]
+        instead = candidates.refit(
+            bench, earlier.base, plain, earlier.lens, last.tried, begin=without, checkpoint=checkpoint
+        )
+        earlier.ranked[:] = [instead, *kept]
+        del state.rounds[i + 1 :]
+        return True
+    return False
 
 
 def lead(state: State, found: Round) -> None:
