@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,15 +11,17 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from swimid.diagnosis import dropouts, folds, gram, places
+from swimid.diagnosis import chain, dropouts, folds, gram, places
 from swimid.diagnosis.bench import Bench, errors
 from swimid.diagnosis.candidates import _allowed
 from swimid.diagnosis.floor import floors, quiet, scatter, split
 from swimid.diagnosis.gram import START_PRIOR, Drawn, Folded
 from swimid.diagnosis.lens import CHANCE, Lens, brief, coloured, spread
 from swimid.diagnosis.shrinkage import closed
+from swimid.effects.base import Effect
 from swimid.estimators.problem import Problem
-from swimid.models.base import Trial
+from swimid.models.base import Model, Parameter, Trial
+from swimid.models.hooks import Hooks
 from tests.toy_models import Toy, parameter
 
 LINE = (parameter("a", 0.5), parameter("b", 0.5), parameter("start", 0.0, per_trial=True))
@@ -496,3 +499,80 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
 def test_closed(before: float, after: float, floor: float, share: float) -> None:
     assert closed(before, after, floor) == pytest.approx(share)
     assert np.isnan(closed(floor, after, floor))
+
+
+# ---------------------------------------------------------------- chain
+
+
+def test_a_fit_also_begins_at_what_is_known(bench: Bench) -> None:
+    problem = bench.problem(())
+    near, far = np.array(problem.start), np.array(problem.start)
+    at = problem.labels.index("a")
+    near[at], far[at] = 1.1, 1.3  # known as 0.8 +- 0.2
+    assert len(bench.begins(problem, near)) == 1
+    own, known = bench.begins(problem, far)
+    np.testing.assert_array_equal(own, far)
+    assert known[at] == 0.8
+    others = np.arange(len(far)) != at
+    np.testing.assert_array_equal(known[others], far[others])
+
+
+def test_where_the_trials_told_the_prior_a_fit_begins_at_published_numbers(bench: Bench) -> None:
+    published = tuple(replace(p, known=2.0) if p.name == "a" else p for p in LINE)
+    loose = Bench(bench.model, published, bench.trials, {"a": (0.8, 0.6)})
+    problem = loose.problem(())
+    at = problem.labels.index("a")
+    assert loose.begins(problem, np.array(problem.start))[1][at] == 2.0
+    tight = Bench(bench.model, published, bench.trials, {"a": (0.8, 0.2)})
+    assert len(tight.begins(problem, np.array(problem.start))) == 1
+
+
+class Seen(Effect):
+    """Adds a curve to what is measured."""
+
+    stage, meaning, sources, needs = "sensing", "a curve", (), frozenset[str]()
+
+    def __init__(self, name: str, curve: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.name, self.curve = name, curve
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        return (parameter("size", 0.0),)
+
+    def hooks(self, values: np.ndarray, trial: Trial, model: Model) -> Hooks:
+        def more(found: dict[str, np.ndarray], time: np.ndarray) -> dict[str, np.ndarray]:
+            return {**found, "y": found["y"] + values[0] * self.curve(time)}
+
+        return Hooks(output=(more,))
+
+
+class Hooked(Toy):
+    def hooked(self, values: np.ndarray, trial: Trial, hooks: Hooks) -> dict[str, np.ndarray]:
+        return hooks.seen(self.simulate(values, trial), trial.time_s)
+
+
+def test_what_stood_in_for_two_effects_is_taken_back(rng: np.random.Generator) -> None:
+    """A curve like the sum of two others is found first, and is no cause once both are there."""
+
+    def rise(t: np.ndarray) -> np.ndarray:
+        return np.tanh(t)
+
+    def ring(t: np.ndarray) -> np.ndarray:
+        return np.sin(2.0 * t)
+
+    def both(t: np.ndarray) -> np.ndarray:
+        return rise(t) + ring(t) + 0.4 * np.cos(5.0 * t)
+
+    def plainly(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": values[0] * np.exp(-t)}
+
+    model = Hooked(plainly, (parameter("a", 0.5),), ("y",))
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0 + 0.3 * k, 200)
+        y = np.exp(-t) + 1.0 * rise(t) + 1.4 * ring(t) + 0.02 * rng.normal(size=len(t))
+        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, settings={"force": 1.0 + k}))
+    effects = [Seen("rise", rise), Seen("ring", ring), Seen("both", both)]
+    state = chain.run(model, model.parameters, trials, {"a": (1.0, 0.1)}, effects)
+    assert {e.name for e in state.base.effects} == {"rise", "ring"}
+    assert list(state.taken_back) == ["both"]
+    assert [r.ranked[0].tried.effect.name for r in state.rounds[:2]] == [e.name for e in state.base.effects]

@@ -400,7 +400,7 @@ def run(
 
 
 def without_the_needless(state: State, checkpoint: Checkpoint) -> bool:
-    """Take back an effect chosen earlier that gains nothing beside the one chosen last; whether there was one.
+    """Take back an effect chosen earlier that the one chosen last makes needless; whether there was one.
 
     An effect that stood in for the true one is found first where its linear guess was better.
     """
