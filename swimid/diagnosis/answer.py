@@ -11,7 +11,7 @@ import numpy as np
 
 from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
 from swimid.diagnosis.bench import Bench, Fit, errors
-from swimid.diagnosis.chain import Round, State, passes
+from swimid.diagnosis.chain import Round, State, passes, why_not
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
@@ -78,10 +78,10 @@ def answer(
             bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
-    useless = ""
+    useless: list[str] = []
     if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
         # simulated from their own start states, held-out trials are no better with it: it is no cause
-        useless = ", ".join(c.best.tried.effect.name for c in chosen)
+        useless = [c.best.tried.effect.name for c in chosen]
         chosen = []
         word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
@@ -120,15 +120,19 @@ def _told(found: Round, state: State) -> str:
     if not found.ranked:
         return "no effect gains anything on held-out data"
     best = found.ranked[0]
-    word = "counts" if passes(state, found) else "does not count"
+    why = why_not(state, found, best)
     return (
         f"{best.tried.effect.name} gains {best.gain:.0f} ± {best.stderr:.0f} on held-out data against a "
-        f"threshold of {found.threshold:.0f}: it {word}"
+        f"threshold of {found.threshold:.0f}: {f'it does not count, since {why}' if why else 'it counts'}"
     )
 
 
-def _reasons(state: State, useless: str) -> tuple[str, ...]:
-    said = [f"{useless}: held-out trials, simulated anew, are no better with it"] if useless else []
+def _reasons(state: State, useless: Sequence[str]) -> tuple[str, ...]:
+    said = [f"{name}: held-out trials, simulated anew, are no better with it" for name in useless]
+    leader = state.rounds[0].ranked[0] if state.rounds and state.rounds[0].ranked else None
+    if leader is not None and leader.gain > state.rounds[0].threshold:
+        why = why_not(state, state.rounds[0], leader)
+        said += [f"{leader.tried.effect.name}: {why}"] if why else []
     said += [f"{name}: beside {other} it gains nothing" for name, other in state.taken_back.items()]
     if state.rounds:
         said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]

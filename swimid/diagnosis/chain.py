@@ -449,12 +449,21 @@ def passes(state: State, found: Round) -> bool:
 
 def counts(state: State, found: Round, best: Refitted) -> bool:
     """Whether an effect is one: beyond noise, in more than one fold, worth naming."""
-    if best.gain <= found.threshold or best.lost > LOST * (best.gain + best.lost):
-        return False
-    if best.size < NONE:  # what gained is a better optimum of the model without it
-        return False
+    return not why_not(state, found, best)
+
+
+def why_not(state: State, found: Round, best: Refitted) -> str:
+    """Why an effect does not count, in words; empty where it does."""
+    if best.gain <= found.threshold:
+        return "it gains no more than noise alone may"
+    if best.lost > LOST * (best.gain + best.lost):
+        return "what it gains in some held-out folds it loses in others"
+    if best.size < NONE:
+        return "its size is zero: the model itself has a better optimum"
     # a single fold tells nothing by itself: the effect was then read off it alone
     if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.5 * found.threshold:
-        return False
+        return "all it gains is in one held-out fold"
     first = state.rounds[0].ranked[0].gain if state.rounds and state.rounds[0] is not found else None
-    return first is None or best.gain > FURTHER * first
+    if first is not None and best.gain <= FURTHER * first:
+        return "beside what was found before it gains too little"
+    return ""

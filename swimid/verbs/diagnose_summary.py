@@ -194,14 +194,13 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
     if file.verdict == "none":
         best = next((s for s in file.scores if s.refitted and s.gain is not None), None)
         if best is not None and file.threshold is not None:
-            rows.append(
-                (
-                    "tried",
-                    f"{len({s.effect for s in file.scores})} effects; the most gained is "
-                    f"{numbers.number(best.gain, 3)} ({best.effect}), noise alone exceeds "
-                    f"{numbers.number(file.threshold, 3)} at most once in forty",
-                )
+            told = (
+                f"{len({s.effect for s in file.scores})} effects; the most gained is "
+                f"{numbers.number(best.gain, 3)} ({best.effect}), noise alone exceeds "
+                f"{numbers.number(file.threshold, 3)} at most once in forty"
             )
+            why = next((r for r in file.reasons if r.startswith(f"{best.effect}: ")), "")
+            rows.append(("tried", f"{told}; {why}" if why and (best.gain or 0.0) > file.threshold else told))
         return rows
     cells = worst_cells(file)[:_CELLS]
     if cells:
