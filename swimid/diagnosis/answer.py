@@ -84,6 +84,11 @@ def answer(
         useless = [c.best.tried.effect.name for c in chosen]
         chosen = []
         word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+    if word == "none":
+        # nothing it leaves can be told from noise and from what differs between trials by chance
+        left_over = by_channel(nominal, nominal.residuals)
+        floor = {c: max(v, float(np.sqrt(np.mean(left_over[c] ** 2)))) for c, v in floor.items()}
+        how = "all that the model leaves: noise, and what differs between trials by chance"
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
         causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
@@ -282,7 +287,8 @@ def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
 def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
     """Squared residuals beyond those of the noise, in units of it, by channel."""
     found = by_channel(fit, residuals)
-    return {c: max(float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)), 0.0) for c, v in found.items()}
+    beyond = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
+    return {c: b if b > 1e-9 * len(found[c]) else 0.0 for c, b in beyond.items()}
 
 
 def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, float]) -> Remaining:

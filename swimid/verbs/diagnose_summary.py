@@ -58,7 +58,7 @@ def cannot_tell(cause: Cause) -> str:
 
 def size_of(channel: ChannelGap) -> str:
     """How large the gap of a channel is."""
-    share = f" ({numbers.percent(channel.share, 2)} of the gap)" if channel.share is not None else ""
+    share = f" ({numbers.percent(channel.share, 2)} of the gap)" if channel.share else ""
     return (
         f"{channel.channel} {numbers.percent(channel.nrmse)} of its range, "
         f"noise alone {numbers.percent(channel.floor)}{share}"
@@ -188,9 +188,10 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
     shown = [
         c
         for k, c in enumerate(file.where.channels[:_CHANNELS])
-        if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL)
+        if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL or file.verdict == "none")
     ]
-    rows = [("" if k else "gap", size_of(c)) for k, c in enumerate(shown)]
+    first = "error" if file.verdict == "none" else "gap"
+    rows = [("" if k else first, size_of(c)) for k, c in enumerate(shown)]
     if file.verdict == "none":
         best = next((s for s in file.scores if s.refitted and s.gain is not None), None)
         if best is not None and file.threshold is not None:
