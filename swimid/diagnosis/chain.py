@@ -421,13 +421,16 @@ def without_the_needless(state: State, checkpoint: Checkpoint) -> bool:
         )
         if again.gain > max(found.threshold, BESIDE * last.gain):
             continue
-        state.taken_back[stood_in.effect.name] = last.tried.effect.name
-        # the last effect takes its place, and what else was chosen after it is chosen anew
         plain = gram.folded(bench, earlier.base, earlier.lens)
         kept = [r for r in earlier.ranked if r.tried.effect is not last.tried.effect]
         instead = candidates.refit(
             bench, earlier.base, plain, earlier.lens, last.tried, begin=without, checkpoint=checkpoint
         )
+        # alone, on what was known of the noise then, it must count as well
+        if why_not(state, earlier, instead):
+            continue
+        # it takes its place, and what else was chosen after it is chosen anew
+        state.taken_back[stood_in.effect.name] = last.tried.effect.name
         earlier.ranked[:] = [instead, *kept]
         del state.rounds[i + 1 :]
         return True
