@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.estimators import encoder, output_error, two_point
-from swimid.estimators.levenberg import PATIENCE, Solution, minimise
+from swimid.estimators.levenberg import CREEPING, PATIENCE, Solution, minimise
 from swimid.estimators.profile import profile_interval
 from swimid.formats import evidence, parameters
 from swimid.models import rig as rig_model
@@ -174,6 +174,23 @@ class TestLevenberg:
         assert patient.success
         assert PATIENCE < patient.iterations < long.iterations
         assert patient.cost - long.cost < 1e-3
+
+    def test_a_search_that_creeps_says_so(self) -> None:
+        """Derivatives a thousand times too large, far from the optimum: it is given up, not called one."""
+        free = np.array([np.inf])
+        found = minimise(
+            lambda p: np.append(p, 100.0),
+            lambda p: np.array([[1000.0], [0.0]]),
+            np.array([10.0]),
+            lower=-free,
+            upper=free,
+            scale=np.ones(1),
+            little=0.01,
+        )
+        assert found.success
+        assert found.crept
+        assert CREEPING < found.iterations < 200
+        assert found.x[0] > 5.0
 
 
 class TestEncoder:

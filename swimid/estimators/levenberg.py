@@ -17,6 +17,8 @@ from swimid.models.base import Array
 
 #: Iterations after which a decrease that is small against the noise is small enough.
 PATIENCE = 12
+#: A search creeps that has taken so many steps, of which the last `STRIDE` together hardly lowered the cost.
+CREEPING, STRIDE = 40, 10
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Solution:
     success : bool
     message : str
     iterations : int
+    crept : bool
+        Given up though steps still lowered the cost a little.
     """
 
     x: Array
@@ -38,6 +42,7 @@ class Solution:
     success: bool
     message: str
     iterations: int
+    crept: bool = False
 
 
 # A step so bad that its cost overflows costs infinity, and is not taken.
@@ -52,6 +57,7 @@ def minimise(
     scale: Array,
     tolerance: float = 1e-10,
     enough: float = 0.0,
+    little: float = 0.0,
     max_iterations: int = 200,
     watch: Callable[[Array, float, int], None] | None = None,
 ) -> Solution:
@@ -68,6 +74,9 @@ def minimise(
     enough : float
         Once `PATIENCE` iterations are spent, stop when a step lowers the cost by less than this: along a
         valley the data hardly tell, the last digits would take for ever.
+    little : float
+        Once `CREEPING` iterations are spent, stop when the last `STRIDE` together lowered the cost by less
+        than this share of it.
     watch : callable, optional
         Called with the parameters, their cost and the iteration at the start and after every
         step that lowers the cost.
@@ -93,6 +102,7 @@ def minimise(
     if watch is not None:
         watch(x, cost, 0)
     damping, growth = -1.0, 2.0
+    costs = [cost]
     for iteration in range(1, max_iterations + 1):
         rows = jacobian(x) * scale
         # einsum: waking BLAS threads for a handful of columns costs more than the sums
@@ -127,6 +137,9 @@ def minimise(
                     watch(x, cost, iteration)
                 if done or small:
                     return Solution(x, cost, True, "cost and parameters no longer change", iteration)
+                costs.append(cost)
+                if iteration > CREEPING and costs[-1 - STRIDE] - cost < little * cost:
+                    return Solution(x, cost, True, "the search creeps", iteration, crept=True)
                 break
             if small or abs(predicted) <= 1e-3 * tolerance * cost:
                 return Solution(x, cost, True, "no step lowers the cost", iteration)

@@ -24,8 +24,9 @@ from swimid.errors import NoTrustworthyResult
 from swimid.estimators import noise as noise_model
 from swimid.estimators import sandwich
 from swimid.estimators.fit_result import FitResult, Noise, Series
-from swimid.estimators.problem import Problem
+from swimid.estimators.problem import LITTLE, Problem
 from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
 #: A standard error above this share of a parameter's size makes it unidentifiable.
@@ -148,6 +149,12 @@ def _fit_once(
         search = _Search(problem, start, loss)
         search.run(progress)
         _insist(problem, search)
+        if search.crept:
+            warn(
+                "SWM026",
+                f"the search crept along a flat valley and was ended after {search.iterations} iterations: "
+                f"ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
+            )
         noise = noise_model.estimate(problem, search.theta, search.noise, robust=loss == "huber")
         return _result(problem, search, noise, parameters, tuple(trials), loss)
     finally:
@@ -163,6 +170,7 @@ class _Search:
     loss: Loss
     converged: bool = False
     interrupted: bool = False
+    crept: bool = False
     message: str = ""
     iterations: int = 0
 
@@ -210,7 +218,7 @@ class _Search:
 
         solution = self.problem.solve(self.theta, tolerance=tolerance, watch=watch)
         self.theta, self.iterations = solution.x, done + solution.iterations
-        self.converged, self.message = solution.success, solution.message
+        self.converged, self.message, self.crept = solution.success, solution.message, solution.crept
 
 
 def _insist(problem: Problem, search: _Search) -> None:

@@ -20,6 +20,8 @@ NEAR = 0.01
 BROKEN = 1e6
 #: Decrease of the squared residuals, in variances, that moves an estimate by a thirtieth of its error.
 IMMATERIAL = 1e-3
+#: Share of the squared residuals that ten steps of a search must lower.
+LITTLE = 2e-4
 #: Points whose simulations are kept.
 KEPT = 3
 
@@ -198,6 +200,7 @@ class Problem:
             scale=self.scale,
             tolerance=tolerance,
             enough=IMMATERIAL,
+            little=LITTLE,
             watch=watch,
         )
 
