@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from swimid.diagnosis import chain, dropouts, folds, gram, places
 from swimid.diagnosis.bench import Bench, errors
-from swimid.diagnosis.candidates import _allowed
+from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
 from swimid.diagnosis.floor import floors, quiet, scatter, split
 from swimid.diagnosis.gram import START_PRIOR, Drawn, Folded
 from swimid.diagnosis.lens import CHANCE, Lens, brief, coloured, spread
@@ -576,3 +576,31 @@ def test_what_stood_in_for_two_effects_is_taken_back(rng: np.random.Generator) -
     assert {e.name for e in state.base.effects} == {"rise", "ring"}
     assert list(state.taken_back) == ["both"]
     assert [r.ranked[0].tried.effect.name for r in state.rounds[:2]] == [e.name for e in state.base.effects]
+
+
+def test_a_start_that_changes_nothing_is_no_obstacle(bench: Bench) -> None:
+    fit = bench.fit((), Lens([[np.full(len(t.time_s), 0.05)] * 2 for t in bench.trials]), [bench.shape.start])
+    without = replace(fit, rows=[np.zeros_like(rows) for rows in fit.rows])
+    own = [[r.copy() for r in fit.residuals]]
+    gains = own_gains(bench, without, Lens(fit.problem.sd), own)
+    assert np.isfinite(gains).all()
+
+
+@pytest.mark.parametrize(
+    ("gains", "why"),
+    [
+        ([60.0, 50.0, 40.0, 0.5], ""),
+        ([10.0, 5.0, 4.0, 3.0], "no more than noise"),
+        ([90.0, 80.0, -30.0, -30.0], "loses in others"),
+        ([250.0, 150.0, -5.0, -10.0], "too many"),
+        ([200.0, 5.0, 4.0, 3.0], "one held-out fold"),
+    ],
+)
+def test_what_counts(gains: list[float], why: str) -> None:
+    tried = SimpleNamespace(effect=SimpleNamespace(name="wall"), parameters=(parameter("force", 0.0),))
+    fit = SimpleNamespace(labels=["wall/force"], theta=np.array([1.0]))
+    found = SimpleNamespace(threshold=30.0)
+    best = Refitted(tried, fit, np.array(gains))  # type: ignore[arg-type]
+    said = chain.why_not(SimpleNamespace(rounds=[]), found, best)  # type: ignore[arg-type]
+    assert why in said
+    assert bool(said) == bool(why)

@@ -271,3 +271,16 @@ def test_the_cameras_clock_alone() -> None:
     for name in ("x_m", "y_m", "yaw_rad"):
         np.testing.assert_allclose(seen[name], late[name], atol=2e-4)
     np.testing.assert_array_equal(seen["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])
+
+
+def test_a_run_that_broke_down_is_missing_at_other_times_too(fish):
+    """A late camera of a simulation that diverged shows nothing; it does not stop the comparison."""
+    model, trial = fish
+    late = next(v for v in LATE.variants(model, [trial]) if v.camera)
+    hooks = late.hooks(np.array([0.02]), trial, model)
+    time = trial.time_s
+    broken = np.where(time > time[len(time) // 2], np.inf, 0.0)
+    found = hooks.seen({"x_m": broken, "y_m": np.sin(time), "u_m_s": time}, time)
+    assert np.isnan(found["x_m"]).all()
+    assert np.isfinite(found["y_m"]).all()
+    np.testing.assert_array_equal(found["u_m_s"], time)

@@ -445,7 +445,9 @@ def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]
         seen = lens.through(problem, k, block)
         if mine:
             starts = seen[:, q + 1 :]
-            normal = starts.T @ starts + 1e-9 * np.trace(starts.T @ starts) * np.eye(len(mine))
+            normal = starts.T @ starts
+            # a start that changes nothing here is left alone
+            normal += 1e-9 * (np.trace(normal) or 1.0) * np.eye(len(mine))
             seen = seen[:, : q + 1] - starts @ np.linalg.solve(normal, starts.T @ seen[:, : q + 1])
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]

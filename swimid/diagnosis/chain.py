@@ -43,6 +43,8 @@ FINISHED = 3
 CLOSE = 0.6
 #: What an effect loses in some folds may be this share of what it gains in the others.
 LOST = 0.25
+#: Of the folds, this share may be worse with it, by more misfit than chance makes of nothing.
+LOSING, WORSE = 0.3, 2.0
 #: So many effects take part before chance differences between trials are looked for.
 LIKELIEST = 2
 #: Trials shorter than so many samples do not tell how noise is coloured.
@@ -461,6 +463,8 @@ def why_not(state: State, found: Round, best: Refitted) -> str:
         return "it gains no more than noise alone may"
     if best.lost > LOST * (best.gain + best.lost):
         return "what it gains in some held-out folds it loses in others"
+    if float(np.mean(best.gains < -WORSE)) > LOSING:
+        return "it makes too many of the held-out folds worse"
     if best.size < NONE:
         return "its size is zero: the model itself has a better optimum"
     # a single fold tells nothing by itself: the effect was then read off it alone

@@ -187,10 +187,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
                 ((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9) * TIMES).astype(int), TIMES - 1
             )
             thirds.append(
-                [
-                    float(np.sqrt(np.nanmean([ratio(k, c, part == i) ** 2 for c in where.channels])))
-                    for i in range(TIMES)
-                ]
+                [_overall(np.array([ratio(k, c, part == i) for c in where.channels])) for i in range(TIMES)]
             )
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
         found["trial by time"] = (ids, labels, np.array(thirds))
@@ -243,3 +240,9 @@ def _curves(terms: Mapping[str, float]) -> list[tuple[str, str, Array, Array]]:
          get("constant") + get("speed") * speed + get("speed squared") * speed * np.abs(speed)),
         ("time over the trial's length", "1", time, get("constant") + get("time") * time),
     ]  # fmt: skip
+
+
+def _overall(ratios: Array) -> float:
+    """Of the channels that have samples there; NaN where none has."""
+    known = ratios[np.isfinite(ratios)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan

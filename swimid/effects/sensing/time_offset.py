@@ -77,8 +77,7 @@ class TimeOffset(Effect):
 
             def late(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
                 then = np.maximum(time_s - offset, time_s[0])
-                shifted = {c: CubicSpline(time_s, channels[c])(then) for c in POSES if c in channels}
-                return {**channels, **shifted}
+                return {**channels, **{c: _at(time_s, channels[c], then) for c in POSES if c in channels}}
 
             return Hooks(output=(late,) if offset != 0.0 and len(trial.time_s) > 3 else ())
         if not isinstance(model, RecoilModel):
@@ -93,3 +92,10 @@ class TimeOffset(Effect):
             return {**channels, SPEED: speed / longer}
 
         return Hooks(output=(seen,))
+
+
+def _at(time_s: Array, values: Array, then: Array) -> Array:
+    """A channel at other times; missing altogether where its simulation broke down."""
+    if not np.isfinite(values).all():
+        return np.full(len(then), np.nan)
+    return np.asarray(CubicSpline(time_s, values)(then))
