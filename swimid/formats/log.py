@@ -113,7 +113,7 @@ def _read_csv(
     path: Path, required: list[str], optional: list[str] | None
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
     comments, header, header_line = head(path)
-    metadata = _metadata(comments, path)
+    metadata = metadata_of(comments, path)
     names = column_names(header, path, header_line)
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
@@ -173,8 +173,14 @@ def _parse_with_care(
     return columns
 
 
-def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
-    """``# key: value`` lines as YAML, each on its own; a remark that is none is left out."""
+def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict[str, Any]:
+    """``# key: value`` lines as YAML, each on its own; a remark that is none is left out.
+
+    Raises
+    ------
+    InputError
+        Where a value is no YAML; without ``strict`` such a line counts as a remark.
+    """
     metadata: dict[str, Any] = {}
     for line in comments:
         key, colon, value = line.partition(":")
@@ -183,6 +189,8 @@ def _metadata(comments: list[str], path: Path) -> dict[str, Any]:
         try:
             parsed = yamlio.parse_scalar(value)
         except ValueError as error:
+            if not strict:
+                continue
             raise InputError(f"its comment line is not YAML 'key: value': {error}", file=path) from error
         metadata[key.strip()] = parsed
     return metadata
@@ -233,7 +241,7 @@ def _read_parquet(
         first = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"is no readable Parquet file: {first}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
-    metadata = _metadata(stored.decode("utf-8", "replace").splitlines(), path)
+    metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
     strict = {TIME, *required, *(optional or ())}
     columns = {}
     for name in wanted:

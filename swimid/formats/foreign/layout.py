@@ -1,0 +1,385 @@
+"""How a text file of columns is laid out: delimiter, header, decimal mark, what to skip."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+from swimid.errors import InputError
+from swimid.formats.delimited import MISSING, number
+from swimid.formats.foreign.base import Options
+
+#: Bytes looked at to find the layout.
+SAMPLE = 1 << 18
+_CANDIDATES = (",", ";", "\t", "|")
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d)?.*)?")
+_BLANK = re.compile(rb"[ \t]+")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What :func:`find` found.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the columns; ``"1"``, ``"2"``, ... where the file has no header.
+    kinds : list of {"number", "time", "text"}
+        Of the cells of each.
+    delimiter : str
+        One character; a space where any run of blanks separates.
+    first_line : int
+        Line of the first sample, from 1.
+    comments : list of str
+        Comment lines above the samples, without their mark.
+    units : list of str
+        Of the line of units under the header; empty without one.
+    """
+
+    names: list[str]
+    kinds: list[Literal["number", "time", "text"]]
+    delimiter: str
+    decimal: str
+    encoding: str
+    comment: str
+    first_line: int
+    headed: bool
+    blanks: bool
+    comments: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    missing: tuple[str, ...] = ()
+
+
+def find(path: Path, options: Options) -> Layout:
+    """The layout of a file: what the options say, else what its first lines show.
+
+    Raises
+    ------
+    InputError
+        When it is no text, is empty, or no line looks like samples.
+    """
+    notes: list[str] = []
+    encoding, text, whole = _text(path, options, notes)
+    lines = text.splitlines() if whole else text.splitlines()[:-1]
+    skip = options.skip_rows or 0
+    kept: list[tuple[int, str]] = []
+    comments: list[str] = []
+    for at, line in enumerate(lines, start=1):
+        if at <= skip or not line.strip():
+            continue
+        if line.lstrip().startswith(options.comment):
+            comments.append(line.lstrip()[len(options.comment) :])
+        else:
+            kept.append((at, line))
+    if not kept:
+        raise InputError("holds no samples", file=path)
+    delimiter, blanks = _delimiter([line for _, line in kept], options)
+    table = [(at, cells_of(line, delimiter, blanks)) for at, line in kept]
+    decimal = options.decimal or _decimal([cells for _, cells in table], delimiter)
+    width = Counter(len(cells) for _, cells in table).most_common(1)[0][0]
+    head, first = _split(table, width, decimal, options, path)
+    names, units, headed = _names(head, width)
+    missing = tuple(str(mark) for mark in options.missing)
+    samples = [cells for _, cells in table[first:] if len(cells) == width]
+    kinds = [_kind([cells[k] for cells in samples], decimal, missing) for k in range(width)]
+    if delimiter == "," and decimal == ",":
+        raise InputError("a comma cannot both separate cells and mark decimals", file=path)
+    if options.skip_rows is None and first > (2 if units else 1) and headed:
+        notes.append(f"{table[first][0] - 1} lines above the samples are not read as samples")
+    return Layout(
+        names,
+        kinds,
+        delimiter,
+        decimal,
+        encoding,
+        options.comment,
+        table[first][0],
+        headed,
+        blanks,
+        comments,
+        units,
+        notes,
+        missing,
+    )
+
+
+def _text(path: Path, options: Options, notes: list[str]) -> tuple[str, str, bool]:
+    """Encoding and decoded beginning of a file, and whether that is all of it."""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(SAMPLE)
+            whole = not stream.read(1)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    if not raw:
+        raise InputError("is empty", file=path)
+    encoding = options.encoding
+    if encoding is None:
+        marks = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+        encoding = next((name for mark, name in marks.items() if raw.startswith(mark)), "utf-8")
+    if "16" not in encoding and "32" not in encoding and b"\x00" in raw:
+        raise InputError(
+            "is no text file", file=path, hint="name its format under 'reader:' of the mapping: {kind: ...}"
+        )
+    if b"\n" not in raw and raw.count(b"\r") > 1:
+        raise InputError(
+            "its lines end with a carriage return alone",
+            file=path,
+            hint="save it with line feeds at the ends of lines",
+        )
+    try:
+        decoder = codecs.getincrementaldecoder(encoding)()
+        return encoding, decoder.decode(raw, final=whole), whole
+    except LookupError as error:
+        raise InputError(f"there is no encoding '{encoding}'", file=path) from error
+    except UnicodeDecodeError as error:
+        if options.encoding is not None:
+            line = raw[: error.start].count(b"\n") + 1
+            raise InputError(f"is not {encoding} text", file=path, line=line) from error
+    notes.append("is not UTF-8; read as Western European text (cp1252)")
+    return "cp1252", raw.decode("cp1252", "replace"), whole
+
+
+def cells_of(line: str, delimiter: str, blanks: bool) -> list[str]:
+    """The cells of one line."""
+    if blanks:
+        return line.split()
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except (csv.Error, StopIteration):
+        return line.split(delimiter)
+
+
+def _delimiter(lines: list[str], options: Options) -> tuple[str, bool]:
+    """What separates the cells, and whether a run of blanks counts once."""
+    wanted = options.delimiter
+    if wanted is not None:
+        if wanted.lower() in ("whitespace", "space", "spaces", " "):
+            return " ", True
+        wanted = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";"}.get(wanted.lower(), wanted)
+        if len(wanted) != 1 or ord(wanted) > 127 or wanted in '"\r\n':
+            raise InputError(f"'{wanted}' cannot separate cells", column="reader.delimiter")
+        return wanted, False
+    lines = lines[:200]
+    best, score = "", 0.0
+    for candidate in (*_CANDIDATES, " "):
+        counts = Counter(len(cells_of(line, candidate, candidate == " ")) for line in lines)
+        width, times = counts.most_common(1)[0]
+        # More lines of one width win; among equals the more cells, and a real delimiter over blanks.
+        points = (times / len(lines)) * (1 + min(width, 50) / 1000) if width > 1 else 0.0
+        if points > score + (0.2 if candidate == " " and best else 0.0):
+            best, score = candidate, points
+    return (best or ",", False) if best != " " else (" ", True)
+
+
+def _decimal(table: list[list[str]], delimiter: str) -> str:
+    if delimiter == ",":
+        return "."
+    cells = [cell.strip() for row in table[:200] for cell in row]
+    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
+    dots = sum(number(cell) is not None and "." in cell for cell in cells)
+    return "," if commas > dots else "."
+
+
+def value(cell: str, decimal: str) -> float | None:
+    """The number in a cell, or None where it is none."""
+    text = cell.strip()
+    if decimal == ",":
+        text = text.replace(",", ".") if "." not in text else "?"
+    return number(text)
+
+
+def _split(
+    table: list[tuple[int, list[str]]], width: int, decimal: str, options: Options, path: Path
+) -> tuple[list[list[str]], int]:
+    """The lines of names (and units) that stand above the samples, and where those begin."""
+
+    def looks_sampled(cells: list[str]) -> bool:
+        return any(value(c, decimal) is not None or _DATE.fullmatch(c.strip()) for c in cells)
+
+    if options.header is False:
+        return [], 0
+    if options.header is True:
+        first = 1
+        if len(table) > 2 and _are_units(table[1][1]):
+            first = 2
+        if len(table) <= first:
+            raise InputError("holds no samples under its header", file=path, line=table[0][0])
+        return [cells for _, cells in table[:first]], first
+    first = next(
+        (k for k, (_, cells) in enumerate(table) if len(cells) == width and looks_sampled(cells)), None
+    )
+    if first is None:
+        raise InputError(
+            "no line holds numbers",
+            file=path,
+            line=table[0][0],
+            hint="give delimiter or skip_rows under 'reader:'",
+        )
+    head = []
+    trailing = all(not cells[-1].strip() for _, cells in table[first:] if len(cells) == width)
+    for _, above in reversed(table[:first]):
+        # a delimiter at the end of every line of samples, and none under the names
+        cells = [*above, ""] if trailing and len(above) == width - 1 else above
+        if len(cells) != width:
+            break
+        head.insert(0, cells)
+        if not _are_units(cells):
+            break
+    return head, first
+
+
+def _are_units(cells: list[str]) -> bool:
+    from swimid.formats.units import UNITS, canonical
+
+    known = {name for units in UNITS.values() for name in units}
+    texts = [cell.strip().strip("[]()") for cell in cells if cell.strip()]
+    return (
+        bool(texts) and sum(canonical(text) in known or text in ("-", "1") for text in texts) > len(texts) / 2
+    )
+
+
+def _names(head: list[list[str]], width: int) -> tuple[list[str], list[str], bool]:
+    if not head:
+        return [str(k + 1) for k in range(width)], [], False
+    units = [cell.strip().strip("[]()") for cell in head[1]] if len(head) > 1 else []
+    if len(head) == 1 and _are_units(head[0]) and len(set(head[0])) < width:
+        return [str(k + 1) for k in range(width)], [c.strip().strip("[]()") for c in head[0]], False
+    names: list[str] = []
+    for at, cell in enumerate(head[0], start=1):
+        name = cell.strip().strip('"') or f"column {at}"
+        again = 2
+        while name in names:
+            name = f"{cell.strip()} ({again})"
+            again += 1
+        names.append(name)
+    return names, units, True
+
+
+def _kind(cells: list[str], decimal: str, missing: tuple[str, ...]) -> Literal["number", "time", "text"]:
+    known = [cell.strip() for cell in cells if cell.strip() not in MISSING and cell.strip() not in missing]
+    if not known:
+        return "number"
+    if sum(value(cell, decimal) is not None for cell in known) >= len(known) / 2:
+        return "number"
+    return "time" if sum(bool(_DATE.fullmatch(cell)) for cell in known) >= len(known) / 2 else "text"
+
+
+def readable(cell: str, found: Layout) -> bool:
+    """Whether a cell of a column of numbers is a number or marks a missing one."""
+    text = cell.strip()
+    return text in MISSING or text in found.missing or value(text, found.decimal) is not None
+
+
+def rows(path: Path, found: Layout) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of every sample, slowly."""
+    with path.open("r", encoding=found.encoding, errors="replace", newline="\n") as stream:
+        for at, line in enumerate(stream, start=1):
+            text = line.rstrip("\r\n")
+            if at < found.first_line or not text.strip() or text.lstrip().startswith(found.comment):
+                continue
+            yield at, cells_of(text, found.delimiter, found.blanks)
+
+
+def line_of(path: Path, found: Layout, wanted: Callable[[str], bool]) -> int | None:
+    """First line of samples that is as wanted."""
+    return next((at for at, cells in rows(path, found) if wanted(found.delimiter.join(cells))), None)
+
+
+def has_gaps(path: Path, found: Layout, samples: int) -> bool:
+    """Whether blank or comment lines stand among the samples."""
+    count, last = 0, b"\n"
+    with path.open("rb") as stream:
+        while piece := stream.read(1 << 22):
+            count += piece.count(b"\n")
+            last = piece[-1:]
+    return count + (last != b"\n") != found.first_line - 1 + samples
+
+
+class Samples(io.RawIOBase):
+    """The lines of samples as UTF-8 bytes, comments taken out and runs of blanks made one.
+
+    ``taken`` counts the bytes read of the file.
+    """
+
+    def __init__(self, path: Path, found: Layout) -> None:
+        super().__init__()
+        self._stream = path.open("rb")
+        self._found = found
+        self._decoder = codecs.getincrementaldecoder(found.encoding)("replace")
+        self._ready = b""
+        self._rest = b""
+        self._left_out = found.first_line - 1
+        self._mark = found.comment.encode()
+        self.taken = 0
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """The next ``size`` bytes, fewer only at the end."""
+        parts, have = [self._ready], len(self._ready)
+        while size < 0 or have < size:
+            piece = self._next()
+            if piece is None:
+                break
+            parts.append(piece)
+            have += len(piece)
+        whole = b"".join(parts)
+        cut = len(whole) if size < 0 else size
+        self._ready = whole[cut:]
+        return whole[:cut]
+
+    def _next(self) -> bytes | None:
+        raw = self._stream.read(1 << 22)
+        self.taken += len(raw)
+        if not raw and not self._rest:
+            return None
+        if self._found.encoding not in ("utf-8", "ascii"):
+            raw_text = self._decoder.decode(raw, final=not raw)
+            raw = raw_text.encode("utf-8") or b""
+        text = self._rest + raw
+        cut = text.rfind(b"\n") + 1 if self.taken and raw else len(text)
+        if raw and cut == 0:
+            self._rest = text
+            return b""
+        lines, self._rest = text[:cut], text[cut:]
+        while self._left_out and lines:
+            at = lines.find(b"\n")
+            lines = lines[at + 1 :] if at >= 0 else b""
+            self._left_out -= 1
+        return self._cleaned(lines)
+
+    def _cleaned(self, text: bytes) -> bytes:
+        if self._mark in text:
+            kept = (line for line in text.split(b"\n") if not line.lstrip().startswith(self._mark))
+            text = b"\n".join(kept)
+        if not self._found.blanks:
+            return text
+        return re.sub(rb"(?m)^ | (?=\r?$)", b"", _BLANK.sub(b" ", text))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+        super().close()
+
+    def __enter__(self) -> Samples:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> Any:
+        self.close()

@@ -1,0 +1,156 @@
+"""Units of foreign logs and their factors to SI, chosen by what the target column measures."""
+
+from __future__ import annotations
+
+import math
+
+from swimid.errors import suggestion
+
+_G = 9.80665  # standard gravity, ISO 80000-3
+_RPM = 2 * math.pi / 60
+
+#: What each ending of a column's name measures, longest endings first when matched.
+SUFFIXES: dict[str, str] = {
+    "s": "time",
+    "m": "length",
+    "rad": "angle",
+    "m_s": "speed",
+    "m_s2": "acceleration",
+    "rad_s": "turn rate",
+    "rad_s2": "angular acceleration",
+    "N": "force",
+    "Nm": "torque",
+    "kg": "mass",
+    "T": "magnetic flux density",
+    "V": "voltage",
+    "A": "current",
+    "W": "power",
+    "Pa": "pressure",
+    "Hz": "frequency",
+    "degC": "temperature",
+}
+#: Factor to SI of every unit, by what it measures.
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
+    "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
+    "angle": {
+        "rad": 1,
+        "deg": math.pi / 180,
+        "mrad": 1e-3,
+        "rev": 2 * math.pi,
+        "cdeg": math.pi / 18000,
+    },
+    "speed": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": 1852 / 3600},
+    "acceleration": {"m/s2": 1, "mm/s2": 1e-3, "cm/s2": 1e-2, "g": _G, "mg": 1e-3 * _G},
+    "turn rate": {
+        "rad/s": 1,
+        "deg/s": math.pi / 180,
+        "mrad/s": 1e-3,
+        "deg/h": math.pi / 648000,
+        "rpm": _RPM,
+        "rev/s": 2 * math.pi,
+    },
+    "angular acceleration": {"rad/s2": 1, "deg/s2": math.pi / 180},
+    "force": {"N": 1, "mN": 1e-3, "kN": 1e3, "gf": 1e-3 * _G, "kgf": _G, "lbf": 4.4482216152605},
+    "torque": {"Nm": 1, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
+    "mass": {"kg": 1, "g": 1e-3, "mg": 1e-6},
+    "magnetic flux density": {"T": 1, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "G": 1e-4, "mG": 1e-7},
+    "voltage": {"V": 1, "mV": 1e-3},
+    "current": {"A": 1, "mA": 1e-3},
+    "power": {"W": 1, "mW": 1e-3},
+    "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "mbar": 100, "bar": 1e5},
+    "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
+    "temperature": {"degC": 1},
+}
+_SPELLINGS = {
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "micros": "us",
+    "usec": "us",
+    "nsec": "ns",
+    "nanoseconds": "ns",
+    "metre": "m",
+    "metres": "m",
+    "meter": "m",
+    "meters": "m",
+    "radians": "rad",
+    "degree": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "dps": "deg/s",
+    "rps": "rev/s",
+    "gs": "g",
+    "gee": "g",
+    "gauss": "G",
+    "knots": "kn",
+    "N m": "Nm",
+    "N·m": "Nm",
+    "N*m": "Nm",
+    "C": "degC",
+    "°C": "degC",
+    "celsius": "degC",
+}
+
+
+def canonical(unit: str) -> str:
+    """A unit in the spelling of :data:`UNITS`; one it does not know comes back as it is.
+
+    >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
+    ('m/s2', 'deg/s', 'uT', 'm/s')
+    """
+    text = (
+        unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "2").replace("**", "").replace("^", "")
+    )
+    text = text.replace("meters per second", "m/s").replace("sec", "s") if "/" in text else text
+    for power, over in ((" s-2", "/s2"), (" s-1", "/s"), ("*s-2", "/s2"), ("*s-1", "/s"), ("/s/s", "/s2")):
+        text = text.replace(power, over)
+    known = {name for table in UNITS.values() for name in table}
+    for spelled in (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower()):
+        if spelled in known:
+            return spelled
+    top, over, below = text.partition("/")
+    joined = f"{_SPELLINGS.get(top.lower(), top)}/{below}" if over else text
+    return joined if joined in known else text
+
+
+def measured(column: str) -> str | None:
+    """What a column of a log measures, by the ending of its name; None where it has no unit.
+
+    >>> measured("yaw_rate_rad_s"), measured("x_m"), measured("valve")
+    ('turn rate', 'length', None)
+    """
+    for suffix in sorted(SUFFIXES, key=len, reverse=True):
+        if column.endswith(f"_{suffix}"):
+            return SUFFIXES[suffix]
+    return None
+
+
+def factor(unit: str, column: str) -> float:
+    """Factor from ``unit`` to the SI unit that a target column's name carries.
+
+    Raises
+    ------
+    ValueError
+        When the unit is unknown, or is not one of what the column measures.
+
+    >>> factor("g", "ax_m_s2"), factor("g", "load_kg"), factor("ms", "t_s")
+    (9.80665, 0.001, 0.001)
+    """
+    name = canonical(unit)
+    quantity = measured(column)
+    if quantity is None:
+        raise ValueError(
+            f"'{column}' names no unit to convert '{unit}' to; end it in one (x_m, yaw_rad), or give a factor"
+        )
+    table = UNITS[quantity]
+    if name in table:
+        return float(table[name])
+    others = [known for known, units in UNITS.items() if name in units]
+    if others:
+        raise ValueError(f"'{unit}' is a unit of {others[0]}, '{column}' is a {quantity}: {', '.join(table)}")
+    raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
