@@ -221,7 +221,8 @@ def _mapped(mapping: Mapping, path: Path, source: Source, progress: Progress) ->
     if count == 0:
         raise InputError("holds no samples", file=path)
     lines = source.lines(count)
-    metadata = {**metadata_of(source.comments, path, strict=False), **source.metadata, **mapping.metadata}
+    own = {key: _short(value) for key, value in source.metadata.items()}
+    metadata = {**metadata_of(source.comments, path, strict=False), **own, **mapping.metadata}
     columns: dict[str, NDArray[np.float64]] = {}
     if rate is not None:
         columns[TIME] = np.arange(count) / rate
@@ -246,6 +247,11 @@ def _mapped(mapping: Mapping, path: Path, source: Source, progress: Progress) ->
         notes.append(f"infinite values taken as missing in {', '.join(infinite)}")
     rows = np.arange(1, count + 1, dtype=np.int64) if lines is None else lines
     return MappedLog(path, columns, rows, metadata, notes)
+
+
+def _short(value: Any) -> Any:
+    """A remark of the file as one line."""
+    return value.strip().splitlines()[0][:120] if isinstance(value, str) and value.strip() else value
 
 
 def _resolve(key: str | int, source: Source, path: Path) -> str:

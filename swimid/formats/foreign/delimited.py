@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from swimid.formats.foreign.base import Chunk, Column, Options, Reader
 from swimid.formats.foreign.layout import Layout
 
 #: Bytes of the file that are parsed at a time.
-BLOCK = 8 << 20
+BLOCK = 32 << 20
+#: Bytes of them that one thread parses.
+PART = 1 << 20
 #: Rows of a wrong number of cells up to this share are left out; more of them are an error.
 RAGGED = 0.01
 
@@ -37,51 +40,46 @@ class DelimitedSource:
         self.notes = list(self.layout.notes)
         self.steps: int | None = self._size
         self._ragged: list[str] = []
+        self._unbroken = False
 
     def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
         """Pieces of :data:`BLOCK` bytes; dates where a column holds them, else numbers."""
+        found, kinds = self.layout, dict(zip(self.layout.names, self.layout.kinds, strict=True))
+        dates = [name for name in names if kinds[name] != "number"]
+        rows, lines = 0, 0
+        self._ragged.clear()
+        for text, count, taken in layout.blocks(self._path, found, BLOCK):
+            if text.strip():
+                table = self._parsed(text, names, dates)
+                piece = {name: table.column(name).to_numpy() for name in names}
+                for name in dates:
+                    piece[name] = self._dates(name, piece[name], rows)
+                if table.num_rows:
+                    yield piece
+                rows, lines = rows + table.num_rows, lines + count
+            step(taken)
+        self._unbroken = lines == rows
+        self._report_ragged(rows)
+
+    def _parsed(self, text: bytes, names: Sequence[str], dates: Sequence[str]) -> pa.Table:
         from pyarrow import csv
 
-        found, kinds = self.layout, dict(zip(self.layout.names, self.layout.kinds, strict=True))
-        text = [name for name in names if kinds[name] != "number"]
-        types = {name: pa.string() if name in text else pa.float64() for name in names}
-        done, rows = 0, 0
-        self._ragged.clear()
-        with layout.Samples(self._path, found) as stream:
-            try:
-                reader = csv.open_csv(
-                    pa.PythonFile(stream, mode="r"),
-                    read_options=csv.ReadOptions(block_size=BLOCK, column_names=found.names),
-                    parse_options=csv.ParseOptions(
-                        delimiter=found.delimiter,
-                        quote_char='"',
-                        invalid_row_handler=self._skip,
-                    ),
-                    convert_options=csv.ConvertOptions(
-                        include_columns=list(dict.fromkeys(names)),
-                        column_types=types,
-                        null_values=[*MISSING, *found.missing],
-                        strings_can_be_null=True,
-                        decimal_point=found.decimal,
-                    ),
-                )
-                for batch in reader:
-                    if batch.num_rows:
-                        piece = {
-                            name: np.asarray(batch.column(name).to_numpy(zero_copy_only=False))
-                            for name in names
-                        }
-                        for name in text:
-                            piece[name] = self._dates(name, piece[name], rows)
-                        yield piece
-                        rows += batch.num_rows
-                    step(min(stream.taken, self._size) - done)
-                    done = min(stream.taken, self._size)
-            except pa.ArrowInvalid as error:
-                if rows == 0 and "Empty CSV" in str(error):
-                    raise InputError("holds no samples", file=self._path) from error
-                raise self._explained(error, names) from error
-        self._report_ragged(rows)
+        found = self.layout
+        try:
+            return csv.read_csv(
+                pa.BufferReader(text),
+                read_options=csv.ReadOptions(block_size=PART, column_names=found.names),
+                parse_options=csv.ParseOptions(delimiter=found.delimiter, invalid_row_handler=self._skip),
+                convert_options=csv.ConvertOptions(
+                    include_columns=list(dict.fromkeys(names)),
+                    column_types={name: pa.string() if name in dates else pa.float64() for name in names},
+                    null_values=[*MISSING, *found.missing],
+                    strings_can_be_null=True,
+                    decimal_point=found.decimal,
+                ),
+            )
+        except pa.ArrowInvalid as error:
+            raise self._explained(error, names) from error
 
     def _skip(self, row: Any) -> str:
         self._ragged.append(row.text)
@@ -102,8 +100,8 @@ class DelimitedSource:
                 hint="give delimiter, header or skip_rows under 'reader:' of the mapping",
             )
         self.notes.append(
-            f"{len(self._ragged)} of {rows + len(self._ragged)} lines have a wrong number of cells and are left out"
-            f" (first: line {line})"
+            f"{len(self._ragged)} of {rows + len(self._ragged)} lines have a wrong number of cells and are "
+            f"left out (first: line {line})"
         )
 
     def _dates(self, name: str, cells: NDArray[Any], before: int) -> NDArray[Any]:
@@ -142,16 +140,17 @@ class DelimitedSource:
 
     def lines(self, count: int) -> NDArray[np.int64]:
         """Line of each sample, blank and comment lines counted."""
-        first = self.layout.first_line
-        if not layout.has_gaps(self._path, self.layout, count + len(self._ragged)):
+        if self._unbroken:
+            first = self.layout.first_line
             return np.arange(first, first + count, dtype=np.int64)
         skipped = {text.strip() for text in self._ragged}
+        delimiter = self.layout.delimiter
         numbers = (
             number
             for number, cells in layout.rows(self._path, self.layout)
-            if not skipped or self.layout.delimiter.join(cells).strip() not in skipped
+            if not skipped or delimiter.join(cells).strip() not in skipped
         )
-        return np.fromiter(numbers, dtype=np.int64)[:count]
+        return np.fromiter(islice(numbers, count), dtype=np.int64)
 
     def close(self) -> None:
         """Nothing is held open between readings."""

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal
+from typing import IO, Literal
 
 from swimid.errors import InputError
 from swimid.formats.delimited import MISSING, number
@@ -23,6 +21,7 @@ _CANDIDATES = (",", ";", "\t", "|")
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d)?.*)?")
 _BLANK = re.compile(rb"[ \t]+")
+_EDGES = re.compile(rb"(?m)^ | (?=\r?$)")
 
 
 @dataclass(frozen=True)
@@ -298,88 +297,36 @@ def line_of(path: Path, found: Layout, wanted: Callable[[str], bool]) -> int | N
     return next((at for at, cells in rows(path, found) if wanted(found.delimiter.join(cells))), None)
 
 
-def has_gaps(path: Path, found: Layout, samples: int) -> bool:
-    """Whether blank or comment lines stand among the samples."""
-    count, last = 0, b"\n"
-    with path.open("rb") as stream:
-        while piece := stream.read(1 << 22):
-            count += piece.count(b"\n")
-            last = piece[-1:]
-    return count + (last != b"\n") != found.first_line - 1 + samples
+def blocks(path: Path, found: Layout, size: int) -> Iterator[tuple[bytes, int, int]]:
+    """The samples as pieces of UTF-8 text made of whole lines, comments taken out.
 
-
-class Samples(io.RawIOBase):
-    """The lines of samples as UTF-8 bytes, comments taken out and runs of blanks made one.
-
-    ``taken`` counts the bytes read of the file.
+    Yields
+    ------
+    text : bytes
+    lines : int
+        Lines of the file it was made from.
+    taken : int
+        Bytes of the file it was made from.
     """
+    with path.open("rb") as raw:
+        stream: IO[bytes] = raw
+        if found.encoding not in ("utf-8", "ascii"):
+            stream = codecs.EncodedFile(raw, "utf-8", found.encoding, errors="replace")  # type: ignore[assignment]
+        for _ in range(found.first_line - 1):
+            stream.readline()
+        taken = 0
+        while text := stream.read(size):
+            if not text.endswith(b"\n"):
+                text += stream.readline()
+            lines = text.count(b"\n") + (not text.endswith(b"\n"))
+            here = raw.tell()
+            yield _cleaned(text, found), lines, here - taken
+            taken = here
 
-    def __init__(self, path: Path, found: Layout) -> None:
-        super().__init__()
-        self._stream = path.open("rb")
-        self._found = found
-        self._decoder = codecs.getincrementaldecoder(found.encoding)("replace")
-        self._ready = b""
-        self._rest = b""
-        self._left_out = found.first_line - 1
-        self._mark = found.comment.encode()
-        self.taken = 0
 
-    def readable(self) -> bool:
-        """Always."""
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        """The next ``size`` bytes, fewer only at the end."""
-        parts, have = [self._ready], len(self._ready)
-        while size < 0 or have < size:
-            piece = self._next()
-            if piece is None:
-                break
-            parts.append(piece)
-            have += len(piece)
-        whole = b"".join(parts)
-        cut = len(whole) if size < 0 else size
-        self._ready = whole[cut:]
-        return whole[:cut]
-
-    def _next(self) -> bytes | None:
-        raw = self._stream.read(1 << 22)
-        self.taken += len(raw)
-        if not raw and not self._rest:
-            return None
-        if self._found.encoding not in ("utf-8", "ascii"):
-            raw_text = self._decoder.decode(raw, final=not raw)
-            raw = raw_text.encode("utf-8") or b""
-        text = self._rest + raw
-        cut = text.rfind(b"\n") + 1 if self.taken and raw else len(text)
-        if raw and cut == 0:
-            self._rest = text
-            return b""
-        lines, self._rest = text[:cut], text[cut:]
-        while self._left_out and lines:
-            at = lines.find(b"\n")
-            lines = lines[at + 1 :] if at >= 0 else b""
-            self._left_out -= 1
-        return self._cleaned(lines)
-
-    def _cleaned(self, text: bytes) -> bytes:
-        if self._mark in text:
-            kept = (line for line in text.split(b"\n") if not line.lstrip().startswith(self._mark))
-            text = b"\n".join(kept)
-        if not self._found.blanks:
-            return text
-        return re.sub(rb"(?m)^ | (?=\r?$)", b"", _BLANK.sub(b" ", text))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
-        super().close()
-
-    def __enter__(self) -> Samples:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> Any:
-        self.close()
+def _cleaned(text: bytes, found: Layout) -> bytes:
+    """Without comment lines; runs of blanks made one where they separate."""
+    mark = found.comment.encode()
+    if mark in text:
+        text = b"\n".join(line for line in text.split(b"\n") if not line.lstrip().startswith(mark))
+    return _EDGES.sub(b"", _BLANK.sub(b" ", text)) if found.blanks else text
