@@ -1,0 +1,241 @@
+"""How a sensor sits in a body that another log follows: clock, mounting, and the first pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from swimid.errors import NoTrustworthyResult
+from swimid.inertial import clock, strapdown
+from swimid.inertial.attitude import Source
+from swimid.inertial.clock import Offset
+from swimid.inertial.record import Array, Record, angles, from_angles
+from swimid.signals.derivative import slope
+
+#: Slower than this is drift, s: of an integrated gyroscope, of a twice integrated accelerometer.
+SLOW_TURN_S, SLOW_WAY_S = 10.0, 2.0
+#: A reference that explains less of what was seen is of another trial.
+LEAST_EXPLAINED = 0.2
+
+
+@dataclass(frozen=True)
+class Poses:
+    """What another log says of the robot.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        On its own clock.
+    position : ndarray, shape (m, 3)
+        World axes, m; NaN where not measured.
+    roll, pitch, yaw : ndarray, shape (m,), or None
+        rad; signs of :func:`swimid.inertial.record.angles`.
+    """
+
+    time_s: Array
+    position: Array
+    roll: Array | None
+    pitch: Array | None
+    yaw: Array | None
+
+    @property
+    def full(self) -> bool:
+        """Whether all three angles are there."""
+        return self.roll is not None and self.pitch is not None and self.yaw is not None
+
+    @property
+    def rotation(self) -> Rotation:
+        """Body to world, m of them; angles that are not there or missing are 0."""
+        zero = np.zeros(len(self.time_s))
+        parts = [zero if a is None else np.nan_to_num(a) for a in (self.roll, self.pitch, self.yaw)]
+        return from_angles(*parts)
+
+    @property
+    def turned(self) -> np.ndarray:
+        """Which rows have every angle that the log has, shape (m,)."""
+        there = [np.isfinite(a) for a in (self.roll, self.pitch, self.yaw) if a is not None]
+        return np.all(there, axis=0) if there else np.zeros(len(self.time_s), dtype=bool)
+
+    def with_pitch_turned(self) -> Poses:
+        """The same with the other sign of pitch."""
+        return replace(self, pitch=None if self.pitch is None else -self.pitch)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A sensor's rates against a body's.
+
+    Attributes
+    ----------
+    offset : Offset
+        To add to the other log's times.
+    by : str
+        "turn rates", "yaw", "pitch" or "path".
+    mount : Rotation or None
+        Body to sensor, where three angles tell it.
+    handed : float
+        Determinant of the best matrix between rates: -1 where an axis is mirrored, 0 where they cannot tell.
+    scale : float
+        Size of the sensor's rates against the body's.
+    """
+
+    offset: Offset
+    by: str
+    mount: Rotation | None = None
+    handed: float = 0.0
+    scale: float = 1.0
+
+
+def fit_clocks(record: Record, source: Source, poses: Poses, *, widest_s: float | None = None) -> Fit:
+    """Clock offset, and with it what the turns tell of the mounting.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When nothing in the two logs moves together.
+    """
+    found = [fit for fit in (_by_turns(record, source, poses, widest_s), _by_path(record, source, poses, widest_s)) if fit]
+    good = [fit for fit in found if fit.offset.explained >= LEAST_EXPLAINED]
+    if not good:
+        best = max((fit.offset.explained for fit in found), default=0.0)
+        raise NoTrustworthyResult(
+            f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
+            "their clocks cannot be set",
+            hint="are they of the same trial, with units and axes right? --clock-offset-s gives the offset",
+        )
+    return min(good, key=lambda fit: fit.offset.stderr_s)
+
+
+def fit_at(record: Record, source: Source, poses: Poses, offset_s: float) -> Fit:
+    """The same for a clock offset that is given."""
+    given = Offset(offset_s, 0.0, offset_s, offset_s, np.nan, np.zeros((0, 0)), 0)
+    shifted = replace(poses, time_s=poses.time_s + offset_s)
+    if poses.full:
+        mount, handed, scale = _mount(record, shifted)
+        return Fit(given, "given", mount, handed, scale)
+    return Fit(given, "given")
+
+
+def _by_turns(record: Record, source: Source, poses: Poses, widest_s: float | None) -> Fit | None:
+    rows = np.flatnonzero(poses.turned)
+    if len(rows) < 16:
+        return None
+    t = poses.time_s[rows]
+    if poses.full:
+        turned = strapdown.integral(record.time_s, record.rate - record.rate.mean(axis=0))
+        found = clock.offset(
+            record.time_s, turned, t, _wound(poses.rotation[rows]), slow_s=SLOW_TURN_S, widest_s=widest_s
+        )
+        if found is None:
+            return None
+        mount, handed, scale = _mount(record, replace(poses, time_s=poses.time_s + found.value_s))
+        return Fit(found, "turn rates", mount, handed, scale)
+    name = "yaw" if poses.yaw is not None else "pitch"
+    seen = poses.yaw if poses.yaw is not None else poses.pitch
+    assert seen is not None
+    world = source.rotation.apply(record.rate)
+    axes = world[:, 2:] if name == "yaw" else record.rate
+    reference = strapdown.integral(record.time_s, axes - axes.mean(axis=0))
+    found = clock.offset(
+        record.time_s, reference, t, seen[rows, None], slow_s=SLOW_TURN_S, widest_s=widest_s
+    )
+    if found is None:
+        return None
+    scale = float(found.factors[0, 0]) if name == "yaw" else float(np.linalg.norm(found.factors))
+    return Fit(found, name, None, float(np.sign(scale)) if name == "yaw" else 0.0, 1 / abs(scale) if scale else 0.0)
+
+
+def _by_path(record: Record, source: Source, poses: Poses, widest_s: float | None) -> Fit | None:
+    axes = np.isfinite(poses.position).mean(axis=0) > 0.1
+    if not axes.any():
+        return None
+    force = source.rotation.apply(record.acceleration)
+    force = force - force.mean(axis=0)
+    way = strapdown.integral(record.time_s, strapdown.integral(record.time_s, force))
+    found = clock.offset(
+        record.time_s,
+        clock._without_slow(record.time_s, way, SLOW_WAY_S),
+        poses.time_s,
+        poses.position[:, axes],
+        slow_s=SLOW_WAY_S,
+        widest_s=widest_s,
+    )
+    return None if found is None else Fit(found, "path")
+
+
+def _wound(rotation: Rotation) -> Array:
+    """The body's turns added up, shape (m, 3): increments about body axes."""
+    steps = (rotation[:-1].inv() * rotation[1:]).as_rotvec()
+    return np.vstack([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+
+def _mount(record: Record, poses: Poses) -> tuple[Rotation, float, float]:
+    """Body to sensor from increments of turn and from the direction of gravity; handedness; scale.
+
+    Wahba's problem (1965, doi:10.1137/1007077), solved by SVD (Markley 1988). Gravity weighs as much as
+    all turns, so that a body that turns about one axis only is placed as well.
+    """
+    rows = np.flatnonzero(
+        poses.turned & (poses.time_s > record.time_s[0]) & (poses.time_s < record.time_s[-1])
+    )
+    rotation, t = poses.rotation[rows], poses.time_s[rows]
+    body = clock._without_slow(t, _wound(rotation), SLOW_TURN_S)
+    turned = strapdown.integral(record.time_s, record.rate - record.rate.mean(axis=0))
+    sensor = clock._without_slow(
+        t, np.column_stack([np.interp(t, record.time_s, c) for c in turned.T]), SLOW_TURN_S
+    )
+    up_body = rotation.inv().apply([0.0, 0.0, 1.0])
+    force = strapdown.integral(record.time_s, record.acceleration)
+    mean_force = np.column_stack([np.interp(t, record.time_s, c) for c in force.T])
+    window = np.clip(np.searchsorted(t, t + 1.0), 0, len(t) - 1)
+    span = np.maximum(t[window] - t, 1e-9)[:, None]
+    long = (t[window] - t) > 0.5
+    up_sensor = ((mean_force[window] - mean_force) / span)[long] / 9.81
+    joint = np.cumsum(up_body, axis=0)
+    count = np.maximum(window - np.arange(len(t)), 1)[:, None]
+    up_body = ((joint[window] - joint) / count)[long]
+    cross = sensor.T @ body / max(np.sum(body**2), 1e-30)
+    with_gravity = cross + (up_sensor.T @ up_body / max(len(up_body), 1) if long.any() else 0.0)
+    u, _, vt = np.linalg.svd(with_gravity)
+    proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    free = np.linalg.svd(cross)[1]
+    handed = float(np.sign(np.linalg.det(cross))) if free[2] > 0.02 * free[0] else 0.0
+    scale = float(np.sqrt(np.sum(sensor**2) / max(np.sum(body**2), 1e-30)))
+    return Rotation.from_matrix(u @ proper @ vt), handed, scale
+
+
+def world_turn(source: Source, record: Record, poses: Poses, mount: Rotation) -> Rotation:
+    """The turn from the source's world to that of the other log; poses on the record's clock."""
+    rows = np.flatnonzero(
+        poses.turned & (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
+    )
+    if len(rows) == 0:
+        return Rotation.identity()
+    near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
+    body = source.rotation[near] * mount
+    if poses.full:
+        return (poses.rotation[rows] * body.inv()).mean()
+    if poses.yaw is None:
+        return Rotation.identity()
+    off = poses.yaw[rows] - angles(body)[2]
+    return Rotation.from_rotvec([0.0, 0.0, float(np.angle(np.mean(np.exp(1j * off))))])
+
+
+def noise(time_s: Array, values: Array, least: float) -> float:
+    """Deviation of a channel's white noise, from its third differences (robust), at least ``least``.
+
+    The variance of a third difference of white noise is 20 times its own.
+    """
+    there = np.isfinite(values)
+    runs = np.convolve(there, np.ones(4), "valid") == 4
+    third = np.diff(np.nan_to_num(values), n=3)[runs]
+    if len(third) < 8:
+        return least
+    return max(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20), least)
+
+
+def speed(time_s: Array, values: Array) -> Array:
+    """Rate of change of a channel of another log, for a start and for comparison."""
+    return slope(time_s, values, 4 * float(np.median(np.diff(time_s))))

@@ -1,0 +1,80 @@
+"""Attitude of the sensor before any smoothing: its own quaternions, or a filter's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from swimid.inertial.record import Array, Record, rotations
+from swimid.inertial.rest import Rest
+
+
+@dataclass(frozen=True)
+class Source:
+    """An attitude at every sample.
+
+    Attributes
+    ----------
+    rotation : Rotation
+        Sensor to world, n of them.
+    heading : bool
+        Whether its yaw is held by something (a compass, the sensor's own filter).
+    kind : str
+        "quaternion columns", "gyroscope and accelerometer", "gyroscope, accelerometer and magnetometer".
+    """
+
+    rotation: Rotation
+    heading: bool
+    kind: str
+
+
+def estimate(record: Record, rests: list[Rest]) -> Source:
+    """The attitude to start from.
+
+    Quaternion columns are taken as they are. Without them the offline form of VQF (Laidig and Seel
+    2023, doi:10.1016/j.inffus.2022.10.014), which runs forwards and backwards, makes it from turn rates,
+    accelerations and, where there is one, the magnetic field; the yaw of the first sample is then 0,
+    or magnetic where there is a field.
+    """
+    if record.quaternion is not None:
+        return Source(rotations(record.quaternion), True, "quaternion columns")
+    import vqf
+
+    step = record.step_s
+    grid, even = _even(record)
+    rate = _on(grid, record.time_s, record.rate - still_rate(record, rests))
+    acceleration = _on(grid, record.time_s, record.acceleration)
+    field = None if record.magnetic is None else _on(grid, record.time_s, record.magnetic)
+    found = vqf.offlineVQF(rate, acceleration, field, step)
+    rotation = rotations(np.asarray(found["quat6D" if field is None else "quat9D"]))
+    if not even:
+        rotation = Slerp(grid, rotation)(np.clip(record.time_s, grid[0], grid[-1]))
+    if field is None:
+        yaw = rotation[0].as_euler("ZYX")[0]
+        return Source(
+            Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer"
+        )
+    # VQF's world is east-north-up; yaw is counted from x, which is east
+    return Source(rotation, True, "gyroscope, accelerometer and magnetometer")
+
+
+def still_rate(record: Record, rests: list[Rest]) -> Array:
+    """Mean turn rate of the still stretches, shape (3,); 0 where there are none."""
+    if not rests:
+        return np.zeros(3)
+    return np.asarray(np.vstack([record.rate[r.rows] for r in rests]).mean(axis=0))
+
+
+def _even(record: Record) -> tuple[Array, bool]:
+    t, step = record.time_s, record.step_s
+    if np.ptp(np.diff(t)) < 1e-3 * step:
+        return t, True
+    return np.arange(t[0], t[-1] + step, step), False
+
+
+def _on(grid: Array, time_s: Array, values: Array) -> Array:
+    if grid is time_s:
+        return np.ascontiguousarray(values)
+    return np.column_stack([np.interp(grid, time_s, column) for column in values.T])

@@ -1,0 +1,241 @@
+"""By how much the clocks of two logs of one trial differ, with an interval.
+
+One log says how the other should look at any instant, up to unknown factors and slow drift; the
+offset is where it looks most like it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, signal, stats
+
+from swimid.inertial.record import Array
+
+#: The likelihood is searched this far about the start, in periods of the signal.
+_SEARCH_PERIODS = 0.6
+#: Residuals this many seconds apart are taken as independent.
+_MEMORY_S = 1.0
+#: Least share of the shorter record that must overlap.
+_OVERLAP = 0.3
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What to add to the times of the seen log to have them on the reference's clock.
+
+    Attributes
+    ----------
+    value_s, stderr_s, low_s, high_s : float
+        Estimate, standard error and 95 % interval.
+    explained : float
+        Share of the variance of the seen channels, slow parts removed, that the reference explains.
+    factors : ndarray, shape (k, d)
+        What the reference channels were multiplied with.
+    samples : int
+    """
+
+    value_s: float
+    stderr_s: float
+    low_s: float
+    high_s: float
+    explained: float
+    factors: Array
+    samples: int
+
+    @property
+    def excludes_zero(self) -> bool:
+        """Whether clocks that agree lie outside the interval."""
+        return not self.low_s <= 0.0 <= self.high_s
+
+
+def offset(
+    time_s: Array,
+    reference: Array,
+    seen_time_s: Array,
+    seen: Array,
+    *,
+    slow_s: float = 5.0,
+    widest_s: float | None = None,
+) -> Offset | None:
+    """Estimate the offset between two clocks.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    reference : ndarray, shape (n, k)
+        Channels of the faster, smoother log (integrated turn rates, say).
+    seen_time_s : ndarray, shape (m,)
+    seen : ndarray, shape (m, d)
+        Channels of the other that are linear in the reference's, plus white noise and slow drift;
+        NaN where missing.
+    slow_s : float
+        Slower than this is drift, and left out of the comparison.
+    widest_s : float, optional
+        Largest offset looked for; default as far as the records overlap at all.
+
+    Returns
+    -------
+    Offset or None
+        None when the records hardly overlap, or nothing moves in both.
+
+    Notes
+    -----
+    The start is the peak of the cross-correlation, summed over pairs of channels. From there the
+    profile likelihood (Pawitan 2001, In All Likelihood, sec. 3.4) of the offset is maximised: factors,
+    drift (cosines slower than ``slow_s``) and the noise of every channel are solved for at each offset.
+    The interval holds offsets whose log likelihood is within 1.92 of the best, widened by what
+    correlated residuals add to the variance of the score (Newey and West 1987, doi:10.2307/1913610).
+
+    >>> t = np.arange(0.0, 20.0, 0.01)
+    >>> wave = np.sin(6 * t) + 0.3 * np.sin(14 * t)
+    >>> late = np.interp(t[::3] + 0.037, t, wave)
+    >>> found = offset(t, wave[:, None], t[::3], late[:, None] + 0.01 * np.cos(999 * t[::3, None] ** 2))
+    >>> abs(found.value_s - 0.037) < 0.001
+    True
+    """
+    there = np.isfinite(seen).all(axis=1)
+    if there.sum() < 16 or np.ptp(time_s) == 0:
+        return None
+    start = _correlate(time_s, reference, seen_time_s[there], seen[there], slow_s, widest_s)
+    if start is None:
+        return None
+    profile = _Profile(time_s, reference, seen_time_s[there], seen[there], slow_s)
+    half = _SEARCH_PERIODS * profile.period_s
+    grid = np.linspace(start - half, start + half, 61)
+    values = np.array([profile(shift) for shift in grid])
+    if not np.isfinite(values).any():
+        return None
+    best = float(grid[np.nanargmax(values)])
+    width = float(grid[1] - grid[0])
+    found = optimize.minimize_scalar(
+        lambda shift: -profile(shift), bounds=(best - width, best + width), method="bounded",
+        options={"xatol": 1e-6},
+    )
+    value = float(found.x)
+    stderr, widening = profile.spread(value)
+    if not np.isfinite(stderr):
+        return None
+    low, high = (_edge(profile, value, side, stderr, widening) for side in (-1.0, 1.0))
+    explained, factors, count = profile.quality(value)
+    return Offset(value, stderr, low, high, explained, factors, count)
+
+
+class _Profile:
+    """Log likelihood of an offset, everything else solved for."""
+
+    def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
+        self.t, self.reference = t, reference
+        self.seen_t, self.seen, self.slow_s = seen_t, seen, slow_s
+        fast = _without_slow(seen_t, seen, slow_s)
+        speed = np.gradient(fast, seen_t, axis=0)
+        lead = int(np.argmax(np.std(fast, axis=0)))
+        turning = float(np.std(speed[:, lead]))
+        self.period_s = 2 * np.pi * float(np.std(fast[:, lead])) / turning if turning else slow_s
+
+    def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
+        when = self.seen_t + shift
+        inside = (when >= self.t[0]) & (when <= self.t[-1])
+        if inside.sum() < 16:
+            return None
+        expected = np.column_stack([np.interp(when[inside], self.t, c) for c in self.reference.T])
+        both = _without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
+        k = expected.shape[1]
+        factors = np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0]
+        return both[:, :k], both[:, k:], factors, np.flatnonzero(inside)
+
+    def __call__(self, shift: float) -> float:
+        fitted = self.fit(shift)
+        if fitted is None:
+            return -np.inf
+        x, y, factors, _ = fitted
+        left = np.mean((y - x @ factors) ** 2, axis=0)
+        # per sample, so that a smaller overlap is no advantage
+        return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(left, 1e-30))))
+
+    def spread(self, shift: float) -> tuple[float, float]:
+        """Standard error, and the share of it in the variance that correlated residuals add."""
+        tiny = 1e-3 * self.period_s
+        here, after, before = self.fit(shift), self.fit(shift + tiny), self.fit(shift - tiny)
+        if here is None or after is None or before is None or len(after[3]) != len(before[3]):
+            return np.nan, 1.0
+        x, y, factors, rows = here
+        residual = y - x @ factors
+        slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
+        if len(slope) != len(residual):
+            return np.nan, 1.0
+        # what the other unknowns can imitate tells nothing of the offset
+        slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
+        variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
+        information = float(np.sum(slope**2 / variance))
+        score = np.sum(slope * residual / variance, axis=1)
+        step = float(np.median(np.diff(self.seen_t[rows])))
+        lags = min(int(_MEMORY_S / step), len(score) // 4)
+        total = float(score @ score)
+        for lag in range(1, lags + 1):
+            total += 2 * (1 - lag / (lags + 1)) * float(score[lag:] @ score[:-lag])
+        widening = max(total / information, 1.0) if information > 0 else np.inf
+        return float(np.sqrt(widening / information)) if information > 0 else np.nan, widening
+
+    def quality(self, shift: float) -> tuple[float, Array, int]:
+        fitted = self.fit(shift)
+        assert fitted is not None
+        x, y, factors, rows = fitted
+        share = 1 - float(np.sum((y - x @ factors) ** 2) / max(np.sum(y**2), 1e-30))
+        return share, factors, len(rows)
+
+
+def _edge(profile: _Profile, value: float, side: float, stderr: float, widening: float) -> float:
+    """Where the widened log likelihood has dropped by 1.92."""
+    drop = 0.5 * float(stats.chi2.ppf(0.95, 1)) * widening
+    best = profile(value)
+
+    def above(shift: float) -> float:
+        return profile(shift) - best + drop
+
+    far = value + side * 2 * stderr
+    for _ in range(8):
+        if above(far) < 0:
+            return float(optimize.brentq(above, *sorted((value, far)), xtol=1e-6))
+        far = value + 2 * (far - value)
+    return far
+
+
+def _without_slow(t: Array, channels: Array, slow_s: float) -> Array:
+    """Channels less their parts slower than ``slow_s``, by cosines."""
+    duration = float(t[-1] - t[0])
+    count = max(int(2 * duration / slow_s), 1) + 1
+    basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
+    q, _ = np.linalg.qr(basis)
+    return channels - q @ (q.T @ channels)
+
+
+def _correlate(
+    t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float, widest_s: float | None
+) -> float | None:
+    """Offset of the largest cross-correlation, summed over pairs of channels."""
+    step = float(np.median(np.diff(seen_t)))
+    a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
+    if len(a_t) < 16 or len(b_t) < 16:
+        return None
+    a = _normal(_without_slow(a_t, np.column_stack([np.interp(a_t, t, c) for c in reference.T]), slow_s))
+    b = _normal(_without_slow(b_t, np.column_stack([np.interp(b_t, seen_t, c) for c in seen.T]), slow_s))
+    lags = signal.correlation_lags(len(a), len(b))
+    overlap = signal.correlate(np.ones(len(a)), np.ones(len(b)))
+    score = np.zeros(len(lags))
+    for one in a.T:
+        for other in b.T:
+            score += (signal.correlate(one, other) / np.maximum(overlap, 1.0)) ** 2
+    shifts = lags * step + a_t[0] - b_t[0]
+    allowed = overlap >= _OVERLAP * min(len(a), len(b))
+    if widest_s is not None:
+        allowed &= np.abs(shifts) <= widest_s + step
+    if not allowed.any() or not np.any(score[allowed] > 0):
+        return None
+    return float(shifts[allowed][np.argmax(score[allowed])])
+
+
+def _normal(channels: Array) -> Array:
+    spread = np.std(channels, axis=0)
+    return channels[:, spread > 0] / spread[spread > 0]

@@ -1,0 +1,123 @@
+"""One recording of an inertial unit, and the angles its attitude is told in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
+RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+QUATERNION = ("qw", "qx", "qy", "qz")
+MAGNETIC = ("mx", "my", "mz")
+#: Standard gravity, m/s^2 (CGPM 1901).
+GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of one inertial unit, in the sensor's axes.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+    acceleration : ndarray, shape (n, 3)
+        Specific force, m/s^2.
+    rate : ndarray, shape (n, 3)
+        Turn rate, rad/s.
+    quaternion : ndarray, shape (n, 4), or None
+        w, x, y, z; sensor to world.
+    magnetic : ndarray, shape (n, 3), or None
+        Magnetic field, any unit.
+    filled_acceleration, filled_rate : ndarray of bool, shape (n,)
+        Samples that were not measured but bridged.
+    metadata : dict
+    name : str
+        The file's name, for messages.
+    """
+
+    time_s: Array
+    acceleration: Array
+    rate: Array
+    quaternion: Array | None = None
+    magnetic: Array | None = None
+    filled_acceleration: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    filled_rate: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    name: str = "the log"
+
+    def __post_init__(self) -> None:
+        for flags in ("filled_acceleration", "filled_rate"):
+            if len(getattr(self, flags)) != len(self.time_s):
+                object.__setattr__(self, flags, np.zeros(len(self.time_s), dtype=bool))
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def step_s(self) -> float:
+        """Typical sample time, s."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def take(self, rows: Any) -> Record:
+        """Only these rows."""
+        return Record(
+            self.time_s[rows],
+            self.acceleration[rows],
+            self.rate[rows],
+            None if self.quaternion is None else self.quaternion[rows],
+            None if self.magnetic is None else self.magnetic[rows],
+            self.filled_acceleration[rows],
+            self.filled_rate[rows],
+            self.metadata,
+            self.name,
+        )
+
+
+def rotations(quaternion: Array) -> Rotation:
+    """Rotations of quaternions written w, x, y, z, shape (n, 4)."""
+    return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+
+
+def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
+    """Roll, pitch and yaw, rad: turned by yaw about z, then pitch, then roll; pitch is nose up.
+
+    Nose up is counter-clockwise in the x-z plane, the sign of pitch in vertical-plane logs; roll is
+    port side up. Yaw is unwrapped.
+
+    >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
+    >>> [round(float(a[0]), 3) for a in angles(Rotation.concatenate([nose_up]))]
+    [0.0, 0.1, 0.0]
+    """
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at the pole roll is set to 0
+        yaw, pitch, roll = np.atleast_2d(rotation.as_euler("ZYX")).T
+    return roll, -pitch, np.unwrap(yaw)
+
+
+def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
+    """The inverse of :func:`angles`; all rad, shape (n,)."""
+    return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
+
+
+def level(up: Array) -> Rotation:
+    """The smallest turn that makes ``up``, shape (3,), the z axis.
+
+    >>> level(np.array([0.0, 2.0, 0.0])).apply([0.0, 1.0, 0.0]).round(9).tolist()
+    [0.0, 0.0, 1.0]
+    """
+    unit = np.asarray(up, dtype=float) / np.linalg.norm(up)
+    axis = np.cross(unit, [0.0, 0.0, 1.0])
+    size = float(np.linalg.norm(axis))
+    if size < 1e-12:
+        return Rotation.identity() if unit[2] > 0 else Rotation.from_rotvec([np.pi, 0.0, 0.0])
+    return Rotation.from_rotvec(axis / size * np.arctan2(size, unit[2]))
