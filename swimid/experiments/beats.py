@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from swimid.formats.trials import FreeSwimTrial
 from swimid.notices import warn
-from swimid.signals.beat import Beat
-
-#: A beat frequency this far from the metadata's contradicts it.
-TOLERANCE = 0.05
+from swimid.signals.beat import Beat, contradiction
 
 
 def facts(entry: FreeSwimTrial, beat: Beat | None, *, used: str) -> dict[str, float | str | None]:
@@ -26,17 +23,12 @@ def facts(entry: FreeSwimTrial, beat: Beat | None, *, used: str) -> dict[str, fl
     if beat is None:
         return found
     found.update(found_hz=beat.frequency_hz, stderr_hz=beat.stderr_hz)
-    if abs(beat.frequency_hz - stated) > max(TOLERANCE * stated, 3 * beat.stderr_hz):
-        ratio = beat.frequency_hz / stated
-        whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""
+    against = contradiction(beat, stated)
+    if against is not None:
         last = (
             "the measured frequency is used"
             if used == "measured"
             else "correct it if it is wrong: it is used"
         )
-        warn(
-            "SWM032",
-            f"{entry.id}: the heading beats at {beat.frequency_hz:.3f} ± {beat.stderr_hz:.3f} Hz{whole}, "
-            f"the trials file says {stated:g} Hz; {last}",
-        )
+        warn("SWM032", f"{entry.id}: the heading {against}, the trials file says {stated:g} Hz; {last}")
     return found

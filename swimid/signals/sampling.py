@@ -228,3 +228,46 @@ def quantum(values: Sequence[float] | np.ndarray) -> float:
         if np.mean(exact) >= 0.9 and np.max(np.abs(scaled)) < 1e14:
             return float(10.0**-decimals)
     return 0.0
+
+
+def longest_even(
+    time_s: np.ndarray, values: np.ndarray, fastest_hz: float, most: int = 20_000
+) -> tuple[np.ndarray, np.ndarray]:
+    """The longest stretch of a channel without a gap, on even steps.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        Strictly increasing times; NaN where missing.
+    fastest_hz : float
+        A faster channel is averaged down to this rate.
+    most : int
+        Samples that are enough; a longer stretch is cut.
+
+    Returns
+    -------
+    time_s, values : ndarray, shape (m,)
+        Empty where no two samples are there. Pauses up to six sample times are bridged by straight
+        lines, so that a spectrum can be taken; nothing else should be read off them.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2:
+        return np.empty(0), np.empty(0)
+    t = time_s[known]
+    step = float(np.median(np.diff(t)))
+    cuts = np.flatnonzero(np.diff(t) > 6 * step) + 1
+    t, x = max(
+        zip(np.split(t, cuts), np.split(values[known], cuts), strict=True), key=lambda part: len(part[0])
+    )
+    if len(t) < 2:
+        return np.empty(0), np.empty(0)
+    block = max(int(1 / (fastest_hz * step)), 1)
+    if block > 1:
+        count = min(len(t) // block, most)
+        t = t[: count * block].reshape(count, block).mean(axis=1)
+        x = x[: count * block].reshape(count, block).mean(axis=1)
+    t, x = t[:most], x[:most]
+    if len(t) < 2:
+        return np.empty(0), np.empty(0)
+    even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
+    return even, np.interp(even, t, x)
