@@ -12,7 +12,6 @@ from swimid.inertial import clock, strapdown
 from swimid.inertial.attitude import Source
 from swimid.inertial.clock import Offset
 from swimid.inertial.record import Array, Record, angles, from_angles
-from swimid.signals.derivative import slope
 
 #: Slower than this is drift, s: of an integrated gyroscope, of a twice integrated accelerometer.
 SLOW_TURN_S, SLOW_WAY_S = 10.0, 2.0
@@ -151,12 +150,9 @@ def _by_path(record: Record, source: Source, poses: Poses, widest_s: float | Non
     axes = np.isfinite(poses.position).mean(axis=0) > 0.1
     if not axes.any():
         return None
-    force = source.rotation.apply(record.acceleration)
-    force = force - force.mean(axis=0)
-    way = strapdown.integral(record.time_s, strapdown.integral(record.time_s, force))
     found = clock.offset(
         record.time_s,
-        clock._without_slow(record.time_s, way, SLOW_WAY_S),
+        _way(record, source),
         poses.time_s,
         poses.position[:, axes],
         slow_s=SLOW_WAY_S,
@@ -181,9 +177,9 @@ def _mount(record: Record, poses: Poses) -> tuple[Rotation, float, float]:
         poses.turned & (poses.time_s > record.time_s[0]) & (poses.time_s < record.time_s[-1])
     )
     rotation, t = poses.rotation[rows], poses.time_s[rows]
-    body = clock._without_slow(t, _wound(rotation), SLOW_TURN_S)
+    body = clock.without_slow(t, _wound(rotation), SLOW_TURN_S)
     turned = strapdown.integral(record.time_s, record.rate - record.rate.mean(axis=0))
-    sensor = clock._without_slow(
+    sensor = clock.without_slow(
         t, np.column_stack([np.interp(t, record.time_s, c) for c in turned.T]), SLOW_TURN_S
     )
     up_body = rotation.inv().apply([0.0, 0.0, 1.0])
@@ -223,7 +219,29 @@ def world_turn(source: Source, record: Record, poses: Poses, mount: Rotation) ->
     return Rotation.from_rotvec([0.0, 0.0, float(np.angle(np.mean(np.exp(1j * off))))])
 
 
-def noise(time_s: Array, values: Array, least: float) -> float:
+def turn_of_paths(record: Record, source: Source, poses: Poses) -> Rotation:
+    """The turn about the vertical that lays the reckoned path on the seen one; poses on the record's clock."""
+    way = _way(record, source)
+    inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
+    rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
+    if len(rows) < 16:
+        return Rotation.identity()
+    t = poses.time_s[rows]
+    reckoned = np.column_stack([np.interp(t, record.time_s, c) for c in way[:, :2].T])
+    both = clock.without_slow(t, np.hstack([reckoned, poses.position[rows, :2]]), SLOW_WAY_S)
+    cross = both[:, :2].T @ both[:, 2:]
+    return Rotation.from_rotvec([0.0, 0.0, float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))])
+
+
+def _way(record: Record, source: Source) -> Array:
+    """Accelerations integrated twice, world axes, without what is slower than :data:`SLOW_WAY_S`."""
+    force = source.rotation.apply(record.acceleration)
+    force = force - force.mean(axis=0)
+    way = strapdown.integral(record.time_s, strapdown.integral(record.time_s, force))
+    return clock.without_slow(record.time_s, way, SLOW_WAY_S)
+
+
+def noise(values: Array, least: float) -> float:
     """Deviation of a channel's white noise, from its third differences (robust), at least ``least``.
 
     The variance of a third difference of white noise is 20 times its own.
@@ -234,8 +252,3 @@ def noise(time_s: Array, values: Array, least: float) -> float:
     if len(third) < 8:
         return least
     return max(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20), least)
-
-
-def speed(time_s: Array, values: Array) -> Array:
-    """Rate of change of a channel of another log, for a start and for comparison."""
-    return slope(time_s, values, 4 * float(np.median(np.diff(time_s))))

@@ -98,6 +98,8 @@ def offset(
     there = np.isfinite(seen).all(axis=1)
     if there.sum() < 16 or np.ptp(time_s) == 0:
         return None
+    if np.median(np.diff(seen_time_s[there])) > 0.2 * slow_s:
+        return None  # too sparse to show anything faster than drift
     start = _correlate(time_s, reference, seen_time_s[there], seen[there], slow_s, widest_s)
     if start is None:
         return None
@@ -128,7 +130,7 @@ class _Profile:
     def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
         self.t, self.reference = t, reference
         self.seen_t, self.seen, self.slow_s = seen_t, seen, slow_s
-        fast = _without_slow(seen_t, seen, slow_s)
+        fast = without_slow(seen_t, seen, slow_s)
         speed = np.gradient(fast, seen_t, axis=0)
         lead = int(np.argmax(np.std(fast, axis=0)))
         turning = float(np.std(speed[:, lead]))
@@ -140,7 +142,7 @@ class _Profile:
         if inside.sum() < 16:
             return None
         expected = np.column_stack([np.interp(when[inside], self.t, c) for c in self.reference.T])
-        both = _without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
+        both = without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
         k = expected.shape[1]
         factors = np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0]
         return both[:, :k], both[:, k:], factors, np.flatnonzero(inside)
@@ -202,7 +204,7 @@ def _edge(profile: _Profile, value: float, side: float, stderr: float, widening:
     return far
 
 
-def _without_slow(t: Array, channels: Array, slow_s: float) -> Array:
+def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
     """Channels less their parts slower than ``slow_s``, by cosines."""
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
@@ -219,14 +221,19 @@ def _correlate(
     a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
     if len(a_t) < 16 or len(b_t) < 16:
         return None
-    a = _normal(_without_slow(a_t, np.column_stack([np.interp(a_t, t, c) for c in reference.T]), slow_s))
-    b = _normal(_without_slow(b_t, np.column_stack([np.interp(b_t, seen_t, c) for c in seen.T]), slow_s))
+    a = _normal(without_slow(a_t, np.column_stack([np.interp(a_t, t, c) for c in reference.T]), slow_s))
+    b = _normal(without_slow(b_t, np.column_stack([np.interp(b_t, seen_t, c) for c in seen.T]), slow_s))
     lags = signal.correlation_lags(len(a), len(b))
-    overlap = signal.correlate(np.ones(len(a)), np.ones(len(b)))
-    score = np.zeros(len(lags))
-    for one in a.T:
-        for other in b.T:
-            score += (signal.correlate(one, other) / np.maximum(overlap, 1.0)) ** 2
+    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+    overlap = signal.correlate(ones_a, ones_b)
+    alike = np.zeros(len(lags))
+    for other in b.T:
+        energy_b = np.maximum(signal.correlate(ones_a, other**2), 1e-3 * np.sum(other**2))
+        for one in a.T:
+            energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
+            alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
+    # the likelihood's gain: a short overlap that looks alike by chance does not win
+    score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
     shifts = lags * step + a_t[0] - b_t[0]
     allowed = overlap >= _OVERLAP * min(len(a), len(b))
     if widest_s is not None:

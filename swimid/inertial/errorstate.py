@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from swimid.inertial.record import GRAVITY_M_S2, Array
 
@@ -146,6 +147,13 @@ def smooth(
     transition, noise : ndarray, shape (nodes - 1, states, states)
     observations : list of Observation
     """
+    with threadpool_limits(1):  # threads cost more than they bring at this size
+        return _smooth(start_mean, start, transition, noise, observations)
+
+
+def _smooth(
+    start_mean: Array, start: Array, transition: Array, noise: Array, observations: list[Observation]
+) -> Errors:
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
     for observation in observations:

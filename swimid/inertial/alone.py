@@ -1,0 +1,134 @@
+"""Motion from an inertial unit alone, and what its user declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from swimid.inertial import aiding, smoother
+from swimid.inertial import rest as resting
+from swimid.inertial.attitude import Source, still_rate
+from swimid.inertial.mounting import Mount
+from swimid.inertial.record import Array, Record
+from swimid.inertial.rest import Noise, Rest
+from swimid.inertial.sensor import (
+    FILTER_SD,
+    QUATERNION_SD,
+    SHEET_ACCELERATION_NOISE,
+    SHEET_RATE_NOISE,
+    Sensor,
+)
+from swimid.inertial.smoother import Aid, Mounting, Smoothed, Start
+
+#: Which found rests count as rests of the body and not only of its noise.
+RestUse = Literal["ends", "all", "none"]
+#: Axes whose mean may be declared to be 0.
+MEANS = {"sway": 1, "heave": 2}
+#: Speed of a start that is not a rest, deviation, m/s.
+START_SPEED_SD = 1.0
+#: Roll, pitch and yaw at the first sample, deviation, rad: of a filter's tilt, of the zero of yaw.
+START_TILT_SD, YAW_ZERO_SD = 0.05, 1e-6
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What the user says of the motion.
+
+    Attributes
+    ----------
+    still : list of (float, float)
+        Times between which the body is at rest, s.
+    rests : str
+        ``ends``: found rests at the start and end of the log are rests of the body; ``all``: every one;
+        ``none``: they only tell biases and noise.
+    zero_mean : tuple of str
+        ``sway``, ``heave``: body velocities whose mean over a window is 0.
+    window_s, mean_sd : float
+        Length of that window, s, and how far the mean may be from 0, m/s.
+    lever_m : ndarray, shape (3,)
+        The sensor's place seen from the reference point, body axes, m.
+    """
+
+    still: list[tuple[float, float]] = field(default_factory=list)
+    rests: RestUse = "ends"
+    zero_mean: tuple[str, ...] = ()
+    window_s: float = 2.0
+    mean_sd: float = 0.02
+    lever_m: Array | None = None
+
+
+@dataclass(frozen=True)
+class Stillness:
+    """Still stretches, which of them are rests, and the noise they tell."""
+
+    found: list[Rest]
+    used: list[Rest]
+    noise: Noise
+
+
+def stillness(record: Record, sensor: Sensor, declared: Declared) -> Stillness:
+    """Find still stretches and decide which are rests."""
+    found = resting.find(record)
+    named = resting.declared(record, declared.still)
+    ends = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}[declared.rests]
+    free = [r for r in found if not any(r.first < d.last and d.first < r.last for d in named)]
+    used = sorted([*named, *(r for r in free if r.at in ends)], key=lambda r: r.first)
+    still = sorted([*named, *free], key=lambda r: r.first)
+    told = resting.noise(record, still)
+    sheet = Noise(SHEET_ACCELERATION_NOISE, SHEET_RATE_NOISE, "data sheet")
+    base = told or sheet
+    given = sensor.acceleration_noise is not None or sensor.rate_noise is not None
+    noise = Noise(
+        base.acceleration if sensor.acceleration_noise is None else sensor.acceleration_noise,
+        base.rate if sensor.rate_noise is None else sensor.rate_noise,
+        "given" if given else base.source,
+    )
+    return Stillness(still, used, noise)
+
+
+def lever_to_reference(mount: Mount, declared: Declared) -> Array:
+    """From the sensor to the reference point, sensor axes, m, shape (3,)."""
+    if declared.lever_m is None:
+        return np.zeros(3)
+    return np.asarray(mount.rotation.apply(-np.asarray(declared.lever_m, dtype=float)))
+
+
+def common_aids(
+    record: Record, source: Source, still: Stillness, sensor: Sensor, declared: Declared
+) -> list[Aid]:
+    """Everything known without another log."""
+    only_still = [r for r in still.found if r not in still.used]
+    sd = sensor.attitude_sd or (QUATERNION_SD if source.kind == "quaternion columns" else FILTER_SD)
+    return [
+        aiding.rests(record, still.used, still.noise),
+        aiding.biases(record, only_still, still.noise),
+        aiding.attitudes(source, sd),
+        *(aiding.zero_mean(MEANS[name], declared.window_s, declared.mean_sd) for name in declared.zero_mean),
+    ]
+
+
+def run(
+    record: Record,
+    source: Source,
+    still: Stillness,
+    mount: Mount,
+    sensor: Sensor,
+    declared: Declared,
+    *,
+    advance: Callable[[], None] = lambda: None,
+) -> Smoothed:
+    """The likeliest motion, from the origin of the world."""
+    at_rest = bool(still.used) and still.used[0].first == 0
+    yaw_sd = (sensor.attitude_sd or QUATERNION_SD) if source.heading else YAW_ZERO_SD
+    start = Start(
+        source.rotation[0],
+        velocity_sd=aiding.REST_SPEED_SD if at_rest else START_SPEED_SD,
+        rotation_sd=(START_TILT_SD, START_TILT_SD, yaw_sd),
+        rate_bias=still_rate(record, still.found),
+    )
+    mounting = Mounting(mount.rotation, lever_to_reference(mount, declared))
+    aids = common_aids(record, source, still, sensor, declared)
+    return smoother.run(record, start, mounting, sensor, still.noise, aids, advance=advance)

@@ -1,0 +1,49 @@
+"""Faults of recording: one module each, tried in this order."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from swimid.inertial.faults import (
+    acceleration_unit,
+    axes,
+    dead,
+    dropped,
+    held,
+    jitter,
+    missing,
+    order,
+    rate_unit,
+    saturated,
+)
+from swimid.inertial.faults.base import Finding
+from swimid.inertial.record import Record
+
+#: A new fault is a module with ``NAME`` and ``check`` (:class:`swimid.inertial.faults.base.Fault`) and a place here.
+FAULTS: tuple[ModuleType, ...] = (
+    order,
+    missing,
+    dead,
+    held,
+    saturated,
+    acceleration_unit,
+    dropped,
+    jitter,
+    rate_unit,
+    axes,
+)
+
+
+def mend(record: Record) -> tuple[Record, list[Finding]]:
+    """The record with every fault found and repaired, and what was found.
+
+    Raises
+    ------
+    InputError
+        Of the first fault that cannot be repaired.
+    """
+    findings: list[Finding] = []
+    for fault in FAULTS:
+        record, found = fault.check(record)
+        findings += found
+    return record, findings

@@ -1,0 +1,63 @@
+"""Axes that are swapped or flipped: gyroscope against accelerometer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.inertial.faults.base import Finding, up_turning
+from swimid.inertial.faults.rate_unit import VISIBLE
+from swimid.inertial.record import Record
+
+NAME = "swapped or flipped axes"
+#: Another arrangement must leave this much less of gravity's turning than the one in the log, and
+#: less than the runner-up among those that do the same to the axes that turn.
+BETTER, DECIDED = 0.5, 0.8
+_LETTERS = "xyz"
+
+
+def check(record: Record) -> tuple[Record, list[Finding]]:
+    """Try all 48 arrangements of the gyroscope's axes on how gravity turns in the accelerometer.
+
+    A turn about the vertical, and one that is too small to see against accelerations, tells nothing;
+    then this says that it cannot.
+    """
+    seen, up, turned = up_turning(record)
+    if len(seen) < 16 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
+        return record, [
+            Finding(NAME, "noted", "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's")
+        ]
+    scores = []
+    total = float(np.sum((seen - seen.mean(axis=0)) ** 2))
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            expected = -np.cross(turned[:, order] * signs, up)
+            left = seen - expected
+            scores.append((float(np.sum((left - left.mean(axis=0)) ** 2)) / total, order, signs))
+    as_is = next(s for s, order, signs in scores if order == (0, 1, 2) and signs == (1.0, 1.0, 1.0))
+    scores.sort(key=lambda entry: entry[0])
+    best, order, signs = scores[0]
+    if best > BETTER * as_is or best > 0.5:
+        return record, []
+    rivals = [s for s, _, _ in scores[1:]]
+    arrangement = ", ".join(
+        f"w{_LETTERS[i]} from {'-' if s < 0 else ''}w{_LETTERS[o]}"
+        for i, (o, s) in enumerate(zip(order, signs, strict=True))
+        if o != i or s < 0
+    )
+    if rivals and best > DECIDED * rivals[0]:
+        raise InputError(
+            "the gyroscope's axes do not fit the accelerometer's (some are swapped or flipped), and the "
+            f"tilting in this log does not tell which; {arrangement} fits best",
+            file=record.name,
+            column="wx_rad_s ... wz_rad_s",
+            hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
+        )
+    text = (
+        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of gravity's "
+        f"turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
+    )
+    return replace(record, rate=record.rate[:, order] * np.asarray(signs)), [Finding(NAME, "handled", text)]

@@ -1,0 +1,22 @@
+"""Samples repeated under new stamps: a logger that asks faster than the sensor answers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swimid.inertial.faults.base import Finding, bridged
+from swimid.inertial.record import Record
+
+NAME = "repeated samples"
+
+
+def check(record: Record) -> tuple[Record, list[Finding]]:
+    """Bridge samples that repeat the one before in every channel."""
+    both = np.hstack([record.acceleration, record.rate])
+    same = np.concatenate(([False], np.all(np.diff(both, axis=0) == 0, axis=1)))
+    count = int(same.sum())
+    if not count or count > 0.9 * len(same):
+        return record, []
+    text = f"{count} samples repeat the one before in every channel; bridged from the true ones"
+    flags = np.repeat(same[:, None], 3, axis=1)
+    return bridged(record, flags, flags), [Finding(NAME, "handled", text, count)]

@@ -1,0 +1,63 @@
+"""Turn rates in degrees per second where radians are said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.inertial.faults.base import Finding, up_turning
+from swimid.inertial.record import Record, rotations
+from swimid.inertial.sensor import DEG
+
+NAME = "turn-rate unit"
+#: Where nothing else tells: no swimmer turns faster than this all the time (99th percentile), rad/s.
+FASTEST = 12.0
+#: A turn of gravity over a second that can be seen, rad.
+VISIBLE = 0.02
+
+
+def check(record: Record) -> tuple[Record, list[Finding]]:
+    """Compare with how gravity, or the quaternions, turn; else with what a swimmer can do."""
+    scale = _against_quaternion(record)
+    by = "the quaternions"
+    if scale is None:
+        scale, by = _against_gravity(record), "gravity in the accelerometer"
+    if scale is None:
+        fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
+        if fast <= FASTEST:
+            return record, []
+        scale, by = DEG, f"what a swimmer can do ({fast:.0f} rad/s)"
+    if abs(np.log(scale / DEG)) < abs(np.log(scale)):
+        text = f"turn rates are in deg/s (judged by {by}), converted"
+        return replace(record, rate=record.rate * DEG), [Finding(NAME, "handled", text)]
+    return record, []
+
+
+def _against_gravity(record: Record) -> float | None:
+    """Factor from logged rates to rates that turn gravity as seen; None where it hardly turns."""
+    seen, up, turned = up_turning(record)
+    if len(seen) < 16:
+        return None
+    expected = -np.cross(turned - np.median(turned, axis=0), up)
+    seen = seen - np.median(seen, axis=0)
+    power = float(np.sum(expected**2))
+    if power == 0 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
+        return None
+    agreement = float(np.sum(expected * seen)) / np.sqrt(power * float(np.sum(seen**2)))
+    if abs(agreement) < 0.5:
+        return None
+    return abs(float(np.sum(expected * seen)) / power)
+
+
+def _against_quaternion(record: Record) -> float | None:
+    if record.quaternion is None:
+        return None
+    stride = max(round(0.1 / record.step_s), 1)
+    rotation = rotations(record.quaternion[::stride])
+    steps = (rotation[:-1].inv() * rotation[1:]).as_rotvec()
+    if np.sqrt(np.mean(np.sum(steps**2, axis=1))) < 1e-3:
+        return None
+    total = np.concatenate([[np.zeros(3)], np.cumsum(record.rate, axis=0)]) * record.step_s
+    turned = np.diff(total[: len(record) : stride], axis=0)[: len(steps)]
+    return float(np.sqrt(np.sum(steps**2) / max(np.sum((turned - turned.mean(axis=0)) ** 2), 1e-30)))

@@ -1,0 +1,49 @@
+"""Channels clipped at the end of their range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.inertial.faults.base import Finding, bridged, runs
+from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
+
+NAME = "saturated channel"
+#: A value is the end of the range when it is an extreme held in this many runs of two or more samples.
+RUNS, RUN_LENGTH = 3, 2
+#: More of a channel clipped than this share: refused.
+MOST = 0.05
+
+
+def check(record: Record) -> tuple[Record, list[Finding]]:
+    """Bridge clipped samples, which hide how far the motion went; refuse where they are many."""
+    clipped = [np.column_stack([_clipped(c) for c in v.T]) for v in (record.acceleration, record.rate)]
+    names = [*ACCELERATION, *RATE]
+    share = np.concatenate([c.mean(axis=0) for c in clipped])
+    if not share.any():
+        return record, []
+    worst = int(np.argmax(share))
+    limit = float(np.max(np.abs(np.hstack([record.acceleration, record.rate])[:, worst])))
+    if share[worst] > MOST:
+        raise InputError(
+            f"{100 * share[worst]:.1f} % of the samples are clipped at {limit:.4g}",
+            file=record.name,
+            column=names[worst],
+            hint="use a sensor, or a setting, with a larger range",
+        )
+    count = int(np.hstack(clipped).any(axis=1).sum())
+    which = ", ".join(n for n, s in zip(names, share, strict=True) if s)
+    text = f"{count} samples clipped at the end of the range in {which}; bridged, and the path known worse there"
+    return bridged(record, clipped[0], clipped[1]), [Finding(NAME, "handled", text, count)]
+
+
+def _clipped(values: Array) -> Flags:
+    flags = np.zeros(len(values), dtype=bool)
+    for extreme in (float(np.max(values)), float(np.min(values))):
+        at = values == extreme
+        held = [(a, b) for a, b in runs(at) if b - a >= RUN_LENGTH]
+        # noise reaches its extreme once; a coarse channel at rest holds few values, all of them near
+        far = abs(extreme - np.median(values)) > 4 * np.median(np.abs(values - np.median(values)))
+        if len(held) >= RUNS and far:
+            flags |= at
+    return flags

@@ -1,0 +1,100 @@
+"""Velocity and position as Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159) compute them.
+
+Section 5, step by step: the constant part of the readings is filtered off for each motion mode, small
+readings are set to zero, accelerations and turn rates are turned to the earth's axes (Eqs 10 and 11), and
+velocity and position follow by the trapezoidal rule (Eqs 12 and 13). The paper states neither the filter
+nor the threshold; the readings taken are said below. It gives no uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from swimid.inertial import strapdown
+from swimid.inertial.record import Array, Record
+
+Mode = Literal["marching", "receding", "rotating"]
+#: Readings below these are set to 0: m/s^2 and rad/s. The paper: "small and not very clear".
+THRESHOLD_M_S2, THRESHOLD_RAD_S = 0.02, 0.01
+
+
+@dataclass(frozen=True)
+class PaperMotion:
+    """Motion by the paper's steps, each kept.
+
+    Attributes
+    ----------
+    acceleration_body, rate_body : ndarray, shape (n, 3)
+        After the constant part and small readings are gone (a_f and omega_f).
+    acceleration, rate : ndarray, shape (n, 3)
+        Earth axes, Eqs 10 and 11.
+    velocity, position : ndarray, shape (n, 3)
+        Earth axes, Eqs 12 and 13, from rest at the origin.
+    removed_acceleration, removed_rate : ndarray, shape (3,)
+        The constant parts.
+    """
+
+    acceleration_body: Array
+    rate_body: Array
+    acceleration: Array
+    rate: Array
+    velocity: Array
+    position: Array
+    removed_acceleration: Array
+    removed_rate: Array
+
+
+def constant_part(values: Array, kept_axes: tuple[int, ...] = ()) -> Array:
+    """Mean of each channel, 0 for axes whose constant part is motion, shape (3,)."""
+    mean = np.asarray(values.mean(axis=0))
+    mean[list(kept_axes)] = 0.0
+    return mean
+
+
+def thresholded(values: Array, threshold: float) -> Array:
+    """Readings below the threshold set to 0 ("discarded", sec. 5.2).
+
+    >>> thresholded(np.array([0.01, -0.3]), 0.02).tolist()
+    [0.0, -0.3]
+    """
+    return np.where(np.abs(values) < threshold, 0.0, values)
+
+
+def integrate(
+    record: Record,
+    attitude: Rotation,
+    mode: Mode,
+    *,
+    threshold_m_s2: float = THRESHOLD_M_S2,
+    threshold_rad_s: float = THRESHOLD_RAD_S,
+) -> PaperMotion:
+    """The paper's way, from a record in body axes.
+
+    Parameters
+    ----------
+    record : Record
+    attitude : Rotation
+        Body to earth, n of them: the inverse of the paper's ``M_e^f``.
+    mode : str
+        ``marching`` and ``receding``: the vehicle keeps its heading, so the constant part of all six
+        channels is error (and gravity). ``rotating``: it turns at a mean rate, so that of the yaw rate
+        is kept.
+
+    Notes
+    -----
+    Taking off the mean acceleration makes the last velocity equal the first, whatever the vehicle did.
+    """
+    kept = (2,) if mode == "rotating" else ()
+    mean_a = constant_part(record.acceleration)
+    mean_w = constant_part(record.rate, kept)
+    body_a = thresholded(record.acceleration - mean_a, threshold_m_s2)
+    body_w = thresholded(record.rate - mean_w, threshold_rad_s)
+    earth_a = attitude.apply(body_a)  # Eq 10: a_e = (M_e^f)^-1 a_f
+    earth_w = attitude.apply(body_w)  # Eq 11
+    velocity = strapdown.integral(record.time_s, earth_a)  # Eq 12
+    position = strapdown.integral(record.time_s, velocity)  # Eq 13
+    return PaperMotion(body_a, body_w, earth_a, earth_w, velocity, position, mean_a, mean_w)
