@@ -55,6 +55,9 @@ CODES: dict[str, str] = {
     "SWM054": "the drive is not one a swimmer has, or is not resolved",
     "SWM055": "uncertainty of a parameter not carried along",
     "SWM056": "start state of a trial not found",
+    "SWM057": "rows left out or put in order",
+    "SWM058": "track cleaned",
+    "SWM059": "the track goes on elsewhere after a jump",
     "SWM060": "the target of an export cannot carry something",
     "SWM061": "exported added mass may make the simulator unstable",
 }

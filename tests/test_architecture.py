@@ -25,7 +25,7 @@ ALLOWED = {
     "effects": {"effects", "models", "signals", "formats", *BASE},
     "diagnosis": {"diagnosis", "effects", "estimators", "models", "signals", "formats", *BASE},
     "tracking": {"tracking", "signals", "formats", *BASE},
-    "reporting": {"reporting", "formats", *BASE},
+    "reporting": {"reporting", "signals", "formats", *BASE},
     "experiments": {"experiments", "estimators", "models", "signals", "formats", *BASE},
     "exporters": {"exporters", "models", "signals", "formats", *BASE},
     "robots": set(),

@@ -13,6 +13,8 @@ from swimid.cli import (
     fit_drag,
     fit_graybox,
     fit_propulsion,
+    import_log,
+    plot,
     report,
     rwls,
     schema,
@@ -22,11 +24,11 @@ from swimid.cli import (
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
-    ("Make logs", ["track"]),
+    ("Make logs", ["track", "import"]),
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
     ("Simulate and compare", ["simulate", "compare"]),
     ("Diagnose", ["diagnose"]),
-    ("Publish", ["report", "export"]),
+    ("Publish", ["plot", "report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
 
@@ -61,6 +63,7 @@ def main() -> None:
 
 for command in (
     track.track,
+    import_log.command,
     fit_drag.command,
     fit_propulsion.command,
     rwls.command,
@@ -68,6 +71,7 @@ for command in (
     simulate.command,
     compare.command,
     diagnose.command,
+    plot.command,
     report.command,
     export.command,
     schema.command,

@@ -45,7 +45,7 @@ class Trace(_Part):
     x: Numbers
     y: Numbers
     label: str = ""
-    style: Literal["line", "dashed", "points", "step", "bars", "stems"] = "line"
+    style: Literal["line", "dashed", "points", "step", "bars", "stems", "arrows"] = "line"
     #: Traces with the same group number share a colour (a measurement and its model).
     group: int | None = None
     #: Half-width of the error bars of ``points``, same length as y.

@@ -102,7 +102,7 @@ def read(
     log = Log(path, metadata, columns, first_line)
     _check(log, required, min_rows)
     _warn_missing(log)
-    _warn_units(log)
+    warn_units(log)
     return log
 
 
@@ -321,7 +321,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
     return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
 
 
-def _warn_units(log: Log) -> None:
+def warn_units(log: Log) -> None:
     """Values no swimming robot reaches in the unit the column claims."""
     time = log.time_s
     if len(time) > 2 and np.median(np.diff(time)) >= 5 and np.ptp(time) >= 2000:

@@ -34,7 +34,7 @@ _FEW = 60
 #: From this many points on a trace is drawn as a cloud of dots.
 _CLOUD = 150
 
-_SETTINGS: Any = {
+SETTINGS: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "swimid",
     "text.parse_math": False,
@@ -109,7 +109,7 @@ def draw(figure: Figure, prefix: str) -> list[Drawing]:
     styles = looks.assigned(figure)
     reduced = [any(len(trace.x) > MAX_POINTS for trace in panel.traces) for panel in figure.panels]
     panels = [_reduced(panel) if few else panel for panel, few in zip(figure.panels, reduced, strict=True)]
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(SETTINGS):
         narrow = _render(panels, styles, NARROW, figure, f"{prefix}n")
         alone = figure.columns < 2
         wide = _render(panels, styles, WIDE, figure, f"{prefix}w") if alone else [None] * len(panels)
@@ -155,19 +155,27 @@ def _render(
     return texts
 
 
-def _axes(panel: Panel, styles: list[Look], size: Size) -> tuple[Canvas, Axes]:
-    height = size.height
+def height_of(panel: Panel, size: Size) -> float:
+    """Height of a panel's drawing, points."""
     if panel.equal_aspect:
-        height = min(max(size.width * _shape(panel), 0.3 * size.width), 520.0, 1.1 * size.width) + 60
-    if panel.heat is not None:
-        height = heat.height(panel.heat, size.font)
-    canvas = Canvas(figsize=(size.width / 72, height / 72), dpi=72, facecolor="none")
+        return min(max(size.width * _shape(panel), 0.3 * size.width), 520.0, 1.1 * size.width) + 60
+    return size.height if panel.heat is None else heat.height(panel.heat, size.font)
+
+
+def _axes(panel: Panel, styles: list[Look], size: Size) -> tuple[Canvas, Axes]:
+    canvas = Canvas(figsize=(size.width / 72, height_of(panel, size) / 72), dpi=72, facecolor="none")
     FigureCanvasSVG(canvas)
     axes = canvas.add_axes((0.1, 0.2, 0.88, 0.7), facecolor="none")
-    _frame(axes, size)
+    frame(axes, size)
+    paint(axes, panel, styles, size)
+    return canvas, axes
+
+
+def paint(axes: Axes, panel: Panel, styles: list[Look], size: Size) -> None:
+    """Draw what a panel holds into axes, in the colours that stand for roles."""
     if panel.heat is not None:
         heat.draw(axes, panel.heat, size.width, size.font)
-        return canvas, axes
+        return
     bars = [i for i, trace in enumerate(panel.traces) if trace.style == "bars"]
     # a model's line among the points of its group carries no markers: they would pass for data
     measured = {t.group for t in panel.traces if t.style == "points" and t.group is not None}
@@ -180,10 +188,10 @@ def _axes(panel: Panel, styles: list[Look], size: Size) -> tuple[Canvas, Axes]:
         axes.set_aspect("equal", adjustable="datalim")
     if panel.invert_y:
         axes.invert_yaxis()
-    return canvas, axes
 
 
-def _frame(axes: Axes, size: Size) -> None:
+def frame(axes: Axes, size: Size) -> None:
+    """Spines, ticks and grid of the report's look."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -203,6 +211,9 @@ def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, i
         axes.fill_between(x, low, high, color=look.colour, alpha=0.2, linewidth=0, zorder=1.5)
     if trace.style == "bars":
         _bars(axes, x, y, error, look, place)
+        return
+    if trace.style == "arrows":
+        axes.plot(x, y, color=look.colour, linewidth=1.0, solid_capstyle="round", zorder=2.3)
         return
     if trace.style == "stems":
         axes.vlines(x, 0, y, color=look.colour, linewidth=1.2)

@@ -75,6 +75,8 @@ def _look(trace: Trace, slot: int, repeat: int, rivals: list[int], lined: bool) 
     if trace.style == "bars":
         place = rivals.index(slot) + repeat
         return Look(slot, hatch=_HATCHES[place % len(_HATCHES)])
+    if trace.style == "arrows":
+        return Look(slot)
     dash: tuple[float, ...] | None = None
     if trace.style == "dashed" or repeat:
         dash = _DASHES[repeat % len(_DASHES)]

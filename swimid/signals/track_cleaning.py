@@ -19,8 +19,9 @@ WINDOW, WIDE = 11, 41
 #: A step this many times the median deviation off the expected one is not of the same motion: for
 #: Gaussian noise in a plane seven standard deviations.
 OUTLYING = 6.0
-#: ... unless the track moves half as fast somewhere for longer than half a window.
-FASTER = 2.0
+#: ... unless somewhere most of so many steps on end are half as fast, and alike: a burst of the
+#: robot's own, which a jump out and back is not.
+FASTER, ALIKE = 2.0, 5
 #: A place of which fewer samples tell than this (or than the share of all) is a jump there and back,
 #: not a track that goes on elsewhere.
 FEW, FEW_SHARE = 12, 0.05
@@ -80,8 +81,8 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     -----
     A step is outlying when it differs from the running median velocity (Hampel's identifier on the
     steps, each by its own duration) by more than :data:`OUTLYING` times the larger of the local and
-    the global median deviation, and is more than :data:`FASTER` times as fast as the track ever is
-    for half a window. Outlying steps cut the track into pieces; the chain of pieces that keeps most
+    the global median deviation, and is more than :data:`FASTER` times as fast as the track is in its
+    fastest moments (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps cut the track into pieces; the chain of pieces that keeps most
     samples, and pays for every piece that does not continue the one before, is the track.
 
     References
@@ -153,7 +154,8 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
     least = max(max(quantum(column) for column in place.T), 0.05 * float(np.median(length)))
     scale = max(float(np.median(off)), least)
     local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="nearest"), scale)
-    fastest = float(ndimage.median_filter(length / steps_s, size=WINDOW, mode="nearest").max())
+    alike = ndimage.median_filter(velocity, size=(ALIKE, 1), mode="nearest")
+    fastest = float(np.percentile(np.linalg.norm(alike, axis=1), 99))
     longer = np.maximum(steps_s / usual_s, 1.0)
     limit = OUTLYING * local * np.minimum(longer, GAP)
     outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from swimid.errors import UsageError, suggestion
-from swimid.formats import atomic, comparison, evidence, gap, parameters, robot, setup, trials
+from swimid.formats import atomic, comparison, evidence, gap, mapping, parameters, robot, setup, trials
 from swimid.verbs.outcome import Outcome
 
 
@@ -20,6 +20,7 @@ def schemas() -> dict[str, dict[str, Any]]:
         "robot": robot.Robot,
         "parameters": parameters.ParameterFile,
         "setup": setup.Setup,
+        "mapping": mapping.Mapping,
         "comparison": comparison.ComparisonFile,
         "gap": gap.GapFile,
         "evidence": evidence.Evidence,

@@ -1,0 +1,352 @@
+"""``swimid import``: logs of other programs become logs of the pinned format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.formats import atomic, bulk, evidence, log, mapping, provenance
+from swimid.formats.mapping import MappedLog, Mapping
+from swimid.notices import Notice, recorded, warn
+from swimid.progress import Progress, silent
+from swimid.signals import rhythm, time_order, track_cleaning, track_speed
+from swimid.signals.beat import contradiction
+from swimid.signals.rhythm import Rhythm
+from swimid.signals.time_order import Order
+from swimid.signals.track_cleaning import Cleaning
+from swimid.signals.track_speed import TrackSpeed
+from swimid.verbs.import_evidence import build, summary
+from swimid.verbs.outcome import Outcome
+
+Array = NDArray[np.float64]
+POSITIONS = ("x_m", "y_m", "z_m")
+ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """One log, as it was read and what was found in it.
+
+    Attributes
+    ----------
+    path : Path
+        The foreign log.
+    notes : list of str
+        What its reader has to say.
+    metadata, columns : dict
+        As they are written.
+    order : Order
+        What was done to the rows.
+    cleaning : Cleaning or None
+        What was found in the track; None without one.
+    cleaned : bool
+        Whether that was left out of the log.
+    speed : TrackSpeed or None
+    stroke : Rhythm or None
+    against : str or None
+        How the stroke contradicts the metadata.
+    """
+
+    path: Path
+    notes: list[str]
+    metadata: dict[str, Any]
+    columns: dict[str, Array]
+    order: Order
+    cleaning: Cleaning | None
+    cleaned: bool
+    speed: TrackSpeed | None
+    stroke: Rhythm | None
+    against: str | None
+
+    @property
+    def time_s(self) -> Array:
+        """Sample times, s."""
+        return self.columns[log.TIME]
+
+
+def import_logs(
+    files: Sequence[str | Path],
+    *,
+    map_path: str | Path | None = None,
+    output: str | Path,
+    clean: bool | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Write foreign logs in the log format, each with its evidence.
+
+    Parameters
+    ----------
+    files : sequence of paths
+        At least one.
+    map_path : path, optional
+        ``swimid-mapping/1`` file; without it the columns must be named as in the log format.
+    output : path
+        The log, CSV or Parquet by its ending; for several files a folder, which is made.
+    clean : bool, optional
+        Whether repeats and jumps are taken out of the track. Default: in logs with two or more
+        position columns.
+    progress : Progress
+        Shows reading and writing.
+
+    Raises
+    ------
+    InputError
+        A file or the mapping cannot be used.
+    NoTrustworthyResult
+        Hardly a sample is left of a track.
+    """
+    if not files:
+        raise UsageError("name at least one log to import")
+    paths = list(dict.fromkeys(Path(file) for file in files))
+    rules = None if map_path is None else mapping.read(map_path)
+    targets = destinations(paths, Path(output))
+    done = []
+    for path, target in zip(paths, targets, strict=True):
+        with recorded(repeat=True) as notices:
+            done.append(_one(path, target, rules, map_path, clean, progress, notices))
+    if len(done) == 1:
+        return done[0]
+    return Outcome(
+        "import",
+        "\n".join(outcome.summary for outcome in done),
+        {"logs": [outcome.result for outcome in done]},
+        [path for outcome in done for path in outcome.outputs],
+    )
+
+
+def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
+    """Where each log goes: the file named, or a file in the folder named.
+
+    Raises
+    ------
+    UsageError
+        Several logs and one file to write them to, or two that would have one name.
+    """
+    single = len(paths) == 1 and not output.is_dir() and not str(output).endswith("/")
+    if single:
+        atomic.check_writable(output, inputs=tuple(paths))
+        return [output]
+    if output.exists() and not output.is_dir():
+        raise UsageError(
+            f"{len(paths)} logs cannot all go to the file {output}", hint="name a folder with -o"
+        )
+    atomic.check_writable(output.parent / "x")
+    output.mkdir(exist_ok=True)
+    stems = [path.stem for path in paths]
+    names = [
+        s if stems.count(s) == 1 else f"{p.resolve().parent.name}-{s}"
+        for s, p in zip(stems, paths, strict=True)
+    ]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise UsageError(f"two logs would be written to {twice}.csv", hint="import them one by one")
+    return [atomic.check_writable(output / f"{name}.csv", inputs=tuple(paths)) for name in names]
+
+
+def _one(
+    path: Path,
+    target: Path,
+    rules: Mapping | None,
+    map_path: str | Path | None,
+    clean: bool | None,
+    progress: Progress,
+    notices: list[Notice],
+) -> Outcome:
+    found = examine(
+        mapping.identity(path, progress=progress)
+        if rules is None
+        else mapping.apply(rules, path, progress=progress),
+        clean=clean,
+    )
+    with progress(f"writing {target.name}", total=len(found.time_s)) as step:
+        bulk.write(target, found.columns, found.metadata, step=step)
+    inputs = [path] if map_path is None else [path, map_path]
+    record = build(
+        found, target, rules, provenance.collect(inputs, settings={"clean": found.cleaned}), notices
+    )
+    proof = evidence.sidecar(target)
+    evidence.write(proof, record)
+    machine = facts(found, record)
+    return Outcome("import", summary(found, machine), machine, [target, proof])
+
+
+def examine(source: MappedLog, *, clean: bool | None = None) -> Imported:
+    """Put a foreign log in order, clean its track, and find its speed and stroke.
+
+    ``source.columns`` is emptied on the way: a log of many samples is held once, not twice.
+
+    Raises
+    ------
+    InputError
+        No sample has a time, or the clock starts again within the log.
+    NoTrustworthyResult
+        Fewer samples of a cleaned track than :data:`swimid.signals.track_speed.FEWEST` stay of many.
+    """
+    columns = source.columns
+    time = columns[log.TIME]
+    order = time_order.in_order(time, {name: v for name, v in columns.items() if name != log.TIME})
+    _check_order(order, source)
+    if order.changed:
+        for name in list(columns):
+            columns[name] = columns[name][order.index]
+    notes = list(source.notes)
+    for note in notes:
+        warn("SWM057", f"{source.path.name}: {note}")
+    _warn_order(order, source.path.name)
+    positions = [name for name in POSITIONS if name in columns]
+    time = columns[log.TIME]
+    cleaning = speed = None
+    cleaned = False
+    if positions:
+        cleaned = len(positions) > 1 if clean is None else clean
+        angles = [columns[name] for name in ANGLES if name in columns]
+        track = [columns[name] for name in positions]
+        if len(positions) > 1 or cleaned:
+            cleaning = track_cleaning.clean(time, track, angles)
+            speed = track_speed.speed(time, track, cleaning)
+    metadata = dict(source.metadata) | {"source": source.path.name, "imported_by": "swimid import"}
+    if cleaning is not None and cleaned:
+        _take_out(columns, cleaning, source.path.name, metadata)
+    log.warn_units(log.Log(source.path, metadata, columns))
+    stroke = rhythm.find(columns[log.TIME], {n: v for n, v in columns.items() if n != log.TIME})
+    against = _contradiction(stroke, metadata, source.path.name)
+    return Imported(source.path, notes, metadata, columns, order, cleaning, cleaned, speed, stroke, against)
+
+
+def _check_order(order: Order, source: MappedLog) -> None:
+    if len(order.index) == 0:
+        raise InputError("no sample has a time", file=source.path, column=log.TIME)
+    if order.reset_row is not None:
+        raise InputError(
+            f"the clock starts again: {source.time_s[order.reset_row]:g} s after "
+            f"{np.nanmax(source.time_s[: order.reset_row]):g} s",
+            file=source.path,
+            line=int(source.rows[order.reset_row]),
+            column=log.TIME,
+            hint="split the file there, and import the parts one by one",
+        )
+
+
+def _warn_order(order: Order, name: str) -> None:
+    parts = [
+        f"{count} {what}"
+        for count, what in (
+            (order.untimed, "without a time left out"),
+            (order.repeated, "repeated left out"),
+            (order.clashing, "with the time of the row before but other values left out"),
+            (order.late, "that came late put in their place"),
+        )
+        if count
+    ]
+    if parts:
+        warn("SWM057", f"{name}: rows {'; '.join(parts)}")
+
+
+def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
+    """Empty the pose cells of repeats and jumps; rows that hold nothing else go."""
+    metadata["track_cleaned"] = {
+        "repeats": int(cleaning.repeated.sum()),
+        "jumps": cleaning.jumps,
+        "samples_jumped": int(cleaning.jumped.sum()),
+        "gaps": len(cleaning.gaps),
+    }
+    out = cleaning.repeated | cleaning.jumped
+    if cleaning.offset_rows:
+        at = ", ".join(f"{columns[log.TIME][row]:.6g} s" for row in cleaning.offset_rows[:5])
+        warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
+        metadata["track_cleaned"]["elsewhere_s"] = [
+            float(columns[log.TIME][row]) for row in cleaning.offset_rows
+        ]
+    if not out.any():
+        return
+    if len(out) >= 2 * track_speed.FEWEST and cleaning.good.sum() < track_speed.FEWEST:
+        raise NoTrustworthyResult(
+            f"{name}: of {len(out)} samples {int(cleaning.good.sum())} stay without repeats and jumps: no track",
+            hint="--raw keeps them all; is this a track of positions in metres?",
+        )
+    warn(
+        "SWM058",
+        f"{name}: {int(cleaning.repeated.sum())} repeated samples and {int(cleaning.jumped.sum())} samples of "
+        f"{cleaning.jumps} jumps left out of the track",
+    )
+    blank = [n for n in (*POSITIONS, *ANGLES) if n in columns]
+    for column in blank:
+        columns[column] = np.where(out, np.nan, columns[column])
+    empty = out.copy()
+    for column, values in columns.items():
+        if column != log.TIME and column not in blank:
+            empty &= np.isnan(values)
+    if empty.any():
+        for column in list(columns):
+            columns[column] = columns[column][~empty]
+
+
+def _contradiction(stroke: Rhythm | None, metadata: dict[str, Any], name: str) -> str | None:
+    stated = metadata.get("frequency_hz")
+    if stroke is None or isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
+        return None
+    against = contradiction(stroke.beat, float(stated))
+    if against is not None:
+        against = f"{stroke.channel} {against}; the metadata say {stated:g} Hz"
+        warn("SWM032", f"{name}: {against}")
+    return against
+
+
+def facts(found: Imported, record: evidence.Evidence) -> dict[str, Any]:
+    """The result for machines."""
+    time = found.time_s
+    step = float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
+    return {
+        "file": str(found.path),
+        "samples": len(time),
+        "duration_s": float(time[-1] - time[0]),
+        "median_rate_hz": 1 / step if step > 0 else None,
+        "columns": list(found.columns),
+        "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
+        "rows": {k: getattr(found.order, k) for k in ("untimed", "repeated", "clashing", "late")},
+        "notes": found.notes,
+        "track": None
+        if cleaning is None
+        else {
+            "cleaned": found.cleaned,
+            "repeats": int(cleaning.repeated.sum()),
+            "jumps": cleaning.jumps,
+            "samples_jumped": int(cleaning.jumped.sum()),
+            "goes_on_elsewhere": len(cleaning.offset_rows),
+            "gaps_s": [list(gap) for gap in cleaning.gaps],
+        },
+        "speed": None
+        if speed is None
+        else {
+            "path_m_s": speed.path.value,
+            "path_ci95": [speed.path.low, speed.path.high],
+            "line_m_s": speed.line.value,
+            "line_ci95": [speed.line.low, speed.line.high],
+            "naive_m_s": speed.naive_m_s,
+            "noise_m": speed.noise_m,
+            "covered_s": speed.covered_s,
+        },
+        "stroke": None
+        if stroke is None
+        else {
+            "frequency_hz": stroke.beat.frequency_hz,
+            "stderr_hz": stroke.beat.stderr_hz,
+            "ci95_hz": list(stroke.interval_hz),
+            "channel": stroke.channel,
+            "maybe_double": stroke.maybe_double,
+            "harmonics": [
+                {"order": h.order, "amplitude": h.amplitude, "stderr": h.stderr} for h in stroke.harmonics
+            ],
+            "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "contradiction": found.against,
+        },
+        "verdict": record.verdict.model_dump(),
+        "checks": [check.model_dump() for check in record.checks],
+    }
