@@ -21,7 +21,7 @@ from swimid.formats.trials import Cruise, FreeSwim
 from swimid.models.base import Trial
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.notices import warn
-from swimid.signals.beat import find_beat
+from swimid.signals.beat import TOLERANCE, find_beat
 
 #: The paper's stop-watch error (section 3.4), s, and the scatter of speeds between runs taken
 #: beside it: they set how runs weigh against each other, the overall size is estimated.
@@ -209,7 +209,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
     """Frequencies within the tolerance of each other are one setting: their median."""
     values = np.array([t.settings["frequency_hz"] for t in trials])
-    pooled = [float(np.median(values[np.abs(values / v - 1) < beats.TOLERANCE])) for v in values]
+    pooled = [float(np.median(values[np.abs(values / v - 1) < TOLERANCE])) for v in values]
     return [
         replace(t, settings={**t.settings, "frequency_hz": f}) for t, f in zip(trials, pooled, strict=True)
     ]

@@ -228,7 +228,7 @@ def spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
             marks.append(Mark(at=stroke.beat.frequency_hz, axis="x", label="stroke"))
             last = float(drawn[0][-1])
             marks += [
-                Mark(at=k * stroke.beat.frequency_hz, axis="x", label="twice and three times the stroke")
+                Mark(at=k * stroke.beat.frequency_hz, axis="x", label="2 ×, 3 ×")
                 for k in (2, 3)
                 if k * stroke.beat.frequency_hz <= last
             ]

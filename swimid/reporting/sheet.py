@@ -112,7 +112,7 @@ def _panel(axes: Axes, panel: Panel, look: list[Look], size: Size) -> None:
             dashes=k.dash or (None, None),
             marker=k.marker or "",
             label=trace.label,
-            linestyle="" if trace.style == "points" else "-",
+            linestyle="" if trace.style in ("points", "stems") else "-",
         )
         for trace, k in zip(panel.traces, look, strict=True)
         if trace.label

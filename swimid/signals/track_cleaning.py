@@ -91,7 +91,7 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6
     """
     place = np.column_stack(positions)
-    known = np.isfinite(place).all(axis=1)
+    known: Flags = np.asarray(np.isfinite(place).all(axis=1))
     repeated = _repeats(time_s, place, np.column_stack([*positions, *(others or [])]), known)
     rows = np.flatnonzero(known & ~repeated)
     jumped = np.zeros(len(time_s), dtype=bool)

@@ -14,7 +14,6 @@ from swimid.estimators.identifiability import combinations, sentences
 from swimid.estimators.output_error import STEP_ERROR, FitResult
 from swimid.estimators.residual_tests import autocorrelation, joined, ljung_box
 from swimid.estimators.sandwich import HETEROGENEITY
-from swimid.experiments import beats
 from swimid.experiments.base import Experiment
 from swimid.formats import atomic
 from swimid.formats import evidence as ev
@@ -23,6 +22,7 @@ from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
 from swimid.models.base import Parameter, chosen
 from swimid.notices import Notice, warn
 from swimid.reporting import numbers
+from swimid.signals.beat import TOLERANCE
 
 #: Correlations above this are named.
 STRONG = 0.95
@@ -378,17 +378,17 @@ def _validation(file: ParameterFile) -> list[ev.Check]:
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Whether the beat in each log is the one its metadata state (:func:`beats.facts`)."""
+    """Whether the beat in each log is the one its metadata state (:func:`swimid.experiments.beats.facts`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong = [
         name
         for name, b in known.items()
-        if abs(b["found_hz"] - b["stated_hz"]) > max(beats.TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
+        if abs(b["found_hz"] - b["stated_hz"]) > max(TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
     ]
     return ev.Check(
         name="beat frequency as stated",
         value="yes" if not wrong else f"not in {len(wrong)} of {len(known)} trials",
-        limit=f"within {100 * beats.TOLERANCE:g} %",
+        limit=f"within {100 * TOLERANCE:g} %",
         verdict="warn" if wrong else "pass",
         text="found in the heading of each log",
     )

@@ -209,13 +209,13 @@ def _methods(found: Imported) -> list[str]:
     sentences = []
     if found.cleaned and found.cleaning is not None:
         sentences.append(
-            "Repeated samples of the camera were collapsed; jumps were told by a Hampel identifier on the steps "
-            "of the track and left out; gaps were not bridged."
+            "Repeated samples of the camera were collapsed; jumps were told by a Hampel identifier on the "
+            "steps of the track and left out; gaps were not bridged."
         )
     if found.speed is not None:
         sentences.append(
-            "The mean speed was taken along cubic smoothing splines through each stretch without a gap, their "
-            "smoothness chosen by cross-validation, corrected for the noise by a parametric bootstrap; its "
+            "The mean speed was taken along cubic smoothing splines through each stretch without a gap, "
+            "their smoothness chosen by cross-validation, corrected for the noise by a parametric bootstrap; its "
             "interval is that of the means of blocks."
         )
     if found.stroke is not None:
@@ -227,8 +227,8 @@ def _references(found: Imported) -> list[str]:
     if found.cleaning is None:
         return []
     return [
-        "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP Journal "
-        "on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
+        "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
+        "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
         "Craven, P., Wahba, G. (1979). Smoothing noisy data with spline functions. Numerische Mathematik 31, "
         "377-403. doi:10.1007/BF01404567",
     ]
@@ -243,11 +243,11 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
         + f": {', '.join(name for name in found.columns if name != log.TIME)}"
     ]
     track, speed = machine["track"], found.speed
-    if track is not None:
+    if track is not None and found.cleaning is not None:
         done = "left out" if found.cleaned else "kept"
         lines.append(
-            f"  track   {track['repeats']} repeats and {track['jumps']} jumps ({track['samples_jumped']} samples) "
-            f"{done}; {len(track['gaps_s'])} gaps kept, longest {_longest(found.cleaning.gaps):.3g} s"  # type: ignore[union-attr]
+            f"  track   {track['repeats']} repeats and {track['jumps']} jumps ({track['samples_jumped']} samples)"
+            f" {done}; {len(track['gaps_s'])} gaps kept, longest {_longest(found.cleaning.gaps):.3g} s"
         )
     if speed is not None:
         lines.append(

@@ -267,13 +267,13 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
         return
     if len(out) >= 2 * track_speed.FEWEST and cleaning.good.sum() < track_speed.FEWEST:
         raise NoTrustworthyResult(
-            f"{name}: of {len(out)} samples {int(cleaning.good.sum())} stay without repeats and jumps: no track",
+            f"{name}: of {len(out)} samples {int(cleaning.good.sum())} are no repeats or jumps: no track",
             hint="--raw keeps them all; is this a track of positions in metres?",
         )
     warn(
         "SWM058",
-        f"{name}: {int(cleaning.repeated.sum())} repeated samples and {int(cleaning.jumped.sum())} samples of "
-        f"{cleaning.jumps} jumps left out of the track",
+        f"{name}: {int(cleaning.repeated.sum())} repeated samples and {int(cleaning.jumped.sum())} samples "
+        f"of {cleaning.jumps} jumps left out of the track",
     )
     blank = [n for n in (*POSITIONS, *ANGLES) if n in columns]
     for column in blank:

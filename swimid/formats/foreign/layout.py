@@ -217,19 +217,19 @@ def _split(
         if len(table) <= first:
             raise InputError("holds no samples under its header", file=path, line=table[0][0])
         return [cells for _, cells in table[:first]], first
-    first = next(
+    found = next(
         (k for k, (_, cells) in enumerate(table) if len(cells) == width and looks_sampled(cells)), None
     )
-    if first is None:
+    if found is None:
         raise InputError(
             "no line holds numbers",
             file=path,
             line=table[0][0],
             hint="give delimiter or skip_rows under 'reader:'",
         )
-    head = []
-    trailing = all(not cells[-1].strip() for _, cells in table[first:] if len(cells) == width)
-    for _, above in reversed(table[:first]):
+    head: list[list[str]] = []
+    trailing = all(not cells[-1].strip() for _, cells in table[found:] if len(cells) == width)
+    for _, above in reversed(table[:found]):
         # a delimiter at the end of every line of samples, and none under the names
         cells = [*above, ""] if trailing and len(above) == width - 1 else above
         if len(cells) != width:
@@ -237,7 +237,7 @@ def _split(
         head.insert(0, cells)
         if not _are_units(cells):
             break
-    return head, first
+    return head, found
 
 
 def _are_units(cells: list[str]) -> bool:
