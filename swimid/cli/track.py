@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.cli.track_imu import imu_command
 
 
 @click.group()
@@ -144,3 +145,6 @@ def setup_command(
                 progress=run.progress,
             )
         )
+
+
+track.add_command(imu_command)

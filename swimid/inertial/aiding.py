@@ -11,7 +11,7 @@ from swimid.inertial.attitude import Source
 from swimid.inertial.errorstate import ALONE, BG, CLOCK, LEVER, MOUNT, Observation, P, T, V, cross_matrix
 from swimid.inertial.record import Array, Record
 from swimid.inertial.rest import Noise, Rest
-from swimid.inertial.sensor import ATTITUDE_MEMORY_S
+from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
 from swimid.inertial.smoother import Aid, Nominal
 
 #: Time between repeated observations of one thing, s.
@@ -66,14 +66,20 @@ def _bias(
 
 
 def attitudes(source: Source, sd: float) -> Aid:
-    """The attitude of a filter or of the sensor itself, whose error lasts for a minute."""
+    """The attitude of a filter or of the sensor itself, with errors that last.
+
+    A filter's tilt is wrong while the body accelerates, some seconds; the sensor's own quaternions may be
+    wrong by the same turn all the time, so that a log of them counts as one measurement.
+    """
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
         nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
         axes = slice(0, 3 if source.heading else 2)
         at = rows[nodes]
         off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()
-        wide = sd * np.sqrt(2 * ATTITUDE_MEMORY_S)
+        own = source.kind == "quaternion columns"
+        memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
+        wide = sd * np.sqrt(2 * memory)
         h = np.zeros((3, states))
         h[:, T] = np.eye(3)
         return [
@@ -101,8 +107,11 @@ def zero_mean(axis: int, window_s: float, sd: float) -> Aid:
             h[0, T] = np.cross(along, v).mean(axis=0)
             found.append(
                 Observation(
-                    min(node, len(rows) - 1), f"no {('surge', 'sway', 'heave')[axis]}",
-                    -np.array([np.mean(np.sum(along * v, axis=1))]), h, np.array([sd]),
+                    min(node, len(rows) - 1),
+                    f"no {('surge', 'sway', 'heave')[axis]}",
+                    -np.array([np.mean(np.sum(along * v, axis=1))]),
+                    h,
+                    np.array([sd]),
                 )
             )
         return found

@@ -95,7 +95,11 @@ def fit_clocks(record: Record, source: Source, poses: Poses, *, widest_s: float 
     NoTrustworthyResult
         When nothing in the two logs moves together.
     """
-    found = [fit for fit in (_by_turns(record, source, poses, widest_s), _by_path(record, source, poses, widest_s)) if fit]
+    found = [
+        fit
+        for fit in (_by_turns(record, source, poses, widest_s), _by_path(record, source, poses, widest_s))
+        if fit
+    ]
     good = [fit for fit in found if fit.offset.explained >= LEAST_EXPLAINED]
     if not good:
         best = max((fit.offset.explained for fit in found), default=0.0)
@@ -137,13 +141,13 @@ def _by_turns(record: Record, source: Source, poses: Poses, widest_s: float | No
     world = source.rotation.apply(record.rate)
     axes = world[:, 2:] if name == "yaw" else record.rate
     reference = strapdown.integral(record.time_s, axes - axes.mean(axis=0))
-    found = clock.offset(
-        record.time_s, reference, t, seen[rows, None], slow_s=SLOW_TURN_S, widest_s=widest_s
-    )
+    found = clock.offset(record.time_s, reference, t, seen[rows, None], slow_s=SLOW_TURN_S, widest_s=widest_s)
     if found is None:
         return None
     scale = float(found.factors[0, 0]) if name == "yaw" else float(np.linalg.norm(found.factors))
-    return Fit(found, name, None, float(np.sign(scale)) if name == "yaw" else 0.0, 1 / abs(scale) if scale else 0.0)
+    return Fit(
+        found, name, None, float(np.sign(scale)) if name == "yaw" else 0.0, 1 / abs(scale) if scale else 0.0
+    )
 
 
 def _by_path(record: Record, source: Source, poses: Poses, widest_s: float | None) -> Fit | None:
@@ -230,7 +234,9 @@ def turn_of_paths(record: Record, source: Source, poses: Poses) -> Rotation:
     reckoned = np.column_stack([np.interp(t, record.time_s, c) for c in way[:, :2].T])
     both = clock.without_slow(t, np.hstack([reckoned, poses.position[rows, :2]]), SLOW_WAY_S)
     cross = both[:, :2].T @ both[:, 2:]
-    return Rotation.from_rotvec([0.0, 0.0, float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))])
+    return Rotation.from_rotvec(
+        [0.0, 0.0, float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))]
+    )
 
 
 def _way(record: Record, source: Source) -> Array:

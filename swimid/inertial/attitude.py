@@ -53,9 +53,7 @@ def estimate(record: Record, rests: list[Rest]) -> Source:
         rotation = Slerp(grid, rotation)(np.clip(record.time_s, grid[0], grid[-1]))
     if field is None:
         yaw = rotation[0].as_euler("ZYX")[0]
-        return Source(
-            Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer"
-        )
+        return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
     # VQF's world is east-north-up; yaw is counted from x, which is east
     return Source(rotation, True, "gyroscope, accelerometer and magnetometer")
 

@@ -112,7 +112,9 @@ def offset(
     best = float(grid[np.nanargmax(values)])
     width = float(grid[1] - grid[0])
     found = optimize.minimize_scalar(
-        lambda shift: -profile(shift), bounds=(best - width, best + width), method="bounded",
+        lambda shift: -profile(shift),
+        bounds=(best - width, best + width),
+        method="bounded",
         options={"xatol": 1e-6},
     )
     value = float(found.x)

@@ -177,9 +177,7 @@ def _smooth(
                 scores.setdefault(seen.kind, []).append(score)
         means[k], covs[k] = mean, cov
     for k in range(nodes - 2, -1, -1):
-        gain = np.linalg.solve(
-            predicted_cov[k + 1] + 1e-18 * np.eye(states), transition[k] @ covs[k]
-        ).T
+        gain = np.linalg.solve(predicted_cov[k + 1] + 1e-18 * np.eye(states), transition[k] @ covs[k]).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         covs[k] = 0.5 * (covs[k] + covs[k].T)

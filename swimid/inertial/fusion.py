@@ -118,12 +118,21 @@ def run(
     aids = common_aids(record, turned, still, sensor, declared)
     for turn_number in range(NOISE_TURNS):
         smoothed = smoother.run(
-            record, start, mounting, sensor, still.noise, [*aids, aiding.fixes(fixes)], fused=True, advance=advance
+            record,
+            start,
+            mounting,
+            sensor,
+            still.noise,
+            [*aids, aiding.fixes(fixes)],
+            fused=True,
+            advance=advance,
         )
         if turn_number == NOISE_TURNS - 1:
             break
         better = _noise_seen(smoothed, fixes, fix_sd_m)
-        change = np.abs(np.log(np.append(better.position_sd / fixes.position_sd, better.rotation_sd / fixes.rotation_sd)))
+        change = np.abs(
+            np.log(np.append(better.position_sd / fixes.position_sd, better.rotation_sd / fixes.rotation_sd))
+        )
         if np.nanmax(change) < SETTLED:
             break
         fixes = better
@@ -167,7 +176,9 @@ def _mount(mount: Mount, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
     off = float((fit.mount * mount.rotation.inv()).magnitude())
     if off <= SAME_MOUNT:
         return fit.mount, FITTED_MOUNT_SD, []
-    text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log; its turns tell how"
+    text = (
+        f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log; its turns tell how"
+    )
     return fit.mount, FITTED_MOUNT_SD, [Finding("swapped or flipped axes", "handled", text)]
 
 
@@ -236,8 +247,12 @@ def _mean_square(rows: list[Array]) -> Array:
 
 def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
     """The clock offset with the whole motion, widened where the innovations are larger than stated."""
-    scores = [s[np.isfinite(s)] for k, s in smoothed.errors.scores.items() if k in ("position", "orientation")]
+    scores = [
+        s[np.isfinite(s)] for k, s in smoothed.errors.scores.items() if k in ("position", "orientation")
+    ]
     widening = max(float(np.sqrt(np.mean(np.concatenate(scores) ** 2))), 1.0) if scores else 1.0
     value = smoothed.path.clock_s
     sd = widening * float(np.sqrt(smoothed.errors.covariance[-1][CLOCK, CLOCK]))
-    return replace(clocks.offset, value_s=value, stderr_s=sd, low_s=value - BAND * sd, high_s=value + BAND * sd)
+    return replace(
+        clocks.offset, value_s=value, stderr_s=sd, low_s=value - BAND * sd, high_s=value + BAND * sd
+    )

@@ -85,5 +85,3 @@ def tilt_at_rest(up: Array, mount: Rotation) -> tuple[float, float]:
     """Roll and pitch of the body at rest, rad."""
     body = mount.inv().apply(up)
     return float(np.arctan2(body[1], body[2])), float(np.arctan2(body[0], np.hypot(body[1], body[2])))
-
-

@@ -48,7 +48,7 @@ SHEET_ACCELERATION_NOISE = 0.4 * MILLI_G
 SHEET_RATE_NOISE = 3.5 * DEG / 60.0
 #: Deviation of an attitude: the sensor's own, the filter's (rad).
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: How long an error of such an attitude lasts, s: as many samples as fit in count as one measurement.
-ATTITUDE_MEMORY_S = 60.0
+#: How long an error of such an attitude lasts at least, s: so many seconds count as one measurement.
+QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
 #: Time after which the drift of a bias is given, s.
 DRIFT_TIME_S = 100.0

@@ -14,7 +14,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import errorstate, strapdown
-from swimid.inertial.errorstate import ALONE, BA, BG, CLOCK, FUSED, LEVER, MOUNT, TILT, Driving, Errors, Observation, P, T, V
+from swimid.inertial.errorstate import (
+    ALONE,
+    BA,
+    BG,
+    CLOCK,
+    FUSED,
+    LEVER,
+    MOUNT,
+    TILT,
+    Driving,
+    Errors,
+    Observation,
+    P,
+    T,
+    V,
+)
 from swimid.inertial.record import GRAVITY_M_S2, Array, Record
 from swimid.inertial.rest import Noise
 from swimid.inertial.sensor import DRIFT_TIME_S, Sensor

@@ -28,7 +28,11 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     seen, up, turned = up_turning(record)
     if len(seen) < 16 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
         return record, [
-            Finding(NAME, "noted", "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's")
+            Finding(
+                NAME,
+                "noted",
+                "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's",
+            )
         ]
     scores = []
     total = float(np.sum((seen - seen.mean(axis=0)) ** 2))

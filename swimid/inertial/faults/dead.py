@@ -42,9 +42,16 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         stuck.append(flags)
     count = int((stuck[0] | stuck[1]).any(axis=1).sum())
     if count:
-        names = [n for flags, ns in zip(stuck, (ACCELERATION, RATE), strict=True) for n, f in zip(ns, flags.T, strict=True) if f.any()]
+        names = [
+            n
+            for flags, ns in zip(stuck, (ACCELERATION, RATE), strict=True)
+            for n, f in zip(ns, flags.T, strict=True)
+            if f.any()
+        ]
         found.append(
-            Finding(NAME, "handled", f"{count} samples stuck at one value in {', '.join(names)}, bridged", count)
+            Finding(
+                NAME, "handled", f"{count} samples stuck at one value in {', '.join(names)}, bridged", count
+            )
         )
         record = bridged(record, stuck[0], stuck[1])
     if record.magnetic is not None and (
@@ -55,7 +62,9 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     q = record.quaternion
     if q is not None and (not np.isfinite(q).all() or np.ptp(q, axis=0).max() == 0 or _unnormed(q)):
         found.append(
-            Finding(NAME, "handled", "the quaternions are constant, have holes or are not of length 1, not used")
+            Finding(
+                NAME, "handled", "the quaternions are constant, have holes or are not of length 1, not used"
+            )
         )
         record = replace(record, quaternion=None)
     return record, found

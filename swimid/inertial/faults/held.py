@@ -8,6 +8,8 @@ from swimid.inertial.faults.base import Finding, bridged
 from swimid.inertial.record import Record
 
 NAME = "repeated samples"
+#: Below this share samples repeat by chance, at rest and with few digits.
+LEAST = 0.005
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
@@ -15,7 +17,7 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     both = np.hstack([record.acceleration, record.rate])
     same = np.concatenate(([False], np.all(np.diff(both, axis=0) == 0, axis=1)))
     count = int(same.sum())
-    if not count or count > 0.9 * len(same):
+    if count < LEAST * len(same) or count > 0.9 * len(same):
         return record, []
     text = f"{count} samples repeat the one before in every channel; bridged from the true ones"
     flags = np.repeat(same[:, None], 3, axis=1)

@@ -33,7 +33,9 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         )
     count = int(np.hstack(clipped).any(axis=1).sum())
     which = ", ".join(n for n, s in zip(names, share, strict=True) if s)
-    text = f"{count} samples clipped at the end of the range in {which}; bridged, and the path known worse there"
+    text = (
+        f"{count} samples clipped at the end of the range in {which}; bridged, and the path known worse there"
+    )
     return bridged(record, clipped[0], clipped[1]), [Finding(NAME, "handled", text, count)]
 
 
