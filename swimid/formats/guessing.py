@@ -25,7 +25,7 @@ _NAMES: list[tuple[str, str]] = [
     ),
     (r"(imu[ _.])?mag(net(ometer|ic)?(_field)?)?" + _AXIS, "m{axis}_T"),
     (r"m" + r"(?P<axis>[xyz])", "m{axis}_T"),
-    (r"(quat(ernion)?|orientation|att(itude)?|q|rot)[ _.\[]*(?P<axis>[wxyz1234])\]?", "q{axis}"),
+    (r"(opt[ _.])?(quat(ernion)?|orientation|att(itude)?|q|rot)[ _.\[]*(?P<axis>[wxyz1234])\]?", "q{axis}"),
     (r"(pos(ition)?|p|loc(ation)?|opt_pos|translation)?" + _AXIS, "{axis}_m"),
     (r"(vel(ocity)?|v|speed)" + _AXIS, "v{axis}_m_s"),
     (r"surge([ _.]?(vel(ocity)?|speed|rate))?|u", "u_m_s"),
@@ -45,6 +45,8 @@ _TIME = re.compile(
     r"epoch)"
 )
 _UNIT = re.compile(r"[\[(/]\s*(?P<unit>[^\])\d][^\])]*)\s*[\])]?\s*$")
+#: Correlation from which on a column is the rate of change of another.
+ALIKE = 0.8
 #: Rates a logger may have, Hz: within these a unit of time is believed.
 SLOWEST_HZ, FASTEST_HZ = 0.2, 20_000.0
 
@@ -136,14 +138,14 @@ def _by_name(found: Guess, written: str | None) -> None:
         hit = re.fullmatch(pattern, bare)
         if hit is None:
             continue
-        axis = hit.groupdict().get("axis")
+        axis: str | None = hit.groupdict().get("axis")
         letters = (
             dict(zip("1234", "wxyz", strict=True))
             if target == "q{axis}"
             else dict(zip("123", "xyz", strict=True))
         )
         if axis is not None and target[:5] not in ("joint", "cmd{a"):
-            axis = letters.get(axis, axis)
+            axis = letters.get(axis) or axis
         wanted = target.format(axis=axis, number=hit.groupdict().get("number"))
         if found.unit is not None and not _fits(found.unit, wanted):
             continue
@@ -261,7 +263,7 @@ def _by_rates(guesses: list[Guess], columns: Mapping[str, Array], time: Array) -
             if base is rate or rate.target is not None or base.target is not None:
                 continue
             gain, r = _rate_of(time, columns[base.source], columns[rate.source])
-            if r > 0.9:
+            if r > ALIKE:
                 rate.say(
                     f"follows the rate of change of column {base.source} (r = {r:.3f}, factor {gain:.3g})"
                 )

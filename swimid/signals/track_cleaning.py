@@ -82,8 +82,9 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     A step is outlying when it differs from the running median velocity (Hampel's identifier on the
     steps, each by its own duration) by more than :data:`OUTLYING` times the larger of the local and
     the global median deviation, and is more than :data:`FASTER` times as fast as the track is in its
-    fastest moments (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps cut the track into pieces; the chain of pieces that keeps most
-    samples, and pays for every piece that does not continue the one before, is the track.
+    fastest moments (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps
+    cut the track into pieces; the chain of pieces that keeps most samples, and pays for every piece
+    that does not continue the one before, is the track.
 
     References
     ----------

@@ -18,7 +18,7 @@ LONGEST = 1500
 #: Samples in all that are smoothed; of more only every so many are taken.
 MOST = 60_000
 #: Smoothness tried, the weight of the squared curvature at one sample a unit of time.
-STRENGTHS = np.logspace(-4, 6, 21)
+STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
 #: Samples that suffice to choose it.

@@ -215,8 +215,8 @@ def _methods(found: Imported) -> list[str]:
     if found.speed is not None:
         sentences.append(
             "The mean speed was taken along cubic smoothing splines through each stretch without a gap, "
-            "their smoothness chosen by cross-validation, corrected for the noise by a parametric bootstrap; its "
-            "interval is that of the means of blocks."
+            "their smoothness chosen by cross-validation, corrected for the noise by a parametric bootstrap; "
+            "its interval is that of the means of blocks."
         )
     if found.stroke is not None:
         sentences.append("The stroke frequency is that of a sine fitted from the peak of the spectrum on.")
@@ -246,8 +246,9 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
     if track is not None and found.cleaning is not None:
         done = "left out" if found.cleaned else "kept"
         lines.append(
-            f"  track   {track['repeats']} repeats and {track['jumps']} jumps ({track['samples_jumped']} samples)"
-            f" {done}; {len(track['gaps_s'])} gaps kept, longest {_longest(found.cleaning.gaps):.3g} s"
+            f"  track   {track['repeats']} repeats and {track['jumps']} jumps "
+            f"({track['samples_jumped']} samples) {done}; {len(track['gaps_s'])} gaps kept, "
+            f"longest {_longest(found.cleaning.gaps):.3g} s"
         )
     if speed is not None:
         lines.append(

@@ -63,7 +63,7 @@ class McapSource:
             for number, channel in summary.channels.items():
                 if counts.get(number):
                     found[channel.topic] = (found.get(channel.topic) or 0) + counts[number]
-            return found
+            return dict(sorted(found.items()))
 
     def _reading(self) -> Any:
         return _Explaining(self._path)

@@ -1,0 +1,105 @@
+"""Import of 10 million IMU rows against ``pandas.read_csv`` alone: ratio of speeds, peak memory.
+
+The whole command is timed, from starting Python to the log and its evidence on the disk; of pandas
+only the reading. Run from the source folder: ``python benchmarks/bench_import.py [ROWS]``.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv
+from pyarrow import parquet as pq
+
+ROWS = int(float(sys.argv[1])) if len(sys.argv) > 1 else 10_000_000
+PIECE = 1_000_000
+NAMES = ["stamp_ms", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"]
+MAP = """\
+format: swimid-mapping/1
+time: {source: stamp_ms, unit: ms}
+columns:
+  - {source: acc_x, target: ax_m_s2, unit: g}
+  - {source: acc_y, target: ay_m_s2, unit: g}
+  - {source: acc_z, target: az_m_s2, unit: g}
+  - {source: gyr_x, target: wx_rad_s, unit: deg/s}
+  - {source: gyr_y, target: wy_rad_s, unit: deg/s}
+  - {source: gyr_z, target: wz_rad_s, unit: deg/s}
+"""
+PANDAS = """\
+import sys, time, pandas
+start = time.perf_counter()
+pandas.read_csv(sys.argv[1])
+print(time.perf_counter() - start)
+"""
+
+
+def make(folder: Path) -> None:
+    """The same samples as CSV and Parquet, with the digits of a 16-bit sensor."""
+    rng = np.random.default_rng(1)
+    schema = pa.schema([(name, pa.float64()) for name in NAMES])
+    with (
+        csv.CSVWriter(folder / "imu.csv", schema) as text,
+        pq.ParquetWriter(folder / "imu.parquet", schema) as table,
+    ):
+        for start in range(0, ROWS, PIECE):
+            t = np.arange(start, min(start + PIECE, ROWS), dtype=float)
+            phase = 2 * np.pi * 1.5e-3 * t
+            columns = [t]
+            for k in range(3):
+                columns.append(
+                    np.round((k == 2) + 0.05 * np.sin(phase + k) + 0.002 * rng.normal(size=len(t)), 5)
+                )
+            for k in range(3):
+                columns.append(np.round(30 * np.sin(phase + k) + 0.1 * rng.normal(size=len(t)), 4))
+            piece = pa.Table.from_arrays([pa.array(c) for c in columns], schema=schema)
+            text.write_table(piece)
+            table.write_table(piece)
+
+
+def run(words: list[str]) -> tuple[float, float, str]:
+    """Wall time, s, peak memory, GiB, and output of a command."""
+    start = time.perf_counter()
+    child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    text = child.stdout.read()
+    _, status, usage = os.wait4(child.pid, 0)
+    assert status == 0, f"{words} failed"
+    return time.perf_counter() - start, usage.ru_maxrss / 2**20, text
+
+
+def main() -> None:
+    """Print one line per way."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make(folder)
+        (folder / "map.yaml").write_text(MAP)
+        python = [sys.executable, "-c", PANDAS, str(folder / "imu.csv")]
+        peer = min(float(run(python)[2]) for _ in range(2))
+        print(
+            f"{ROWS} rows of {len(NAMES)} columns, {(folder / 'imu.csv').stat().st_size / 2**20:.0f} MiB as CSV"
+        )
+        print(f"pandas.read_csv alone       {peer:7.1f} s  {ROWS / peer / 1e6:6.2f} M rows/s")
+        for source, target in (
+            ("csv", "parquet"),
+            ("csv", "csv"),
+            ("parquet", "parquet"),
+            ("parquet", "csv"),
+        ):
+            words = [sys.executable, "-m", "swimid", "import", str(folder / f"imu.{source}")]
+            words += ["--map", str(folder / "map.yaml"), "-o", str(folder / f"out.{target}"), "--force", "-q"]
+            seconds, peak, _ = run(words)
+            print(
+                f"import {source:7} -> {target:7}  {seconds:7.1f} s  {ROWS / seconds / 1e6:6.2f} M rows/s"
+                f"  {peer / seconds:5.2f} of pandas  peak {peak:.2f} GiB"
+            )
+
+
+if __name__ == "__main__":
+    main()

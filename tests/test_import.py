@@ -1,0 +1,387 @@
+"""swimid import: every foreign format, mappings, order, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swimid.formats import log, mapping, units
+from swimid.formats.foreign import open_source, readers
+from tests.conftest import ROOT, Ran
+
+Run = Callable[..., Ran]
+N = 50
+TIME_MS = np.arange(N) * 20.0
+X_MM = 100.0 + 3.0 * np.arange(N)
+YAW_DEG = 10 * np.sin(np.arange(N) / 3)
+MAP = """\
+format: swimid-mapping/1
+{reader}
+time: {{source: {time}, unit: ms}}
+columns:
+  - {{source: {x}, target: x_m, unit: mm}}
+  - {{source: {yaw}, target: yaw_rad, unit: deg, factor: -1, offset: 0.5}}
+metadata: {{robot: fish}}
+"""
+
+
+def _text(
+    path: Path, delimiter: str = ",", header: bool = True, decimal: str = ".", encoding: str = "utf-8"
+) -> None:
+    rows = [["Time (ms)", "X [mm]", "Yaw (°)"]] if header else []
+    rows += [
+        [f"{v:.6f}".replace(".", decimal) for v in row] for row in zip(TIME_MS, X_MM, YAW_DEG, strict=True)
+    ]
+    path.write_bytes("".join(delimiter.join(row) + "\n" for row in rows).encode(encoding))
+
+
+def _mat(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"t": TIME_MS, "run": {"pose": np.column_stack([X_MM, YAW_DEG]), "who": "us"}, "fs": 50.0})
+
+
+def _mat73(path: Path) -> None:
+    """What MATLAB writes with -v7.3: HDF5 behind a text block, arrays transposed."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in (("t", TIME_MS[:, None]), ("pose", np.column_stack([X_MM, YAW_DEG]))):
+            file[name] = values.T
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    raw = bytearray(path.read_bytes())
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    raw[: len(head)] = head
+    path.write_bytes(raw)
+
+
+def _parquet(path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(
+        pa.table({"t": TIME_MS.astype(np.int64), "x": X_MM.astype(np.float32), "yaw": YAW_DEG}), path
+    )
+
+
+def _json_lines(path: Path) -> None:
+    lines = [
+        json.dumps({"t": t, "pose": {"x": x, "angles": [0.0, 0.0, yaw]}, "state": "run"})
+        for t, x, yaw in zip(TIME_MS, X_MM, YAW_DEG, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _mcap(path: Path) -> None:
+    writer_of = pytest.importorskip("mcap_ros2.writer")
+    with path.open("wb") as stream:
+        writer = writer_of.Writer(stream)
+        schema = writer.register_msgdef(
+            "fish_msgs/msg/Pose",
+            "float64 ms\ngeometry_msgs/Point at\nfloat64 yaw\n"
+            + "=" * 80
+            + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n",
+        )
+        other = writer.register_msgdef("std_msgs/msg/Float64", "float64 data\n")
+        for k in range(N):
+            stamp = 1_700_000_000_000_000_000 + int(TIME_MS[k] * 1e6)
+            message = {"ms": TIME_MS[k], "at": {"x": X_MM[k], "y": 0.0, "z": 0.0}, "yaw": YAW_DEG[k]}
+            writer.write_message("/pose", schema, message, log_time=stamp, publish_time=stamp)
+            writer.write_message("/depth", other, {"data": 1.0}, log_time=stamp, publish_time=stamp)
+        writer.finish()
+
+
+def _ulog(path: Path) -> None:
+    """The smallest ULog file: header, format, subscription, data (docs.px4.io, ULog file format)."""
+    pytest.importorskip("pyulog")
+    import struct
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
+    parts.append(message(b"B", bytes(40)))
+    parts.append(message(b"F", b"pose:uint64_t timestamp;double ms;double[2] p;"))
+    parts.append(message(b"A", struct.pack("<BH", 0, 0) + b"pose"))
+    for k in range(N):
+        body = struct.pack("<Qddd", int(TIME_MS[k] * 1000), TIME_MS[k], X_MM[k], YAW_DEG[k])
+        parts.append(message(b"D", struct.pack("<H", 0) + body))
+    path.write_bytes(b"".join(parts))
+
+
+FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] = {
+    "comma": ("a.csv", _text, "", ('"Time (ms)"', '"X [mm]"', '"Yaw (°)"')),
+    "numbers": ("a.csv", _text, "", ("1", "2", "3")),
+    "headerless blanks": (
+        "a.txt",
+        lambda p: _text(p, "   ", header=False),
+        "reader: {header: false}",
+        ("1", "2", "3"),
+    ),
+    "tab": ("a.tsv", lambda p: _text(p, "\t"), "", ("1", "2", "3")),
+    "semicolon, comma": ("a.csv", lambda p: _text(p, ";", decimal=","), "", ("1", "2", "3")),
+    "Latin-1": ("a.csv", lambda p: _text(p, encoding="latin-1"), "", ("1", "2", '"Yaw (°)"')),
+    "UTF-16": ("a.csv", lambda p: _text(p, encoding="utf-16"), "", ("1", "2", '"Yaw (°)"')),
+    "mat": ("a.mat", _mat, "", ("t", '"run.pose[1]"', '"run.pose[2]"')),
+    "mat 7.3": ("b.mat", _mat73, "", ("t", '"pose[1]"', '"pose[2]"')),
+    "parquet": ("a.parquet", _parquet, "", ("t", "x", "yaw")),
+    "json lines": ("a.jsonl", _json_lines, "", ("t", "pose.x", '"pose.angles[3]"')),
+    "mcap": ("a.mcap", _mcap, "reader: {topic: /pose}", ("ms", "at.x", "yaw")),
+    "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_every_format(kind: str, ending: str, swimid: Run, tmp_path: Path) -> None:
+    name, make, reader, (time, x, yaw) = FILES[kind]
+    make(tmp_path / name)
+    (tmp_path / "map.yaml").write_text(MAP.format(reader=reader, time=time, x=x, yaw=yaw), encoding="utf-8")
+    out = tmp_path / f"run.{ending}"
+    ran = swimid("import", tmp_path / name, "--map", tmp_path / "map.yaml", "-o", out, "--json")
+    assert ran.status == 0, ran.err
+    record = log.read(out)
+    # text files were written with six decimals, Parquet's x with 24 bits
+    assert np.allclose(record.time_s, TIME_MS / 1000, rtol=0, atol=1e-9)
+    assert np.allclose(record["x_m"], X_MM / 1000, rtol=1e-7, atol=1e-9)
+    assert np.allclose(record["yaw_rad"], 0.5 - np.radians(YAW_DEG), rtol=0, atol=1e-8)
+    assert record.metadata["robot"] == "fish"
+    assert ran.json["result"]["samples"] == N
+    assert out.with_name("run.evidence.json").exists()
+
+
+def test_every_reader_is_tried() -> None:
+    assert set(readers()) == {"delimited", "mat", "hdf5", "parquet", "jsonl", "mcap", "ulog"}
+
+
+def test_layout_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{k},{k / 2}\n" for k in range(100))
+    path.write_text(f"Logger 7\nserial 12\n# a remark: 5\ntime,force\n[ms],[N]\n{rows}100")
+    source = open_source(path)
+    assert [column.name for column in source.columns] == ["time", "force"]
+    assert source.layout.units == ["ms", "N"]  # type: ignore[attr-defined]
+    chunk = next(iter(source.chunks(["force"], lambda amount: None)))
+    assert len(chunk["force"]) == 100
+    assert source.lines(2)[0] == 6
+
+
+def test_the_rows_of_a_mapped_log_are_lines_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t_s,u_m_s\n0,1\n\n# pause\n1,2\n2,3\n")
+    assert mapping.identity(path).rows.tolist() == [2, 5, 6]
+
+
+@pytest.mark.parametrize(
+    "unit,column,value",
+    [
+        ("ms", "t_s", 0.001),
+        ("g", "ax_m_s2", 9.80665),
+        ("g", "load_kg", 0.001),
+        ("deg/s", "wx_rad_s", math.pi / 180),
+        ("°", "yaw_rad", math.pi / 180),
+        ("m/s^2", "ay_m_s2", 1.0),
+        ("µT", "mx_T", 1e-6),
+        ("rpm", "wheel_rad_s", 2 * math.pi / 60),
+    ],
+)
+def test_units(unit: str, column: str, value: float) -> None:
+    assert units.factor(unit, column) == pytest.approx(value, rel=1e-15)
+
+
+def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None:
+    """Nanoseconds since 1970 do not fit a floating-point number: the first is taken off before."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    stamps = 1_700_000_000_123_456_789 + np.arange(20) * 1_000_001
+    pq.write_table(pa.table({"stamp": stamps, "u": np.arange(20.0)}), tmp_path / "a.parquet")
+    text = "format: swimid-mapping/1\ntime: {source: stamp, unit: ns, origin: first}\ncolumns: [{source: u, target: u_m_s}]\n"
+    (tmp_path / "m.yaml").write_text(text)
+    found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.parquet")
+    assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
+
+
+def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
+    _mat(tmp_path / "a.mat")
+    text = 'format: swimid-mapping/1\ntime: {rate_hz: fs}\ncolumns: [{source: "run.pose[1]", target: x_m, unit: mm}]\n'
+    (tmp_path / "m.yaml").write_text(text)
+    found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.mat")
+    assert np.allclose(found.time_s, np.arange(N) / 50)
+
+
+def test_order_is_mended_and_told(swimid: Run, tmp_path: Path) -> None:
+    rows = [[k / 10, float(k)] for k in range(200)]
+    rows[50], rows[51] = rows[51], rows[50]  # a late packet
+    rows.insert(100, list(rows[99]))  # the same row twice
+    rows.insert(150, [rows[149][0], -1.0])  # another value at a time that is taken
+    lines = ["t_s,u_m_s", *(f"{t},{u}" for t, u in rows), ",5.0"]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "run.csv", "--json")
+    assert ran.json["result"]["rows"] == {"untimed": 1, "repeated": 1, "clashing": 1, "late": 1}
+    assert "SWM057" in [w["code"] for w in ran.json["warnings"]]
+    record = log.read(tmp_path / "run.csv")
+    assert np.allclose(record["u_m_s"], np.arange(200.0))
+
+
+@pytest.mark.parametrize(
+    "content,words",
+    [
+        ("t_s,u_m_s\n" + "".join(f"{k % 50},{k}\n" for k in range(100)), ["line 52", "clock starts again"]),
+        (
+            "t_s,u_m_s\n" + "".join(f"{k},{k}\n" for k in range(9)) + "9,1;5\n",
+            ["line 11", "'u_m_s'", "not a number"],
+        ),
+        ("time,u\n1,2\n2,3\n", ["'t_s'", "missing", "--guess"]),
+        ("", ["empty"]),
+        ("\x00\x01\x02" * 50, ["no text file"]),
+        ("once upon a time\nthere was a fish\n", ["no line holds numbers"]),
+        ("t_s,u_m_s\n" + "".join(f"{k},{k}\n" for k in range(20)) + "1,2,3\n" * 3, ["line 22", "3 cells"]),
+    ],
+)
+def test_what_is_refused(content: str, words: list[str], swimid: Run, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "run.csv")
+    assert ran.status == 3
+    for word in words:
+        assert word in ran.err
+    assert not (tmp_path / "run.csv").exists()
+
+
+@pytest.mark.parametrize(
+    "change,words",
+    [
+        (("unit: mm", "unit: deg"), ["line 4", "unit of angle"]),
+        (("unit: mm", "unit: furlong"), ["line 4", "unknown unit"]),
+        (("target: x_m", "target: x m"), ["letters, digits"]),
+        (("target: x_m, unit: mm", "target: yaw_rad"), ["target 'yaw_rad'"]),
+        (("source: 2", "source: 9"), ["has 3 columns"]),
+        (("source: 2", 'source: "X [m]"'), ["did you mean 'X [mm]'"]),
+        (("time: {source: 1, unit: ms}", ""), ["time once"]),
+        (("columns:", "colums:"), ["did you mean 'columns'"]),
+    ],
+)
+def test_mistakes_in_a_mapping(
+    change: tuple[str, str], words: list[str], swimid: Run, tmp_path: Path
+) -> None:
+    _text(tmp_path / "a.csv")
+    text = MAP.format(reader="", time="1", x="2", yaw="3").replace("\n\n", "\n").replace(*change)
+    (tmp_path / "m.yaml").write_text(text)
+    ran = swimid("import", tmp_path / "a.csv", "--map", tmp_path / "m.yaml", "-o", tmp_path / "run.csv")
+    assert ran.status == 3
+    for word in words:
+        assert word in ran.err
+
+
+def test_several_topics_must_be_told_apart(swimid: Run, tmp_path: Path) -> None:
+    _mcap(tmp_path / "a.mcap")
+    ran = swimid("import", tmp_path / "a.mcap", "--guess")
+    assert ran.status == 3
+    assert "/depth, /pose" in ran.err
+
+
+def test_several_logs_go_to_a_folder(swimid: Run, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("t_s,u_m_s\n0,1\n1,2\n2,3\n")
+    ran = swimid("import", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out", "--json")
+    assert ran.status == 0, ran.err
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "a.csv",
+        "b.csv",
+        "a.evidence.json",
+        "b.evidence.json",
+    }
+    refused = swimid("import", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "a.csv")
+    assert refused.status == 2
+
+
+def test_a_guess_is_a_mapping_that_works(swimid: Run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    tilt = np.array([0.05, -0.02, 1.0])
+    acc = tilt + 0.01 * rng.normal(size=(400, 3))
+    gyro = 20 * rng.normal(size=(400, 3))
+    with (tmp_path / "imu.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(
+            ["timestamp", "accX", "accY", "accZ", "gyroX (deg/s)", "gyroY (deg/s)", "gyroZ (deg/s)", "note"]
+        )
+        for k in range(400):
+            writer.writerow([1_700_000_000_000 + 10 * k, *acc[k], *gyro[k], "ok"])
+    assert swimid("import", tmp_path / "imu.csv", "--guess", "-o", tmp_path / "m.yaml").status == 0
+    text = (tmp_path / "m.yaml").read_text()
+    assert "gravity in g" in text
+    assert "counts from 1970" in text
+    ran = swimid("import", tmp_path / "imu.csv", "--map", tmp_path / "m.yaml", "-o", tmp_path / "run.csv")
+    assert ran.status == 0, ran.err
+    record = log.read(tmp_path / "run.csv")
+    assert np.allclose(record.time_s, 0.01 * np.arange(400))
+    assert np.allclose(record["az_m_s2"], 9.80665 * acc[:, 2])
+    assert np.allclose(record["wx_rad_s"], np.radians(gyro[:, 0]))
+
+
+def test_a_headerless_guess(swimid: Run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(300) * 0.01
+    table = np.column_stack(
+        [t, 0.1 * rng.normal(size=(300, 3)) + [0, 9.8, 0], 0.2 * rng.normal(size=(300, 3))]
+    )
+    np.savetxt(tmp_path / "imu.txt", table)
+    ran = swimid("import", tmp_path / "imu.txt", "--guess")
+    for words in (
+        "{source: 1, unit: s}",
+        "{source: 3, target: ay_m_s2",
+        "{source: 7, target: wz_rad_s",
+        "header: false",
+    ):
+        assert words in ran.out
+
+
+@pytest.mark.parametrize("name", ["msu-states", "msu-control", "starfish"])
+def test_example_mappings_are_valid(name: str) -> None:
+    mapping.read(ROOT / "docs" / "examples" / f"{name}.yaml")
+
+
+def test_msu_fish(real_data: Path, swimid: Run, tmp_path: Path) -> None:
+    """The tail beats at 2.0 Hz in the straight runs; the authors' script says 1 Hz."""
+    source = real_data / "msu_tail_fish" / "Amp20Bias0"
+    example = ROOT / "docs" / "examples" / "msu-states.yaml"
+    ran = swimid(
+        "import",
+        source / "STATES1.txt",
+        source / "STATES2.txt",
+        "--map",
+        example,
+        "-o",
+        tmp_path / "o",
+        "--json",
+    )
+    assert ran.status == 0, ran.err
+    for result, name in zip(ran.json["result"]["logs"], ("STATES1", "STATES2"), strict=True):
+        assert abs(result["stroke"]["frequency_hz"] - 2.0) < 0.05
+        assert result["stroke"]["contradiction"]
+        assert result["track"]["jumps"] == 0
+        raw = np.loadtxt(source / f"{name}.txt")
+        record = log.read(tmp_path / "o" / f"{name}.csv")
+        assert np.array_equal(record["x_m"], raw[:, 5])
+        assert np.array_equal(record["yaw_rate_rad_s"], raw[:, 3])
+    assert "SWM032" in [w["code"] for w in ran.json["warnings"]]
+
+
+@pytest.mark.parametrize("name", ["airtest", "baseline", "cyclic1", "horizontal_cyclic1"])
+def test_starfish(name: str, real_data: Path, swimid: Run, tmp_path: Path) -> None:
+    source = real_data / "starfish" / f"data_{name}.csv"
+    example = ROOT / "docs" / "examples" / "starfish.yaml"
+    ran = swimid("import", source, "--map", example, "-o", tmp_path / "run.csv", "--json")
+    assert ran.status == 0, ran.err
+    raw = np.genfromtxt(source, delimiter=",", skip_header=1)
+    record = log.read(tmp_path / "run.csv")
+    assert np.allclose(record.time_s, raw[:, 0] / 1000, rtol=1e-12)
+    assert np.allclose(record["m1_z_m"], raw[:, 3] / 1000, rtol=1e-12)
+    assert np.array_equal(np.isnan(record["tendon_m"]), np.isnan(raw[:, 1]))
+    # bursts of the limb are no jumps
+    assert ran.json["result"]["track"]["jumps"] == 0
