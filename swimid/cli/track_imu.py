@@ -84,6 +84,13 @@ _POSITIVE = click.FloatRange(0, min_open=True)
     help="How far that mean may be from 0, m/s.",
 )
 @click.option(
+    "--top-speed-m-s",
+    type=_POSITIVE,
+    default=2.0,
+    show_default=True,
+    help="Speed the robot never exceeds, m/s.",
+)
+@click.option(
     "--mount-deg",
     type=float,
     nargs=3,

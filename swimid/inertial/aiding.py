@@ -90,6 +90,23 @@ def attitudes(source: Source, sd: float) -> Aid:
     return make
 
 
+def speed_limit(top_m_s: float) -> Aid:
+    """No faster than this: each velocity is 0 with half of it as deviation, as one measurement a log.
+
+    Its weight is spread over the log, so that a steady cruise, which is off by the same all the time, is not
+    pulled to rest by the number of samples.
+    """
+
+    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
+        nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
+        h = np.zeros((3, states))
+        h[:, V] = np.eye(3)
+        wide = np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
+        return [Observation(int(node), "top speed", -path.velocity[rows[node]], h, wide) for node in nodes]
+
+    return make
+
+
 def zero_mean(axis: int, window_s: float, sd: float) -> Aid:
     """A body velocity whose mean over every window is 0: no sway, or no heave (declared)."""
 

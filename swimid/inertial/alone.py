@@ -27,8 +27,8 @@ from swimid.inertial.smoother import Aid, Mounting, Smoothed, Start
 RestUse = Literal["ends", "all", "none"]
 #: Axes whose mean may be declared to be 0.
 MEANS = {"sway": 1, "heave": 2}
-#: Speed of a start that is not a rest, deviation, m/s.
-START_SPEED_SD = 1.0
+#: Speed no swimming robot of the kind exceeds unless its user says so, m/s.
+TOP_SPEED_M_S = 2.0
 #: Roll, pitch and yaw at the first sample, deviation, rad: of a filter's tilt, of the zero of yaw.
 START_TILT_SD, YAW_ZERO_SD = 0.05, 1e-6
 
@@ -48,6 +48,8 @@ class Declared:
         ``sway``, ``heave``: body velocities whose mean over a window is 0.
     window_s, mean_sd : float
         Length of that window, s, and how far the mean may be from 0, m/s.
+    top_speed_m_s : float
+        Speed the robot never exceeds, m/s.
     lever_m : ndarray, shape (3,)
         The sensor's place seen from the reference point, body axes, m.
     """
@@ -57,6 +59,7 @@ class Declared:
     zero_mean: tuple[str, ...] = ()
     window_s: float = 2.0
     mean_sd: float = 0.02
+    top_speed_m_s: float = TOP_SPEED_M_S
     lever_m: Array | None = None
 
 
@@ -125,10 +128,13 @@ def run(
     yaw_sd = (sensor.attitude_sd or QUATERNION_SD) if source.heading else YAW_ZERO_SD
     start = Start(
         source.rotation[0],
-        velocity_sd=aiding.REST_SPEED_SD if at_rest else START_SPEED_SD,
+        velocity_sd=aiding.REST_SPEED_SD if at_rest else 0.5 * declared.top_speed_m_s,
         rotation_sd=(START_TILT_SD, START_TILT_SD, yaw_sd),
         rate_bias=still_rate(record, still.found),
     )
     mounting = Mounting(mount.rotation, lever_to_reference(mount, declared))
-    aids = common_aids(record, source, still, sensor, declared)
+    aids = [
+        *common_aids(record, source, still, sensor, declared),
+        aiding.speed_limit(declared.top_speed_m_s),
+    ]
     return smoother.run(record, start, mounting, sensor, still.noise, aids, advance=advance)

@@ -246,6 +246,16 @@ def _path_checks(m: Material) -> list[ev.Check]:
                 verdict="pass" if m.source.heading else "info",
             )
         )
+    if m.fused is None:
+        top, fastest = m.settings.declared.top_speed_m_s, np.linalg.norm(m.motion.velocity, axis=1).max()
+        found.append(
+            ev.Check(
+                name="Top speed",
+                value=f"{fastest:.2f} m/s",
+                limit=f"taken as never above {top:g} m/s (--top-speed-m-s)",
+                verdict="pass" if fastest <= top else "warn",
+            )
+        )
     if m.rest_score is not None:
         found.append(
             ev.Check(
@@ -408,6 +418,7 @@ def settings(m: Material) -> dict[str, Any]:
         "still_s": [list(w) for w in d.still],
         "rest": d.rests,
         "zero_mean": list(d.zero_mean),
+        "top_speed_m_s": d.top_speed_m_s,
         "mount_deg": None if s.mount_deg is None else list(s.mount_deg),
         "level_at_rest": s.level_at_rest,
         "lever_m": None if d.lever_m is None else [float(v) for v in d.lever_m],

@@ -43,6 +43,7 @@ def settings_of(given: Mapping[str, Any]) -> Settings:
         tuple(dict.fromkeys(given["zero_mean"])),
         given["window_s"],
         given["mean_sd_m_s"],
+        given["top_speed_m_s"],
         None if given["lever_m"] is None else np.asarray(given["lever_m"], dtype=float),
     )
     return Settings(
