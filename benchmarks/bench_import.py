@@ -34,9 +34,9 @@ columns:
 """
 PANDAS = """\
 import sys, time, pandas
-start = time.perf_counter()
+wall, work = time.perf_counter(), time.process_time()
 pandas.read_csv(sys.argv[1])
-print(time.perf_counter() - start)
+print(time.perf_counter() - wall, time.process_time() - work)
 """
 
 
@@ -63,15 +63,15 @@ def make(folder: Path) -> None:
             table.write_table(piece)
 
 
-def run(words: list[str]) -> tuple[float, float, str]:
-    """Wall time, s, peak memory, GiB, and output of a command."""
+def run(words: list[str]) -> tuple[float, float, float, str]:
+    """Wall time and processor time, s, peak memory, GiB, and output of a command."""
     start = time.perf_counter()
     child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
     text = child.stdout.read()
     _, status, usage = os.wait4(child.pid, 0)
     assert status == 0, f"{words} failed"
-    return time.perf_counter() - start, usage.ru_maxrss / 2**20, text
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20, text
 
 
 def main() -> None:
@@ -81,7 +81,8 @@ def main() -> None:
         make(folder)
         (folder / "map.yaml").write_text(MAP)
         python = [sys.executable, "-c", PANDAS, str(folder / "imu.csv")]
-        peer = min(float(run(python)[2]) for _ in range(2))
+        size = (folder / "imu.csv").stat().st_size / 2**20
+        print(f"{ROWS} rows of {len(NAMES)} columns, {size:.0f} MiB as CSV; wall and processor time")
         print(
             f"{ROWS} rows of {len(NAMES)} columns, {(folder / 'imu.csv').stat().st_size / 2**20:.0f} MiB as CSV"
         )
@@ -94,10 +95,13 @@ def main() -> None:
         ):
             words = [sys.executable, "-m", "swimid", "import", str(folder / f"imu.{source}")]
             words += ["--map", str(folder / "map.yaml"), "-o", str(folder / f"out.{target}"), "--force", "-q"]
-            seconds, peak, _ = run(words)
+            # the peer right before: whatever else the machine does, it does to both
+            peer, peer_work = (float(x) for x in run(python)[3].split())
+            seconds, work, peak, _ = run(words)
             print(
-                f"import {source:7} -> {target:7}  {seconds:7.1f} s  {ROWS / seconds / 1e6:6.2f} M rows/s"
-                f"  {peer / seconds:5.2f} of pandas  peak {peak:.2f} GiB"
+                f"import {source:7} -> {target:7} {seconds:6.1f} s {work:6.1f} s   pandas.read_csv {peer:6.1f} s "
+                f"{peer_work:6.1f} s   speed {peer / seconds:.2f} of it ({peer_work / work:.2f})   peak {peak:.2f} GiB",
+                flush=True,
             )
 
 

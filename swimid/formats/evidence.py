@@ -228,11 +228,14 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
     if len(x) <= points:
         return x, y
     keep: set[int] = {0, len(x) - 1}
-    for part in np.array_split(np.arange(len(x)), max(points // 2 - 1, 1)):
-        values = y[part]
-        if np.all(np.isnan(values)):
-            keep.add(int(part[0]))
+    first, whole = 0, not np.isnan(y).any()
+    for values in np.array_split(y, max(points // 2 - 1, 1)):
+        if whole:
+            keep.update((first + int(np.argmin(values)), first + int(np.argmax(values))))
+        elif np.all(np.isnan(values)):
+            keep.add(first)
         else:
-            keep.update((int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])))
+            keep.update((first + int(np.nanargmin(values)), first + int(np.nanargmax(values))))
+        first += len(values)
     index = np.array(sorted(keep))
     return x[index], y[index]

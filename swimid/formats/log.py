@@ -327,19 +327,29 @@ def warn_units(log: Log) -> None:
     if len(time) > 2 and np.median(np.diff(time)) >= 5 and np.ptp(time) >= 2000:
         warn("SWM002", f"{log.path.name}, 't_s': the steps look like milliseconds (a factor of 1000)")
     for name, values in log.columns.items():
-        largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
-        jump = float(np.nanmax(np.abs(np.diff(values)))) if np.isfinite(np.diff(values)).any() else 0.0
+        ends = _ends(values)
+        largest = max(-ends[0], ends[1])
         tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
         if name.endswith("_rad") and (
-            tilted or jump > 2.2 * np.pi or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
+            tilted
+            or max(_ends(np.diff(values))) > 2.2 * np.pi
+            or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
         ):
             warn("SWM002", f"{log.path.name}, '{name}': looks like degrees (a factor of 57.3)")
         elif name.endswith("_rad_s") and largest > 60:
             warn("SWM002", f"{log.path.name}, '{name}': looks like degrees per second (a factor of 57.3)")
-        elif name in ("x_m", "y_m", "z_m") and largest and np.nanmax(values) - np.nanmin(values) > 100:
+        elif name in ("x_m", "y_m", "z_m") and ends[1] - ends[0] > 100:
             warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres (a factor of 1000)")
         elif name.endswith("_m_s") and largest > 20:
             warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres per second (a factor of 1000)")
+
+
+def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Smallest and largest value, zeros where there is none."""
+    if len(values) == 0:
+        return 0.0, 0.0
+    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+    return (0.0, 0.0) if np.isnan(low) else (low, high)
 
 
 # ---------------------------------------------------------------- writing

@@ -195,6 +195,8 @@ def identity(path: str | Path, *, progress: Progress = silent) -> MappedLog:
             )
         text = [column.name for column in source.columns if column.kind != "number"]
         wanted = [TIME, *(n for n in names if n != TIME and n not in text and _NAME.fullmatch(n))]
+        if wanted == [TIME]:
+            raise InputError("holds no column of numbers beside the time", file=path)
         columns = [Column(source=name, target=name) for name in wanted]
         read_as = Mapping(format="swimid-mapping/1", columns=columns)
         found = _mapped(read_as, path, source, progress)
@@ -345,14 +347,15 @@ def _epoch_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
 def _converted(values: NDArray[Any], scale: float, offset: float) -> NDArray[np.float64]:
     numbers = values.astype(np.float64, copy=False)
     if scale != 1.0:
-        numbers = numbers * scale
+        numbers = np.multiply(numbers, scale, out=numbers if numbers.flags.writeable else None)
     return numbers + offset if offset else numbers
 
 
 def _without_infinity(values: NDArray[np.float64]) -> bool:
     """Make infinite values missing, in place; whether there were any."""
-    infinite = np.isinf(values)
-    if not infinite.any():
+    ends = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+    if not np.isinf(ends).any():
         return False
+    infinite = np.isinf(values)
     values[infinite] = np.nan
     return True

@@ -13,7 +13,7 @@ from swimid.notices import warn
 from swimid.reporting import numbers
 from swimid.signals import rhythm
 from swimid.signals.rhythm import Rhythm
-from swimid.signals.sampling import longest_even
+from swimid.signals.sampling import longest_even, usual_step
 
 Array = NDArray[np.float64]
 #: More channels than this are listed in the table and not drawn.
@@ -54,29 +54,35 @@ def _signals(record: Log) -> dict[str, Array]:
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
+def pauses(time: Array) -> NDArray[np.int64]:
+    """Samples after which nothing was logged for longer than :data:`PAUSE` sample times."""
+    return (
+        np.flatnonzero(np.diff(time) > PAUSE * usual_step(time)) if len(time) > 3 else np.empty(0, dtype=int)
+    )
+
+
 def missing(time: Array, values: Array) -> list[tuple[float, float]]:
     """Stretches between two samples that lack what lies between them, s."""
-    lost = np.flatnonzero(np.diff(np.concatenate([[0], np.isnan(values).astype(int), [0]])))
+    empty = np.isnan(values)
+    quiet = [(float(time[k]), float(time[k + 1])) for k in pauses(time)]
+    if not empty.any():
+        return quiet
+    lost = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     last = len(time) - 1
-    blank = [
+    blank = {
         (float(time[max(first - 1, 0)]), float(time[min(end, last)]))
         for first, end in zip(lost[::2], lost[1::2], strict=True)
-    ]
-    steps = np.diff(time)
-    if len(steps) < 3:
-        return blank
-    pauses = np.flatnonzero(steps > PAUSE * np.median(steps))
-    return sorted({*blank, *((float(time[k]), float(time[k + 1])) for k in pauses)})
+    }
+    return sorted({*blank, *quiet})
 
 
 def _broken(time: Array, values: Array) -> tuple[Array, Array]:
     """The samples with an empty one in every pause, so that no line is drawn across it."""
-    steps = np.diff(time)
-    if len(steps) < 3:
+    after = pauses(time)
+    if not len(after):
         return time, values
-    pauses = np.flatnonzero(steps > PAUSE * np.median(steps))
-    middle = 0.5 * (time[pauses] + time[pauses + 1])
-    return np.insert(time, pauses + 1, middle), np.insert(values, pauses + 1, np.nan)
+    middle = 0.5 * (time[after] + time[after + 1])
+    return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
 
 
 def _line(time: Array, values: Array, label: str = "", *, few: bool = False) -> Trace:

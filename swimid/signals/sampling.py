@@ -22,6 +22,8 @@ SAME_RATE = 0.01
 #: A column with fewer distinct values than this, or than this share of its samples, holds
 #: levels that were set, not a rounded continuous signal.
 LEVELS, LEVEL_SHARE = 100, 0.05
+#: Of a longer record the middle is enough to see how it swings.
+LONGEST_SOUGHT = 1_000_000
 #: Unless their last decimal is finer than this share of their range: nobody sets such levels, but
 #: a computed signal that repeats itself (a sine of 20 samples a period) has them.
 FINE = 1e-4
@@ -50,6 +52,16 @@ class Rate:
     def uniform(self) -> bool:
         """Whether a constant rate describes the record at all."""
         return self.on_grid >= ENOUGH
+
+
+def usual_step(time_s: np.ndarray) -> float:
+    """Median step of a record, s, of its first samples where there are very many; NaN for one sample.
+
+    >>> usual_step(np.array([0.0, 0.1, 0.2, 0.7]))
+    0.1
+    """
+    steps = np.diff(time_s[:LONGEST_SOUGHT])
+    return float(np.median(steps)) if len(steps) else float("nan")
 
 
 @dataclass(frozen=True)
@@ -240,7 +252,8 @@ def longest_even(
     time_s, values : ndarray, shape (n,)
         Strictly increasing times; NaN where missing.
     fastest_hz : float
-        A faster channel is averaged down to this rate.
+        A faster channel is averaged down to this rate. Of more samples than :data:`LONGEST_SOUGHT` those
+        in the middle are looked at.
     most : int
         Samples that are enough; a longer stretch is cut.
 
@@ -250,6 +263,10 @@ def longest_even(
         Empty where no two samples are there. Pauses up to six sample times are bridged by straight
         lines, so that a spectrum can be taken; nothing else should be read off them.
     """
+    if len(values) > LONGEST_SOUGHT:
+        first = (len(values) - LONGEST_SOUGHT) // 2
+        middle = slice(first, first + LONGEST_SOUGHT)
+        time_s, values = time_s[middle], values[middle]
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 2:
         return np.empty(0), np.empty(0)

@@ -137,9 +137,10 @@ def _columns(found: Imported, rules: Mapping | None) -> Table:
             sources[log.TIME] = [str(origin), rules.time.unit, str(rules.time.origin)]
     rows: list[list[str | float | int | bool | None]] = []
     for name, values in found.columns.items():
-        known = values[np.isfinite(values)]
-        ends = [float(known.min()), float(known.max())] if len(known) else [None, None]
-        rows.append([name, *(sources.get(name, [name, "1", "0"])), *ends, int(len(values) - len(known))])
+        low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+        ends = [None, None] if np.isnan(low) else [low, high]
+        missing = int(np.count_nonzero(np.isnan(values)))
+        rows.append([name, *(sources.get(name, [name, "1", "0"])), *ends, missing])
     return Table(
         id="columns",
         title="Columns",

@@ -18,6 +18,7 @@ from swimid.progress import Progress, silent
 from swimid.signals import rhythm, time_order, track_cleaning, track_speed
 from swimid.signals.beat import contradiction
 from swimid.signals.rhythm import Rhythm
+from swimid.signals.sampling import usual_step
 from swimid.signals.time_order import Order
 from swimid.signals.track_cleaning import Cleaning
 from swimid.signals.track_speed import TrackSpeed
@@ -301,7 +302,7 @@ def _contradiction(stroke: Rhythm | None, metadata: dict[str, Any], name: str) -
 def facts(found: Imported, record: evidence.Evidence) -> dict[str, Any]:
     """The result for machines."""
     time = found.time_s
-    step = float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+    step = usual_step(time)
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     return {
         "file": str(found.path),

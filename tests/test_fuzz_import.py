@@ -1,0 +1,140 @@
+"""Every foreign reader against garbage: it succeeds or raises a SwimidError, and never hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swimid.errors import SwimidError
+from swimid.formats import mapping
+from swimid.formats.foreign import Options, open_source
+from swimid.notices import SwimidWarning
+from swimid.verbs.import_guess import guess_mapping
+from tests.conftest import Ran
+from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
+from tests.test_import import FILES, MAP
+
+#: One file of each kind of reader, small enough to try many.
+KINDS = {
+    "comma": "",
+    "headerless blanks": "",
+    "mat": "",
+    "mat 7.3": "",
+    "parquet": "",
+    "json lines": "",
+    "mcap": "/pose",
+    "ulog": "",
+}
+
+
+def _through(path: Path, topic: str) -> None:
+    """Read all a file offers, and guess its mapping; any SwimidError is as good as an answer."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SwimidWarning)
+        with contextlib.suppress(SwimidError):
+            source = open_source(path, Options(topic=topic or None))
+            names = [column.name for column in source.columns if column.kind != "text"]
+            count = 0
+            for chunk in source.chunks(names[:20], lambda amount: None):
+                count += len(next(iter(chunk.values()))) if chunk else 0
+            source.lines(count)
+            source.close()
+        with contextlib.suppress(SwimidError):
+            guess_mapping(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mutated_files(kind: str, folder: Path) -> None:
+    name, make, _, _ = FILES[kind]
+    make(folder / name)
+    valid = (folder / name).read_bytes()
+    path = folder / f"x{Path(name).suffix}"
+
+    @examples(30)
+    @given(content=mutated(valid))
+    def run(content: bytes) -> None:
+        path.write_bytes(content)
+        _through(path, KINDS[kind])
+
+    run()
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".jsonl", ".mcap", ".ulg", ".h5"])
+def test_arbitrary_files(ending: str, folder: Path) -> None:
+    path = folder / f"y{ending}"
+    heads = [
+        b"",
+        b"MATLAB 5.0 MAT-file",
+        b"MATLAB 7.3",
+        b"\x89HDF\r\n\x1a\n",
+        b"PAR1",
+        b"\x89MCAP0\r\n",
+        b"ULog\x01\x12\x35",
+        b'{"',
+    ]
+
+    @examples(30)
+    @given(
+        head=st.sampled_from(heads),
+        content=st.one_of(st.binary(max_size=200), st.text(max_size=120).map(str.encode)),
+    )
+    def run(head: bytes, content: bytes) -> None:
+        path.write_bytes(head + content)
+        _through(path, "")
+
+    run()
+
+
+def test_tables_of_odd_cells(swimid: Callable[..., Ran], folder: Path) -> None:
+    path = folder / "odd.csv"
+    cell = st.one_of(
+        st.sampled_from(
+            ["", "nan", "inf", "-inf", "1e999", "1,5", '"', "2026-01-01", "x", "é", "1_0", "0x1"]
+        ),
+        st.floats().map(str),
+        st.integers(-3, 9).map(str),
+    )
+
+    @examples(60)
+    @given(rows=st.lists(st.lists(cell, min_size=3, max_size=4), max_size=40), split=st.sampled_from(",;\t "))
+    def run(rows: list[list[str]], split: str) -> None:
+        lines = ["t_s,x_m,y_m".replace(",", split), *(split.join(row) for row in rows)]
+        path.write_text("\n".join(lines), encoding="utf-8")
+        _ends_in_order(swimid("import", path, "-o", folder / "odd-out.csv", "--force"))
+
+    run()
+
+
+def test_rewritten_mappings(swimid: Callable[..., Ran], folder: Path) -> None:
+    name, make, _, (time, x, yaw) = FILES["comma"]
+    make(folder / name)
+    valid = MAP.format(
+        reader="reader: {delimiter: ',', header: true, skip_rows: 0, missing: [-9999]}",
+        time=time,
+        x=x,
+        yaw=yaw,
+    )
+    path = folder / "m.yaml"
+
+    @examples(50)
+    @given(content=st.one_of(rewritten(valid.encode()), mutated(valid.encode())))
+    def run(content: bytes) -> None:
+        path.write_bytes(content)
+        with contextlib.suppress(SwimidError):
+            mapping.read(path)
+        _ends_in_order(
+            swimid("import", folder / name, "--map", path, "-o", folder / "map-out.csv", "--force")
+        )
+
+    run()
