@@ -83,10 +83,6 @@ def main() -> None:
         python = [sys.executable, "-c", PANDAS, str(folder / "imu.csv")]
         size = (folder / "imu.csv").stat().st_size / 2**20
         print(f"{ROWS} rows of {len(NAMES)} columns, {size:.0f} MiB as CSV; wall and processor time")
-        print(
-            f"{ROWS} rows of {len(NAMES)} columns, {(folder / 'imu.csv').stat().st_size / 2**20:.0f} MiB as CSV"
-        )
-        print(f"pandas.read_csv alone       {peer:7.1f} s  {ROWS / peer / 1e6:6.2f} M rows/s")
         for source, target in (
             ("csv", "parquet"),
             ("csv", "csv"),
@@ -99,8 +95,9 @@ def main() -> None:
             peer, peer_work = (float(x) for x in run(python)[3].split())
             seconds, work, peak, _ = run(words)
             print(
-                f"import {source:7} -> {target:7} {seconds:6.1f} s {work:6.1f} s   pandas.read_csv {peer:6.1f} s "
-                f"{peer_work:6.1f} s   speed {peer / seconds:.2f} of it ({peer_work / work:.2f})   peak {peak:.2f} GiB",
+                f"import {source:7} -> {target:7} {seconds:5.1f} s {work:5.1f} s, "
+                f"pandas.read_csv {peer:5.1f} s {peer_work:5.1f} s: {peer / seconds:.2f} ({peer_work / work:.2f}) of its speed, "
+                f"peak {peak:.2f} GiB",
                 flush=True,
             )
 

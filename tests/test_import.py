@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -201,7 +202,8 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
 
     stamps = 1_700_000_000_123_456_789 + np.arange(20) * 1_000_001
     pq.write_table(pa.table({"stamp": stamps, "u": np.arange(20.0)}), tmp_path / "a.parquet")
-    text = "format: swimid-mapping/1\ntime: {source: stamp, unit: ns, origin: first}\ncolumns: [{source: u, target: u_m_s}]\n"
+    time = "time: {source: stamp, unit: ns, origin: first}"
+    text = f"format: swimid-mapping/1\n{time}\ncolumns: [{{source: u, target: u_m_s}}]\n"
     (tmp_path / "m.yaml").write_text(text)
     found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.parquet")
     assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
@@ -209,7 +211,8 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
 
 def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
     _mat(tmp_path / "a.mat")
-    text = 'format: swimid-mapping/1\ntime: {rate_hz: fs}\ncolumns: [{source: "run.pose[1]", target: x_m, unit: mm}]\n'
+    column = '{source: "run.pose[1]", target: x_m, unit: mm}'
+    text = f"format: swimid-mapping/1\ntime: {{rate_hz: fs}}\ncolumns: [{column}]\n"
     (tmp_path / "m.yaml").write_text(text)
     found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.mat")
     assert np.allclose(found.time_s, np.arange(N) / 50)
@@ -385,3 +388,15 @@ def test_starfish(name: str, real_data: Path, swimid: Run, tmp_path: Path) -> No
     assert np.array_equal(np.isnan(record["tendon_m"]), np.isnan(raw[:, 1]))
     # bursts of the limb are no jumps
     assert ran.json["result"]["track"]["jumps"] == 0
+
+
+def test_the_manual_shows_what_the_command_prints(
+    swimid: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(ROOT)
+    shown = re.search(
+        r"\$ swimid import (.*) -o run\.csv\n(.*?)```", (ROOT / "docs/import.md").read_text(), re.S
+    )
+    assert shown is not None
+    ran = swimid("import", *shown.group(1).split(), "-o", tmp_path / "run.csv")
+    assert ran.out.strip() == shown.group(2).strip()

@@ -106,7 +106,7 @@ def test_a_track_that_goes_on_elsewhere_is_told(swimid: Run, tmp_path: Path) -> 
 
 
 def test_a_rest_is_no_repeat_and_a_frozen_picture_is(rng: np.random.Generator) -> None:
-    """The same pose for a second: kept where the robot goes on from there, left out where it was on its way."""
+    """The same pose for a second: kept where the robot goes on from there, else left out."""
     time = np.arange(300) / 30
     x = np.maximum(time - 2.0, 0.0) * 0.2  # at rest for 2 s, without noise
     still = track_cleaning.clean(time, [x, 0 * x])

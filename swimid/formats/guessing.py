@@ -153,10 +153,10 @@ def _by_name(found: Guess, written: str | None) -> None:
         found.say("its name")
         return
     if found.unit is not None:
-        ending = next((s for s, q in units.SUFFIXES.items() if found.unit in units.UNITS[q]), None)
+        suffix = next((s for s, q in units.SUFFIXES.items() if found.unit in units.UNITS[q]), None)
         word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
-        if ending is not None and re.match(r"[a-z]", word):
-            found.target = f"{word}_{ending}"
+        if suffix is not None and re.match(r"[a-z]", word):
+            found.target = f"{word}_{suffix}"
 
 
 def _fits(unit: str, target: str) -> bool:

@@ -130,7 +130,7 @@ def find(time_s: Array, columns: Mapping[str, Array]) -> Rhythm | None:
     channel = min(at_it, key=lambda name: at_it[name].stderr_hz)
     values = offered.get(channel, columns.get(channel))
     assert values is not None
-    harmonics = _harmonics(*_prepared(time_s, values), at_it[channel].frequency_hz)
+    harmonics = _harmonics(*_as_logged(time_s, values), at_it[channel].frequency_hz)
     return Rhythm(at_it[channel], channel, harmonics, beats, double)
 
 
@@ -151,6 +151,14 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     if known.sum() < 16 or np.ptp(even[known]) == 0:
         return np.empty(0), np.empty(0)
     return time, even
+
+
+def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """The samples of that stretch as they are: straight lines across missing ones make harmonics."""
+    time, even = _prepared(time_s, values)
+    first, last = np.searchsorted(time_s, (time[0], time[-1]))
+    there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
+    return (time, even) if len(there) > 2 * len(time) else (time_s[there], values[there])
 
 
 def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.generators import cruise, gap_trials, longfin, pool_video, rig, swimmer
+from tests.generators import cruise, gap_trials, longfin, polled_camera, pool_video, rig, swimmer
 
 
 def main(folder: Path) -> None:
@@ -16,6 +16,7 @@ def main(folder: Path) -> None:
     pool_video.write_sample(folder / "pool")
     swimmer.write_sample(folder / "tfish")
     gap_trials.write_sample(folder / "gap")
+    polled_camera.write_sample(folder / "camera")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import math
 import random
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -93,12 +94,22 @@ def polled(
             seen[j][2] += way * math.sin(turn)
         moved.update(range(k - 1, k + jump_samples + 1))
     repeats = 0
-    for k in dice.sample(range(1, count), int(repeat_share * count)):
+    for k in sorted(dice.sample(range(1, count), int(repeat_share * count))):
         if k in moved or k - 1 in moved or gap_from <= seen[k][0] < gap_from + gap_s + 1 / rate_hz:
             continue
         seen[k][1:] = seen[k - 1][1:]
         repeats += 1
     rows = [tuple(row) for row in seen if not gap_from <= row[0] < gap_from + gap_s]
-    # of a run of repeats drawn out of order some were overwritten: count what stands there now
     repeats = sum(a[1:] == b[1:] for a, b in pairwise(rows))
     return Polled(rows, fine / duration_s, line, jumps, repeats)  # type: ignore[arg-type]
+
+
+def write_sample(folder: Path) -> None:
+    """A polled track as a foreign program writes it: semicolons, milliseconds, millimetres, degrees."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made = polled(20261122)
+    lines = ["Time (ms);X (mm);Y (mm);Heading (deg)"]
+    lines += [
+        f"{1000 * t:.1f};{1000 * x:.2f};{1000 * y:.2f};{math.degrees(a):.2f}" for t, x, y, a in made.rows
+    ]
+    (folder / "polled.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -69,7 +69,11 @@ class DelimitedSource:
             return csv.read_csv(
                 pa.BufferReader(text),
                 read_options=csv.ReadOptions(block_size=PART, column_names=found.names),
-                parse_options=csv.ParseOptions(delimiter=found.delimiter, invalid_row_handler=self._skip),
+                parse_options=csv.ParseOptions(
+                    delimiter=found.delimiter,
+                    quote_char='"' if b'"' in text else False,
+                    invalid_row_handler=self._skip,
+                ),
                 convert_options=csv.ConvertOptions(
                     include_columns=list(dict.fromkeys(names)),
                     column_types={name: pa.string() if name in dates else pa.float64() for name in names},
