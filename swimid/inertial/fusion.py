@@ -100,7 +100,9 @@ def run(
     start = Start(
         turn * source.rotation[0],
         position=place,
-        position_sd=1.0 + float(np.nanmax(np.nanstd(poses.position, axis=0))) if len(first) else 1.0,
+        position_sd=1.0 + float(np.max(np.nan_to_num(np.ptp(poses.position[first], axis=0))))
+        if len(first)
+        else 1.0,
         velocity_sd=1.0,
         rotation_sd=(0.05, 0.05, heading_sd),
         rate_bias=still_rate(record, still.found),
@@ -116,6 +118,7 @@ def run(
     )
     turned = Source(turn * source.rotation, False, source.kind)
     aids = common_aids(record, turned, still, sensor, declared)
+    smoothed: Smoothed | None = None
     for turn_number in range(NOISE_TURNS):
         smoothed = smoother.run(
             record,
@@ -125,6 +128,8 @@ def run(
             still.noise,
             [*aids, aiding.fixes(fixes)],
             fused=True,
+            after=smoothed,
+            passes=2 if smoothed is None else 1,
             advance=advance,
         )
         if turn_number == NOISE_TURNS - 1:
@@ -136,6 +141,7 @@ def run(
         if np.nanmax(change) < SETTLED:
             break
         fixes = better
+    assert smoothed is not None
     return Fused(smoothed, clocks, _offset(smoothed, clocks), fixes, findings)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import signal
+from scipy.spatial.transform import Rotation
 
 from swimid.inertial.record import Array
 
@@ -22,6 +23,23 @@ def high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
         sos, np.interp(even, time_s, values), padlen=min(len(even) - 1, int(3 / (cutoff_hz * step)))
     )
     return np.interp(time_s, even, passed)
+
+
+def surge(time_s: Array, velocity: Array, rotation: Rotation, cutoff_hz: float) -> Array:
+    """The surge within a stroke, m/s, shape (n,).
+
+    The velocity is high-passed along the world's axes before it is turned to the body's: a drifting velocity
+    would leak into the surge with every swing of the heading.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (n, 3)
+        World axes, m/s.
+    rotation : Rotation
+        Body to world, n of them.
+    """
+    fast = np.column_stack([high_passed(time_s, column, cutoff_hz) for column in velocity.T])
+    return np.asarray(rotation.inv().apply(fast)[:, 0])
 
 
 def high_passed_sd(acceleration_noise: float, cutoff_hz: float, scale_sd: float, values: Array) -> float:

@@ -152,11 +152,14 @@ class Smoothed:
         Rows the covariance is known at.
     errors : Errors
         Of the last pass.
+    origin : Origin
+        What a next pass would reckon from.
     """
 
     path: Nominal
     nodes: np.ndarray
     errors: Errors
+    origin: Origin
 
 
 def gravity(tilt: Array) -> Array:
@@ -183,6 +186,8 @@ def run(
     aids: Sequence[Aid],
     *,
     fused: bool = False,
+    after: Smoothed | None = None,
+    passes: int = PASSES,
     advance: Callable[[], None] = lambda: None,
 ) -> Smoothed:
     """Reckon, smooth the errors, and again.
@@ -192,7 +197,11 @@ def run(
     aids : sequence of callables
         Everything that is known besides the samples; :mod:`swimid.inertial.aiding` makes them.
     fused : bool
-        Whether lever, mounting and the world's tilt are states.
+        Whether lever, mounting, the world's tilt and the other log's clock are states.
+    after : Smoothed, optional
+        An earlier answer to go on from.
+    passes : int
+        Reckonings.
     advance : callable
         Called after each pass.
     """
@@ -211,8 +220,8 @@ def run(
         np.zeros(2),
         mounting.clock_s,
     )
-    now = begin
-    for _ in range(PASSES):
+    now = begin if after is None else after.origin
+    for _ in range(passes):
         path = reckon(record, now)
         turn, force = _mean_turn_and_force(path, rows)
         errors = errorstate.smooth(
@@ -224,7 +233,7 @@ def run(
         )
         now = _moved(now, errors)
         advance()
-    return Smoothed(_corrected(path, errors, rows), rows, errors)
+    return Smoothed(_corrected(path, errors, rows), rows, errors, now)
 
 
 def reckon(record: Record, origin: Origin) -> Nominal:

@@ -125,7 +125,7 @@ def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> M
         )
         smoothed, findings = fused.smoothed, [*findings, *fused.findings]
     moved = motion.at_reference(smoothed)
-    surge = oscillation.high_passed(moved.time_s, moved.body_velocity[:, 0], m.cutoff_hz)
+    surge = oscillation.surge(moved.time_s, moved.velocity, moved.rotation, m.cutoff_hz)
     surge_sd = oscillation.high_passed_sd(
         m.still.noise.acceleration, m.cutoff_hz, settings.sensor.scale_sd, surge
     )

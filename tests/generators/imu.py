@@ -56,7 +56,10 @@ class Run:
     def columns(self, *, quaternions: bool = False) -> dict[str, np.ndarray]:
         """The columns of its log."""
         names = ("ax_m_s2", "ay_m_s2", "az_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s")
-        out = {"t_s": self.time_s, **dict(zip(names, np.hstack([self.acceleration, self.rate]).T, strict=True))}
+        out = {
+            "t_s": self.time_s,
+            **dict(zip(names, np.hstack([self.acceleration, self.rate]).T, strict=True)),
+        }
         if quaternions:
             out |= dict(zip(("qw", "qx", "qy", "qz"), self.quaternion.T, strict=True))
         return out
@@ -85,7 +88,7 @@ def marching(
     heave = go * 0.01 * np.sin(phase + 1.0)
     roll = go * roll_rad * np.sin(phase + 0.7)
     pitch = go * (0.03 * np.sin(2 * phase) + 0.02)
-    yaw = turn_rad * _eased(fine, rest_s + 4.0, swim_s - 8.0) + go * 0.07 * np.sin(phase + 0.2)
+    yaw = turn_rad * _eased(fine, rest_s + 4.0, max(swim_s - 8.0, 1.0)) + go * 0.07 * np.sin(phase + 0.2)
     turn = _cosines(roll, pitch, yaw)
     velocity = np.einsum("nij,nj->ni", turn, np.column_stack([surge, sway, heave]))
     position = np.cumsum(velocity, axis=0) * DENSE
@@ -107,7 +110,9 @@ def marching(
         walk = np.cumsum(rng.normal(0, drift * np.sqrt(step / 100), (n, 3)), axis=0)
         return true @ tilt + rng.normal(0, bias, 3) + walk + rng.normal(0, density * np.sqrt(rate_hz), (n, 3))
 
-    readings_a = seen(at(force), errors.acceleration_noise, errors.acceleration_bias, errors.acceleration_drift)
+    readings_a = seen(
+        at(force), errors.acceleration_noise, errors.acceleration_bias, errors.acceleration_drift
+    )
     readings_w = seen(at(rate), errors.rate_noise, errors.rate_bias, errors.rate_drift)
     wrong = _slow(rng, n, step, errors.attitude)
     told = np.einsum("nij,njk->nik", _small(wrong), true_turn)

@@ -84,6 +84,6 @@ def _stuck(record: Record, values: np.ndarray) -> np.ndarray:
         # at a level the channel often shows, it may just be quiet
         inside = np.zeros(len(values), dtype=bool)
         inside[max(first - 1, 0) : last] = True
-        if np.mean(values[~inside] == values[first]) < 0.01:
+        if not inside.all() and np.mean(values[~inside] == values[first]) < 0.01:
             flags |= inside
     return flags

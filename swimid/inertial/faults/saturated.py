@@ -11,8 +11,10 @@ from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
 NAME = "saturated channel"
 #: A value is the end of the range when it is an extreme held in this many runs of two or more samples.
 RUNS, RUN_LENGTH = 3, 2
+#: And when it is this many times as frequent as what lies beside it, within this share of the range.
+PILED, BESIDE = 2.0, 0.01
 #: More of a channel clipped than this share: refused.
-MOST = 0.05
+MOST = 0.1
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
@@ -44,8 +46,9 @@ def _clipped(values: Array) -> Flags:
     for extreme in (float(np.max(values)), float(np.min(values))):
         at = values == extreme
         held = [(a, b) for a, b in runs(at) if b - a >= RUN_LENGTH]
-        # noise reaches its extreme once; a coarse channel at rest holds few values, all of them near
-        far = abs(extreme - np.median(values)) > 4 * np.median(np.abs(values - np.median(values)))
-        if len(held) >= RUNS and far:
+        # the tail of an open range thins out; a closed one piles up at its end, also against coarse levels
+        below = values[~at]
+        near = np.abs(below - extreme) <= max(BESIDE * np.ptp(values), float(np.min(np.abs(below - extreme))))
+        if len(held) >= RUNS and at.sum() > PILED * near.sum():
             flags |= at
     return flags

@@ -1,0 +1,267 @@
+"""An inertial log and a camera's: clocks, mounting, dropouts, held-out fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import signal
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation, Slerp
+
+from swimid.inertial import clock
+from tests.conftest import Ran
+from tests.generators import imu
+from tests.test_imu import BAND, rms, save, table
+
+UnderWater = tuple[Path, pd.DataFrame, Slerp]
+WHERE = ["x_m", "y_m", "z_m"]
+
+
+# ---------------------------------------------------------------- clocks
+
+
+@pytest.mark.parametrize("true", [-0.4, 0.037, 3.21])
+def test_an_offset_is_found_within_its_interval(true: float, rng: np.random.Generator) -> None:
+    t = np.arange(0.0, 40.0, 0.005)
+    wave = np.sin(6.1 * t) * (1 + 0.3 * np.sin(0.4 * t)) + 0.4 * np.cos(13 * t + 0.3 * np.sin(t))
+    seen_t = np.arange(5.0, 35.0, 1 / 30)
+    seen = np.interp(seen_t + true, t, wave) + rng.normal(0, 0.1, len(seen_t)) + 0.05 * seen_t
+    found = clock.offset(t, wave[:, None], seen_t, seen[:, None])
+    assert found is not None
+    # Cramer-Rao: noise over the root sum of squared slopes
+    bound = 0.1 / np.sqrt(np.sum(np.gradient(np.interp(seen_t + true, t, wave), seen_t) ** 2))
+    assert abs(found.value_s - true) < 4 * bound
+    assert found.stderr_s < 3 * bound
+    assert found.low_s < true < found.high_s
+    assert found.excludes_zero
+
+
+def test_the_interval_covers_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 16.0, 0.01)
+    wave = np.sin(5 * t) + 0.5 * np.sin(11 * t)
+    covered = []
+    for _ in range(60):
+        true = rng.uniform(-0.1, 0.1)
+        seen_t = np.arange(1.0, 15.0, 0.04)
+        seen = np.interp(seen_t + true, t, wave) + rng.normal(0, 0.2, len(seen_t))
+        found = clock.offset(t, wave[:, None], seen_t, seen[:, None])
+        assert found is not None
+        covered.append(found.low_s <= true <= found.high_s)
+    # 57 of 60 expected; fewer than 51 has a chance of 1 in 100
+    assert sum(covered) >= 51
+
+
+def test_nothing_is_found_where_nothing_moves_together(rng: np.random.Generator) -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    noise = rng.normal(size=(500, 1))
+    found = clock.offset(t, np.sin(5 * t)[:, None], np.arange(500) / 30, noise)
+    assert found is None or found.explained < 0.2
+    assert clock.offset(t, np.sin(5 * t)[:, None], np.arange(5) / 30, noise[:5]) is None
+
+
+@pytest.mark.parametrize(("with_yaw", "off"), [(True, 0.002), (False, 0.010)], ids=["yaw", "path alone"])
+def test_37_milliseconds_between_camera_and_sensor(
+    with_yaw: bool, off: float, swimid: Callable[..., Ran], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(4)
+    run = imu.marching(rng)
+    log = save(tmp_path / "imu.csv", run.columns())
+    seen = save(tmp_path / "camera.csv", imu.camera(run, rng, offset_s=0.037, with_yaw=with_yaw))
+    ran = swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv", "--json")
+    assert ran.status == 0
+    fusion = ran.json["result"]["fusion"]
+    low, high = fusion["clock_offset_95_s"]
+    print(f"offset {1e3 * fusion['clock_offset_s']:.2f} ms (95 %: {1e3 * low:.2f} ... {1e3 * high:.2f})")
+    assert abs(fusion["clock_offset_s"] - 0.037) < off
+    assert low <= 0.037 <= high
+    assert "SWM083" in [w["code"] for w in ran.json["warnings"]]
+    found = table(tmp_path / "run.csv")
+    away = found[WHERE[:2]].to_numpy() - run.position[:, :2]
+    assert rms(away) < 0.002  # the camera alone: 1 mm in each of two coordinates
+    inside = np.abs(away) <= BAND * found[["x_sd_m", "y_sd_m"]].to_numpy()
+    assert inside.mean() >= 0.85
+
+
+def test_clocks_that_agree_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    run = imu.marching(rng)
+    log = save(tmp_path / "imu.csv", run.columns())
+    seen = save(tmp_path / "camera.csv", imu.camera(run, rng))
+    ran = swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv", "--json")
+    assert abs(ran.json["result"]["fusion"]["clock_offset_s"]) < 0.002
+    assert "SWM083" not in [w["code"] for w in ran.json["warnings"]]
+
+
+# ---------------------------------------------------------------- fusing
+
+
+def test_a_dropout_is_bridged_with_a_growing_band(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    """The camera sees nothing for 3 s in mid swim, half a robot's way."""
+    rng = np.random.default_rng(6)
+    run = imu.marching(rng)
+    hole = (11.0, 14.0)
+    log = save(tmp_path / "imu.csv", run.columns())
+    seen = save(tmp_path / "camera.csv", imu.camera(run, rng, offset_s=0.037, lost=hole))
+    assert swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv").status == 0
+    found = table(tmp_path / "run.csv")
+    lost = ((found.t_s > hole[0]) & (found.t_s < hole[1])).to_numpy()
+    away = np.abs(found[WHERE[:2]].to_numpy() - run.position[:, :2])
+    sd = found[["x_sd_m", "y_sd_m"]].to_numpy()
+    print(f"in the hole: rms {rms(away[lost]):.4f} m, band at most ± {BAND * sd[lost].max():.4f} m")
+    assert (away[lost] <= BAND * sd[lost]).mean() >= 0.9
+    assert sd[lost].max() > 3 * np.median(sd[~lost])
+    assert rms(away[lost]) < 0.03
+    middle = np.argmax(sd[:, 0] * lost)
+    assert abs(found.t_s[middle] - np.mean(hole)) < 0.8  # widest in the middle of the hole
+
+
+def test_mounting_and_lever_from_three_angles(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    """A sensor turned by 90 degrees about the vertical, 12 cm ahead of what the camera follows."""
+    rng = np.random.default_rng(8)
+    run = imu.marching(rng, roll_rad=0.2, errors=imu.Errors(tilt=0.0))
+    turn = Rotation.from_euler("z", 90, degrees=True)
+    columns = run.columns()
+    for names in (("ax_m_s2", "ay_m_s2", "az_m_s2"), ("wx_rad_s", "wy_rad_s", "wz_rad_s")):
+        columns |= dict(
+            zip(names, turn.inv().apply(np.column_stack([columns[n] for n in names])).T, strict=True)
+        )
+    body = Rotation.from_matrix(run.attitude)
+    ahead = np.array([0.12, 0.0, 0.0])
+    place = run.position - body.apply(ahead)
+    rows = np.arange(10, len(run.time_s) - 10, 3)
+    noisy = Rotation.from_rotvec(rng.normal(0, 0.004, (len(rows), 3))) * body[rows]
+    q = noisy.as_quat()
+    camera = {"t_s": run.time_s[rows] - 0.02}
+    camera |= dict(zip(WHERE, (place[rows] + rng.normal(0, 0.001, (len(rows), 3))).T, strict=True))
+    camera |= dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))
+    log, seen = save(tmp_path / "imu.csv", columns), save(tmp_path / "camera.csv", camera)
+    ran = swimid("track", "imu", log, "--with", seen, "-o", tmp_path / "run.csv", "--json")
+    assert ran.status == 0
+    told = ran.json["result"]["mounting"]
+    assert "swapped or flipped axes" in [f["fault"] for f in ran.json["result"]["faults"]]
+    off = Rotation.from_rotvec(told["body_to_sensor_rotation_vector_rad"]) * turn
+    assert off.magnitude() < np.radians(1.5)
+    sd = np.array(told["lever_sd_m"])
+    assert (np.abs(np.array(told["lever_m"]) - ahead) <= 3 * sd + 0.01).all()
+    assert abs(ran.json["result"]["fusion"]["clock_offset_s"] - 0.02) < 0.002
+    # an axis mirrored in one of the logs cannot be a mounting
+    columns["wx_rad_s"] = -columns["wx_rad_s"]
+    columns["ax_m_s2"] = -columns["ax_m_s2"]
+    flipped = save(tmp_path / "flipped.csv", columns)
+    assert swimid("track", "imu", flipped, "--with", seen, "-o", tmp_path / "x.csv").status in (3, 4)
+
+
+def test_logs_of_two_trials_are_refused(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    run = imu.marching(rng)
+    log = save(tmp_path / "imu.csv", run.columns())
+    n = 700
+    drift = {"t_s": np.arange(n) / 30, "x_m": rng.normal(0, 0.01, n), "y_m": rng.normal(0, 0.01, n)}
+    ran = swimid(
+        "track", "imu", log, "--with", save(tmp_path / "camera.csv", drift), "-o", tmp_path / "run.csv"
+    )
+    assert ran.status == 4
+    pixels = {"t_s": drift["t_s"], "x_px": drift["x_m"]}
+    ran = swimid(
+        "track", "imu", log, "--with", save(tmp_path / "pixels.csv", pixels), "-o", tmp_path / "run.csv"
+    )
+    assert ran.status == 3
+    assert "x_m" in ran.err
+
+
+# ---------------------------------------------------------------- real recordings
+
+
+@pytest.fixture(scope="module")
+def under_water(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> UnderWater:
+    """The inertial log, and the camera's path from the marker it saw.
+
+    The file holds the marker seen from the camera, whose axes are the sensor's (y up). The path of the
+    camera is minus that, turned to the world by the sensor's attitude (a plain filter, not swimid's).
+    """
+    import vqf
+
+    folder = real_data / "underwater_imu"
+    sensor, seen = np.loadtxt(folder / "imu.txt"), np.loadtxt(folder / "image.txt")
+    names = ["ax_m_s2", "ay_m_s2", "az_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s"]
+    path = tmp_path_factory.mktemp("underwater") / "imu.csv"
+    pd.DataFrame(sensor, columns=["t_s", *names]).to_csv(path, index=False)
+    grid = np.arange(sensor[0, 0], sensor[-1, 0], 1e-3)
+    even = np.column_stack([np.interp(grid, sensor[:, 0], c) for c in sensor[:, 1:].T])
+    q = vqf.offlineVQF(np.ascontiguousarray(even[:, 3:]), np.ascontiguousarray(even[:, :3]), None, 1e-3)[
+        "quat6D"
+    ]
+    turn = Slerp(grid, Rotation.from_quat(q[:, [1, 2, 3, 0]]))
+    # the camera is late by about 0.2 s, in which the attitude changes by less than 0.3 deg
+    place = -turn(np.clip(seen[:, 0] + 0.2, grid[0], grid[-1])).apply(seen[:, 2:5])
+    return path, pd.DataFrame({"t_s": seen[:, 0], **dict(zip(WHERE, place.T, strict=True))}), turn
+
+
+def test_every_second_fix_left_out(
+    under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
+) -> None:
+    log, optical, _ = under_water
+    optical[::2].to_csv(tmp_path / "half.csv", index=False)
+    ran = swimid("track", "imu", log, "--with", tmp_path / "half.csv", "-o", tmp_path / "run.csv", "--json")
+    assert ran.status == 0
+    fusion = ran.json["result"]["fusion"]
+    found = table(tmp_path / "run.csv")
+    held = optical[1::2]
+    when = held.t_s + fusion["clock_offset_s"]
+    inside = (when < found.t_s.iloc[-1]).to_numpy()
+    error = np.column_stack([np.interp(when, found.t_s, found[c]) - held[c] for c in WHERE])[inside]
+    print(
+        f"held-out fixes: rms {1e3 * rms(error):.2f} mm over {len(error)}, clock {1e3 * fusion['clock_offset_s']:.1f} ms"
+    )
+    assert rms(error) < 0.02
+
+
+def test_velocity_between_fixes_two_seconds_apart(
+    under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
+) -> None:
+    """Against the trapezoid, begun anew at each fix from the velocity there and a filter's attitude."""
+    log, optical, turn = under_water
+    every = save(tmp_path / "every.csv", dict(optical))
+    ran = swimid("track", "imu", log, "--with", every, "-o", tmp_path / "reference.csv", "--json")
+    offset = ran.json["result"]["fusion"]["clock_offset_s"]
+    sparse = save(tmp_path / "sparse.csv", dict(optical[::50]))
+    options = ["--clock-offset-s", offset, "--fix-sd-m", 0.001, "--rest", "all"]
+    assert swimid("track", "imu", log, "--with", sparse, *options, "-o", tmp_path / "run.csv").status == 0
+    found, reference, sensor = (
+        table(tmp_path / "run.csv"),
+        table(tmp_path / "reference.csv"),
+        pd.read_csv(log),
+    )
+    t, fixes = sensor.t_s.to_numpy(), optical.t_s.to_numpy()[::50] + offset
+    force = sensor[["ax_m_s2", "ay_m_s2", "az_m_s2"]].to_numpy()
+    acceleration = turn(np.clip(t, turn.times[0], turn.times[-1])).apply(force) - [0.0, 0.0, 9.80665]
+    velocity = [f"v{a}_m_s" for a in "xyz"]
+    seen_t = optical.t_s.to_numpy() + offset
+    # cubics over half a second of the camera's path
+    derived = signal.savgol_filter(optical[WHERE].to_numpy(), 13, 3, deriv=1, delta=0.04, axis=0)
+
+    def errors(true: np.ndarray) -> tuple[float, float]:
+        """Of the fused velocity and of the trapezoid, against ``true`` at every sample of the sensor."""
+        plain, fused = [], []
+        estimate = np.column_stack([np.interp(t, found.t_s, found[c]) for c in velocity])
+        for first, last in zip(fixes[:-1], fixes[1:], strict=True):
+            rows = (t >= first) & (t < last)
+            if rows.sum() > 1000:
+                way = cumulative_trapezoid(acceleration[rows], t[rows], axis=0, initial=0)
+                plain.append(true[rows][0] + way - true[rows])
+                fused.append((estimate - true)[rows])
+        return rms(np.vstack(fused)), rms(np.vstack(plain))
+
+    both = np.column_stack([np.interp(t, reference.t_s, reference[c]) for c in velocity])
+    camera = np.column_stack([np.interp(t, seen_t, c) for c in derived.T])
+    for name, true in (("camera's derivative", camera), ("camera at 25 Hz and sensor", both)):
+        fused, plain = errors(true)
+        print(
+            f"against the {name}: fused {1e3 * fused:.1f} mm/s, trapezoid {1e3 * plain:.1f} mm/s, {plain / fused:.1f}x"
+        )
+    assert plain >= 3 * fused
