@@ -51,7 +51,7 @@ def write(
         if path.suffix.lower() in PARQUET_ENDINGS:
             stored = schema.with_metadata({b"swimid": "\n".join(lines).encode()})
             # Measured numbers hardly ever repeat: a dictionary of them only costs time.
-            with pq.ParquetWriter(stream, stored, use_dictionary=False) as writer:
+            with pq.ParquetWriter(stream, stored, use_dictionary=False, write_statistics=False) as writer:
                 for table in _tables(columns, stored):
                     writer.write_table(table)
                     step(len(table))

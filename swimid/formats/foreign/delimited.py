@@ -17,10 +17,8 @@ from swimid.formats.foreign import layout
 from swimid.formats.foreign.base import Chunk, Column, Options, Reader
 from swimid.formats.foreign.layout import Layout
 
-#: Bytes of the file that are parsed at a time.
-BLOCK = 32 << 20
-#: Bytes of them that one thread parses.
-PART = 1 << 20
+#: Bytes of the file that are parsed at a time; threads share them by columns.
+BLOCK = 8 << 20
 #: Rows of a wrong number of cells up to this share are left out; more of them are an error.
 RAGGED = 0.01
 
@@ -49,7 +47,7 @@ class DelimitedSource:
         rows, lines = 0, 0
         self._ragged.clear()
         for text, count, taken in layout.blocks(self._path, found, BLOCK):
-            if text.strip():
+            if not text.isspace():
                 table = self._parsed(text, names, dates)
                 piece = {name: table.column(name).to_numpy() for name in names}
                 for name in dates:
@@ -68,7 +66,7 @@ class DelimitedSource:
         try:
             return csv.read_csv(
                 pa.BufferReader(text),
-                read_options=csv.ReadOptions(block_size=PART, column_names=found.names),
+                read_options=csv.ReadOptions(block_size=len(text), column_names=found.names),
                 parse_options=csv.ParseOptions(
                     delimiter=found.delimiter,
                     quote_char='"' if b'"' in text else False,
