@@ -96,8 +96,8 @@ def main() -> None:
             seconds, work, peak, _ = run(words)
             print(
                 f"import {source:7} -> {target:7} {seconds:5.1f} s {work:5.1f} s, "
-                f"pandas.read_csv {peer:5.1f} s {peer_work:5.1f} s: {peer / seconds:.2f} ({peer_work / work:.2f}) of its speed, "
-                f"peak {peak:.2f} GiB",
+                f"pandas.read_csv {peer:5.1f} s {peer_work:5.1f} s: "
+                f"{peer / seconds:.2f} ({peer_work / work:.2f}) of its speed, peak {peak:.2f} GiB",
                 flush=True,
             )
 
