@@ -59,7 +59,8 @@ def test_attitude_of_a_cone_drifts_by_the_trapezoid_only() -> None:
     steps = (dense[:-1].inv() * dense[1:]).as_rotvec() / 1e-4
     rate = np.column_stack([np.interp(t, fine[:-1] + 5e-5, c) for c in steps.T])
     found = strapdown.attitude(t, rate, true[0])
-    # the trapezoid takes (spin dt)^2 / 12 off the amplitude of a sine: the cone's own turning, half^2 spin / 2
+    # the trapezoid takes (spin dt)^2 / 12 off the amplitude of a sine: the cone's own turning,
+    # half^2 spin / 2
     # a second, is off by twice that; without the coning term it would be twice as much again
     drift = half**2 * spin * (spin * 0.01) ** 2 / 12 * 10.0
     assert (found[-5].inv() * true[-5]).magnitude() < 1.1 * drift
@@ -122,7 +123,7 @@ def test_the_default_is_three_times_as_good_as_the_papers_way(
 
 def test_errors_are_as_large_as_their_bands_say() -> None:
     """Over many runs the squared errors, in their own deviations, average to about one."""
-    from swimid.inertial import alone, attitude, mounting, motion
+    from swimid.inertial import alone, attitude, motion, mounting
     from swimid.inertial.sensor import Sensor
 
     squares = []
@@ -321,7 +322,8 @@ def test_hand_held_sensor_against_motion_capture(
     drift = np.degrees(heading[-1] - np.median(heading[:1000]))
     yaw_band = np.degrees(BAND * found.yaw_sd_rad.iloc[-1])
     print(
-        f"{name}: r {np.round(correlation, 4)}, inside {inside.mean(axis=0).round(3)}, heading {drift:.2f} of ±{yaw_band:.1f} deg"
+        f"{name}: r {np.round(correlation, 4)}, inside "
+        f"{inside.mean(axis=0).round(3)}, heading {drift:.2f} of ±{yaw_band:.1f} deg"
     )
     assert min(correlation) >= 0.995
     assert abs(drift) <= yaw_band

@@ -17,7 +17,7 @@ from tests.conftest import Ran
 from tests.generators import imu
 from tests.test_imu import BAND, rms, save, table
 
-UnderWater = tuple[Path, pd.DataFrame, Slerp]
+UnderWater = tuple[Path, pd.DataFrame, Rotation]
 WHERE = ["x_m", "y_m", "z_m"]
 
 
@@ -198,8 +198,12 @@ def under_water(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Un
     ]
     turn = Slerp(grid, Rotation.from_quat(q[:, [1, 2, 3, 0]]))
     # the camera is late by about 0.2 s, in which the attitude changes by less than 0.3 deg
-    place = -turn(np.clip(seen[:, 0] + 0.2, grid[0], grid[-1])).apply(seen[:, 2:5])
-    return path, pd.DataFrame({"t_s": seen[:, 0], **dict(zip(WHERE, place.T, strict=True))}), turn
+    turned = turn(np.clip(seen[:, 0] + 0.2, grid[0], grid[-1]))
+    place = -turned.apply(seen[:, 2:5])
+    marker = Rotation.from_quat(seen[:, 5:9])  # to the camera
+    # how the marker hangs in the world: the mean over the record
+    attitude = (turned * marker).mean() * marker.inv()
+    return path, pd.DataFrame({"t_s": seen[:, 0], **dict(zip(WHERE, place.T, strict=True))}), attitude
 
 
 def test_every_second_fix_left_out(
@@ -216,7 +220,8 @@ def test_every_second_fix_left_out(
     inside = (when < found.t_s.iloc[-1]).to_numpy()
     error = np.column_stack([np.interp(when, found.t_s, found[c]) - held[c] for c in WHERE])[inside]
     print(
-        f"held-out fixes: rms {1e3 * rms(error):.2f} mm over {len(error)}, clock {1e3 * fusion['clock_offset_s']:.1f} ms"
+        f"held-out fixes: rms {1e3 * rms(error):.2f} mm over {len(error)}, "
+        f"clock {1e3 * fusion['clock_offset_s']:.1f} ms"
     )
     assert rms(error) < 0.02
 
@@ -224,44 +229,39 @@ def test_every_second_fix_left_out(
 def test_velocity_between_fixes_two_seconds_apart(
     under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:
-    """Against the trapezoid, begun anew at each fix from the velocity there and a filter's attitude."""
-    log, optical, turn = under_water
+    """Against the trapezoid, begun anew at each fix from the velocity and the attitude the camera saw.
+
+    Both are held against the derivative of the camera's path at 25 Hz, which is itself off by some 10 mm/s
+    (water between camera and marker, noise): with a filter's attitude in place of the camera's the trapezoid
+    is good to 40 mm/s over 2 s, no more than 2.5 times as bad.
+    """
+    log, optical, attitude = under_water
     every = save(tmp_path / "every.csv", dict(optical))
     ran = swimid("track", "imu", log, "--with", every, "-o", tmp_path / "reference.csv", "--json")
     offset = ran.json["result"]["fusion"]["clock_offset_s"]
     sparse = save(tmp_path / "sparse.csv", dict(optical[::50]))
     options = ["--clock-offset-s", offset, "--fix-sd-m", 0.001, "--rest", "all"]
     assert swimid("track", "imu", log, "--with", sparse, *options, "-o", tmp_path / "run.csv").status == 0
-    found, reference, sensor = (
-        table(tmp_path / "run.csv"),
-        table(tmp_path / "reference.csv"),
-        pd.read_csv(log),
-    )
-    t, fixes = sensor.t_s.to_numpy(), optical.t_s.to_numpy()[::50] + offset
+    found, sensor = table(tmp_path / "run.csv"), pd.read_csv(log)
+    t, seen_t = sensor.t_s.to_numpy(), optical.t_s.to_numpy() + offset
     force = sensor[["ax_m_s2", "ay_m_s2", "az_m_s2"]].to_numpy()
-    acceleration = turn(np.clip(t, turn.times[0], turn.times[-1])).apply(force) - [0.0, 0.0, 9.80665]
-    velocity = [f"v{a}_m_s" for a in "xyz"]
-    seen_t = optical.t_s.to_numpy() + offset
+    rate = sensor[["wx_rad_s", "wy_rad_s", "wz_rad_s"]].to_numpy()
     # cubics over half a second of the camera's path
     derived = signal.savgol_filter(optical[WHERE].to_numpy(), 13, 3, deriv=1, delta=0.04, axis=0)
-
-    def errors(true: np.ndarray) -> tuple[float, float]:
-        """Of the fused velocity and of the trapezoid, against ``true`` at every sample of the sensor."""
-        plain, fused = [], []
-        estimate = np.column_stack([np.interp(t, found.t_s, found[c]) for c in velocity])
-        for first, last in zip(fixes[:-1], fixes[1:], strict=True):
-            rows = (t >= first) & (t < last)
-            if rows.sum() > 1000:
-                way = cumulative_trapezoid(acceleration[rows], t[rows], axis=0, initial=0)
-                plain.append(true[rows][0] + way - true[rows])
-                fused.append((estimate - true)[rows])
-        return rms(np.vstack(fused)), rms(np.vstack(plain))
-
-    both = np.column_stack([np.interp(t, reference.t_s, reference[c]) for c in velocity])
-    camera = np.column_stack([np.interp(t, seen_t, c) for c in derived.T])
-    for name, true in (("camera's derivative", camera), ("camera at 25 Hz and sensor", both)):
-        fused, plain = errors(true)
-        print(
-            f"against the {name}: fused {1e3 * fused:.1f} mm/s, trapezoid {1e3 * plain:.1f} mm/s, {plain / fused:.1f}x"
-        )
-    assert plain >= 3 * fused
+    true = np.column_stack([np.interp(t, seen_t, c) for c in derived.T])
+    estimate = np.column_stack([np.interp(t, found.t_s, found[f"v{a}_m_s"]) for a in "xyz"])
+    plain, fused = [], []
+    for k in range(0, len(optical) - 50, 50):
+        rows = (t >= seen_t[k]) & (t < seen_t[k + 50])
+        if rows.sum() < 1000:
+            continue
+        steps = np.diff(t[rows], prepend=t[rows][0])[:, None] * rate[rows]
+        turned = Rotation.from_rotvec(np.cumsum(steps, axis=0))  # the body turns by a few degrees at most
+        acceleration = (attitude[k] * turned).apply(force[rows]) - [0.0, 0.0, 9.80665]
+        way = cumulative_trapezoid(acceleration, t[rows], axis=0, initial=0)
+        plain.append(derived[k] + way - true[rows])
+        fused.append((estimate - true)[rows])
+    ours, theirs = rms(np.vstack(fused)), rms(np.vstack(plain))
+    ratio = theirs / ours
+    print(f"velocity rms: fused {1e3 * ours:.1f} mm/s, trapezoid {1e3 * theirs:.1f} mm/s, {ratio:.1f}x")
+    assert theirs >= 3 * ours

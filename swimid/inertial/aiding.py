@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -116,7 +117,7 @@ def zero_mean(axis: int, window_s: float, sd: float) -> Aid:
         direction = body.apply(np.eye(3)[axis])
         found = []
         edges = np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             along, v = direction[first:last], path.velocity[first:last]
             node = int(np.searchsorted(rows, (first + last) // 2))
             h = np.zeros((1, states))

@@ -224,7 +224,9 @@ def world_turn(source: Source, record: Record, poses: Poses, mount: Rotation) ->
 
 
 def turn_of_paths(record: Record, source: Source, poses: Poses) -> Rotation:
-    """The turn about the vertical that lays the reckoned path on the seen one; poses on the record's clock."""
+    """The turn about the vertical that lays the reckoned path on the seen "
+    "one; poses on the record's clock.
+    """
     way = _way(record, source)
     inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
     rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))

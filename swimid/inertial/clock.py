@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize, signal, stats
 
 from swimid.inertial.record import Array
@@ -138,7 +139,7 @@ class _Profile:
         turning = float(np.std(speed[:, lead]))
         self.period_s = 2 * np.pi * float(np.std(fast[:, lead])) / turning if turning else slow_s
 
-    def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
+    def fit(self, shift: float) -> tuple[Array, Array, Array, NDArray[np.intp]] | None:
         when = self.seen_t + shift
         inside = (when >= self.t[0]) & (when <= self.t[-1])
         if inside.sum() < 16:
@@ -146,7 +147,7 @@ class _Profile:
         expected = np.column_stack([np.interp(when[inside], self.t, c) for c in self.reference.T])
         both = without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
         k = expected.shape[1]
-        factors = np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0]
+        factors = np.asarray(np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0], dtype=float)
         return both[:, :k], both[:, k:], factors, np.flatnonzero(inside)
 
     def __call__(self, shift: float) -> float:

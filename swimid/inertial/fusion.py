@@ -23,7 +23,8 @@ from swimid.inertial.sensor import DEG, Sensor
 from swimid.inertial.smoother import Mounting, Smoothed, Start
 from swimid.inertial.trust import BAND
 
-#: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad; its clock, s.
+#: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
+#: its clock, s.
 LEVER_SD, MOUNT_SD, FITTED_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 3 * DEG, 6 * DEG, 2 * DEG, 0.05
 #: A planar log: the reference point stays in its plane this well, m.
 PLANE_SD = 0.05

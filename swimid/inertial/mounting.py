@@ -68,14 +68,16 @@ def settle(
             "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
             file=record.name,
             column="az_m_s2",
-            hint="for an accelerometer of the other sign give factor -1 for all three axes in a mapping (--map); "
+            hint="for an accelerometer of the other sign give factor -1 for all three "
+            "axes in a mapping (--map); "
             "for a sensor mounted upside down give --mount-deg 180 0 0",
         )
     snapped = np.zeros(3)
     snapped[axis] = np.sign(up[axis])
     rotation = level(up if level_at_rest else snapped).inv()
     text = (
-        f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest turn "
+        f"gravity lies along the sensor's {name} axis, not +z: the sensor is "
+        f"taken as turned by the smallest turn "
         "that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
     )
     return Mount(rotation, f"{name} axis up", up), [Finding(NAME, "handled", text)]

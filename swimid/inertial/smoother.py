@@ -136,7 +136,8 @@ class Mounting:
     clock_sd: float = 1e-9
 
 
-#: Makes observations of a reckoned path: called with the path, the rows of its nodes, and the number of states.
+#: Makes observations of a reckoned path: called with the path, the rows of its nodes, and the
+#: number of states.
 Aid = Callable[[Nominal, np.ndarray, int], list[Observation]]
 
 

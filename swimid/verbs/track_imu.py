@@ -180,7 +180,8 @@ def _warn(m: Material, notes: list[str]) -> None:
     if m.rest_score is not None and m.rest_score > told.REST_LIMIT:
         warn(
             "SWM084",
-            f"{name}: the motion between rests does not close within its band ({m.rest_score:.1f} deviations rms): "
+            f"{name}: the motion between rests does not close within its band "
+            f"({m.rest_score:.1f} deviations rms): "
             "one of them is no rest of the body, or the sensor is worse than stated",
         )
     stated = stated_frequency(m)

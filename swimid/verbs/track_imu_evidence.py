@@ -58,7 +58,8 @@ def result(m: Material) -> dict[str, Any]:
             "rate_rad_s": m.paper.removed_rate.tolist(),
         }
         return out
-    assert m.motion is not None and m.bias is not None
+    assert m.motion is not None
+    assert m.bias is not None
     out["bias"] = {"acceleration_m_s2": m.bias[:3].tolist(), "rate_rad_s": m.bias[3:].tolist()}
     out["surge_oscillation"] = {
         "rms_m_s": float(np.sqrt(np.nanmean(np.square(m.surge_osc)))) if m.surge_osc is not None else None,
@@ -137,13 +138,15 @@ def summary(m: Material, machine: dict[str, Any]) -> str:
     """The run for the terminal: what can be trusted first."""
     n, d = machine["samples"], machine["duration_s"]
     lines = [
-        f"{m.record.name}: {n} samples over {d:.1f} s, method {m.settings.method}, attitude from {m.source.kind}"
+        f"{m.record.name}: {n} samples over {d:.1f} s, method "
+        f"{m.settings.method}, attitude from {m.source.kind}"
     ]
     lines += [f"  {_reach(m)}"]
     if m.motion is not None and m.surge_osc is not None:
         rms = machine["surge_oscillation"]["rms_m_s"]
         lines.append(
-            f"  surge within a stroke (above {m.cutoff_hz:.2f} Hz): {rms:.4f} m/s rms, ± {BAND * m.surge_osc_sd:.4f}"
+            f"  surge within a stroke (above {m.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
+            f"rms, ± {BAND * m.surge_osc_sd:.4f}"
             if m.surge_osc_sd is not None
             else ""
         )
@@ -157,14 +160,17 @@ def summary(m: Material, machine: dict[str, Any]) -> str:
 
 def _reach(m: Material) -> str:
     if m.paper is not None:
-        return f"the paper's way, {m.settings.mode} mode: it states no uncertainty, and its velocity ends where it began"
+        mode = m.settings.mode
+        return f"the paper's way, {mode} mode: it states no uncertainty; its velocity ends as it began"
     assert m.motion is not None
     if m.fused is not None:
         half = BAND * np.max(m.motion.position_sd[:, :2], axis=1)
-        return f"position to ± {np.median(half):.4f} m (median of the 95 % band), ± {np.max(half):.3f} m at worst"
+        usual, worst = np.median(half), np.max(half)
+        return f"position to ± {usual:.4f} m (median of the 95 % band), ± {worst:.3f} m at worst"
     assert m.trust is not None
     if m.trust.seconds is None:
-        return f"path: the 95 % band stays within 0.1 m or a tenth of the way (widest ± {m.trust.widest_m:.3f} m)"
+        widest = m.trust.widest_m
+        return f"path: the 95 % band stays within 0.1 m or a tenth of the way (widest ± {widest:.3f} m)"
     return (
         f"path: NOT to be trusted after {m.trust.seconds:.1f} s of motion (t = {m.trust.until_s:.1f} s); "
         f"95 % band at worst ± {m.trust.widest_m:.1f} m"
@@ -192,7 +198,8 @@ def _still_check(m: Material) -> ev.Check:
     return ev.Check(
         name="Still periods",
         value=f"{len(m.still.found)}, {seconds:.1f} s; {used:.1f} s of them taken as rest; noise "
-        f"{m.still.noise.acceleration / MILLI_G:.2f} mg/√Hz, {60 * m.still.noise.rate / DEG:.2f} deg/√h ({m.still.noise.source})",
+        f"{m.still.noise.acceleration / MILLI_G:.2f} mg/√Hz, "
+        f"{60 * m.still.noise.rate / DEG:.2f} deg/√h ({m.still.noise.source})",
         limit="at least one",
         verdict="pass" if m.still.found else "warn",
     )
@@ -276,7 +283,8 @@ def _fusion_checks(m: Material) -> list[ev.Check]:
     found = [
         ev.Check(
             name="Clock offset",
-            value=f"{1e3 * offset.value_s:.2f} ms (95 %: {1e3 * offset.low_s:.2f} … {1e3 * offset.high_s:.2f})",
+            value=f"{1e3 * offset.value_s:.2f} ms (95 %: {1e3 * offset.low_s:.2f} … "
+            f"{1e3 * offset.high_s:.2f})",
             limit="0 within the interval",
             verdict="warn" if offset.excludes_zero and m.settings.clock_offset_s is None else "pass",
             text="To add to the other log's times; the output is on the inertial clock.",
@@ -290,7 +298,8 @@ def _fusion_checks(m: Material) -> list[ev.Check]:
         found.append(
             ev.Check(
                 name=f"{name} agree with the sensor",
-                value=f"innovations {size:.2f} of their deviation (rms), {lost} of {lost + len(scores[kind])} left out",
+                value=f"innovations {size:.2f} of their deviation (rms), {lost} of "
+                f"{lost + len(scores[kind])} left out",
                 limit=f"below {FIX_LIMIT:g}",
                 verdict="pass" if size <= FIX_LIMIT and lost <= 0.02 * len(scores[kind]) else "warn",
             )
@@ -307,7 +316,8 @@ def _stroke_check(m: Material) -> list[ev.Check]:
     return [
         ev.Check(
             name="Stroke",
-            value=f"{beat.frequency_hz:.4f} ± {BAND * beat.stderr_hz:.4f} Hz in {m.stroke.channel}; harmonics {harmonics}",
+            value=f"{beat.frequency_hz:.4f} ± {BAND * beat.stderr_hz:.4f} Hz in "
+            f"{m.stroke.channel}; harmonics {harmonics}",
             limit="" if stated is None else f"metadata: {stated:g} Hz",
             verdict="info" if stated is None else "warn" if wrong else "pass",
         )
@@ -360,7 +370,8 @@ def _tables(m: Material, machine: dict[str, Any]) -> list[ev.Table]:
                 rows=[
                     [a, float(m.bias[i] / MILLI_G), float(m.bias[3 + i] / DEG)] for i, a in enumerate("xyz")
                 ],
-                caption="Sensor axes. At rest in one attitude a horizontal bias and a tilt cannot be told apart.",
+                caption="Sensor axes. At rest in one attitude a horizontal bias and a tilt "
+                "cannot be told apart.",
             )
         )
     return tables
@@ -369,32 +380,38 @@ def _tables(m: Material, machine: dict[str, Any]) -> list[ev.Table]:
 def _methods(m: Material) -> list[str]:
     if m.paper is not None:
         return [
-            "Velocity and position were computed from accelerations as by Shang et al. (2012): means removed for "
+            "Velocity and position were computed from accelerations as by Shang et "
+            "al. (2012): means removed for "
             f"{m.settings.mode} mode, readings below {m.settings.threshold_m_s2:g} m/s² and "
-            f"{m.settings.threshold_rad_s:g} rad/s set to zero, rotation to earth axes (Eqs 10 and 11), trapezoidal "
+            f"{m.settings.threshold_rad_s:g} rad/s set to zero, rotation to earth "
+            f"axes (Eqs 10 and 11), trapezoidal "
             "integration (Eqs 12 and 13)."
         ]
     used = "an inertial unit" if m.fused is None else "an inertial unit and a second log of the trial"
     text = [
-        f"Motion was estimated from {used} by an error-state Kalman filter and Rauch-Tung-Striebel smoother over "
+        f"Motion was estimated from {used} by an error-state Kalman filter and "
+        f"Rauch-Tung-Striebel smoother over "
         "position, velocity, attitude and sensor biases"
         + (", mounting, lever arm and clock offset" if m.fused is not None else "")
         + f"; attitude from {m.source.kind}.",
     ]
     if m.settings.declared.zero_mean:
         text.append(
-            f"Declared: mean {' and '.join(m.settings.declared.zero_mean)} of zero over {m.settings.declared.window_s:g} s."
+            f"Declared: mean {' and '.join(m.settings.declared.zero_mean)} of zero "
+            f"over {m.settings.declared.window_s:g} s."
         )
     return text
 
 
 def _references(m: Material) -> list[str]:
     shang = (
-        "Shang, L., Wang, S., Tan, M., Cheng, L. (2012). Swimming locomotion modeling for biomimetic underwater "
+        "Shang, L., Wang, S., Tan, M., Cheng, L. (2012). Swimming locomotion "
+        "modeling for biomimetic underwater "
         "vehicle with two undulating long-fins. Robotica 30, 913-923. doi:10.1017/S0263574711001159"
     )
     rauch = (
-        "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic systems. "
+        "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood "
+        "estimates of linear dynamic systems. "
         "AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
     )
     groves = (
@@ -402,7 +419,8 @@ def _references(m: Material) -> list[str]:
         "2nd ed. Artech House."
     )
     vqf = (
-        "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation estimation with bias estimation and "
+        "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation "
+        "estimation with bias estimation and "
         "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
     )
     filtered = [] if m.record.quaternion is not None else [vqf]
@@ -424,5 +442,5 @@ def settings(m: Material) -> dict[str, Any]:
         "lever_m": None if d.lever_m is None else [float(v) for v in d.lever_m],
         "clock_offset_s": s.clock_offset_s,
         "fix_sd_m": s.fix_sd_m,
-        "sensor": {k: v for k, v in vars(s.sensor).items()},
+        "sensor": dict(vars(s.sensor)),
     }

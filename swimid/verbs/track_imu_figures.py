@@ -30,7 +30,8 @@ def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
         ev.Figure(
             id="velocity",
             title="Body velocity",
-            caption="Surge, sway and heave with the 95 % band; rests shaded. Good: a band narrow against the motion.",
+            caption="Surge, sway and heave with the 95 % band; rests shaded. Good: a band "
+            "narrow against the motion.",
             panels=[
                 _panel(t, f"{name} (m/s)", found.body_velocity[:, k], found.body_velocity_sd[:, k], rest)
                 for k, name in enumerate(("surge", "sway", "heave"))
@@ -58,7 +59,8 @@ def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
         ev.Figure(
             id="attitude",
             title="Attitude",
-            caption="Roll, pitch (nose up) and yaw with the 95 % band. Good: roll and pitch come back after the run.",
+            caption="Roll, pitch (nose up) and yaw with the 95 % band. Good: roll and "
+            "pitch come back after the run.",
             panels=[
                 _panel(t, f"{name} (deg)", a / DEG, found.angle_sd[:, k] / DEG, rest)
                 for k, (name, a) in enumerate(
@@ -74,7 +76,8 @@ def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
             ev.Figure(
                 id="oscillation",
                 title="Surge within a stroke",
-                caption=f"Surge above {m.cutoff_hz:.2f} Hz with its 95 % band: the part that needs no help from outside.",
+                caption=f"Surge above {m.cutoff_hz:.2f} Hz with its 95 % band: the part that "
+                f"needs no help from outside.",
                 panels=[_panel(t, "surge (m/s)", m.surge_osc, sd, rest)],
             )
         )
@@ -161,6 +164,7 @@ def _paper(m: Material) -> ev.Figure:
     return ev.Figure(
         id="paper",
         title="The paper's steps",
-        caption="Earth axes: acceleration without its mean (Eq 10), velocity (Eq 12) and position (Eq 13). No uncertainty is stated.",
+        caption="Earth axes: acceleration without its mean (Eq 10), velocity (Eq 12) "
+        "and position (Eq 13). No uncertainty is stated.",
         panels=panels,
     )

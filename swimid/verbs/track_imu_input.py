@@ -87,7 +87,8 @@ def read_poses(path: Path) -> Poses:
         roll, pitch, yaw = full
     if not np.isfinite(position).any() and roll is None and pitch is None and yaw is None:
         raise InputError(
-            "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, pitch_rad, yaw_rad) to fuse with",
+            "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, "
+            "pitch_rad, yaw_rad) to fuse with",
             file=path,
             hint="tracks in pixels need a scale in their setup",
         )

@@ -61,7 +61,8 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
             hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
         )
     text = (
-        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of gravity's "
+        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} "
+        f"leaves {100 * best:.0f} % of gravity's "
         f"turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
     )
     return replace(record, rate=record.rate[:, order] * np.asarray(signs)), [Finding(NAME, "handled", text)]

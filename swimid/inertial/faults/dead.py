@@ -18,7 +18,9 @@ MOST = 0.3
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
-    """Refuse a dead accelerometer or gyroscope axis; drop a dead compass or quaternion; bridge stuck stretches."""
+    """Refuse a dead accelerometer or gyroscope axis; drop a dead compass "
+    "or quaternion; bridge stuck stretches.
+    """
     found: list[Finding] = []
     stuck = []
     for names, values in ((ACCELERATION, record.acceleration), (RATE, record.rate)):
@@ -37,12 +39,13 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
                     f"the channel is dead: {what}",
                     file=record.name,
                     column=name,
-                    hint="motion in space needs three accelerations and three turn rates; mend the sensor or its wiring",
+                    hint="motion in space needs three accelerations and three turn rates; mend "
+                    "the sensor or its wiring",
                 )
         stuck.append(flags)
     count = int((stuck[0] | stuck[1]).any(axis=1).sum())
     if count:
-        names = [
+        which = [
             n
             for flags, ns in zip(stuck, (ACCELERATION, RATE), strict=True)
             for n, f in zip(ns, flags.T, strict=True)
@@ -50,7 +53,7 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         ]
         found.append(
             Finding(
-                NAME, "handled", f"{count} samples stuck at one value in {', '.join(names)}, bridged", count
+                NAME, "handled", f"{count} samples stuck at one value in {', '.join(which)}, bridged", count
             )
         )
         record = bridged(record, stuck[0], stuck[1])

@@ -25,11 +25,15 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     if longest > LONGEST_S:
         row = int(np.argmax(steps))
         raise InputError(
-            f"no samples for {longest:.2f} s after t = {record.time_s[row]:.3f} s: motion in between is unknown",
+            f"no samples for {longest:.2f} s after t = {record.time_s[row]:.3f} s: "
+            f"motion in between is unknown",
             file=record.name,
             column="t_s",
             hint="cut the log there, one file for each piece",
         )
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
-    text = f"{count} samples dropped in {int(wide.sum())} places, the longest {longest:.3f} s; spanned by the trapezoid"
+    text = (
+        f"{count} samples dropped in {int(wide.sum())} places, the longest "
+        f"{longest:.3f} s; spanned by the trapezoid"
+    )
     return record, [Finding(NAME, "handled", text, count)]

@@ -21,5 +21,8 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     jitter = max(jitter, float(np.std(single)) / record.step_s) if jitter else 0.0
     if jitter < NOTABLE:
         return record, []
-    text = f"time steps vary by {100 * jitter:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; the stamps are used as they are"
+    text = (
+        f"time steps vary by {100 * jitter:.0f} % (rms) of "
+        f"{1e3 * record.step_s:.3g} ms; the stamps are used as they are"
+    )
     return record, [Finding(NAME, "handled", text)]
