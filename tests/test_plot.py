@@ -86,6 +86,7 @@ def test_two_sensors_of_one_trial(camera: Path, imu: Path, swimid: Run, tmp_path
     figure = log_figures.together([log.read(imu), log.read(camera)])
     assert figure.panels[0].y_label == "yaw (rad)"
     assert [trace.label for trace in figure.panels[0].traces] == ["imu.csv", "camera.csv"]
+    assert [span.label for span in figure.panels[0].spans] == ["missing in camera.csv"]
 
 
 def test_the_report_of_a_log_has_the_same_figures(camera: Path, swimid: Run, tmp_path: Path) -> None:

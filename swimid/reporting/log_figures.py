@@ -141,7 +141,20 @@ def together(logs: Sequence[Log]) -> Figure:
             Trace(**{**_line(record.time_s, record[column], name).model_dump(), "group": names.index(name)})
             for name, record, column in by_channel[channel]
         ]
-        panels.append(Panel(x_label="time (s)", y_label=numbers.column_title(channel), traces=traces))
+        gaps = [
+            Span(start=start, end=end, label=f"missing in {name}")
+            for name, record, column in by_channel[channel]
+            for start, end in missing(record.time_s, record[column])
+        ]
+        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
+        panels.append(
+            Panel(
+                x_label="time (s)",
+                y_label=numbers.column_title(channel),
+                traces=traces,
+                spans=sorted(longest, key=lambda gap: gap.start),
+            )
+        )
     shared = sum(len(found) > 1 for found in by_channel.values())
     remarks = [
         "The logs over each other, each on its own clock. Good: curves that lie on each other; a constant "
