@@ -121,6 +121,7 @@ def test_the_default_is_three_times_as_good_as_the_papers_way(
     assert (np.abs(away) <= BAND * found[[f"{a}_sd_m" for a in AXES]].to_numpy()).mean() >= 0.9
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_their_bands_say() -> None:
     """Over many runs the squared errors, in their own deviations, average to about one."""
     from swimid.inertial import alone, attitude, motion, mounting
@@ -283,6 +284,7 @@ def test_it_is_reported(swimid: Callable[..., Ran], tmp_path: Path, rng: np.rand
 # ---------------------------------------------------------------- real recordings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", [False, True], ids=["6-axis", "9-axis"])
 @pytest.mark.parametrize("name", ["15_undisturbed_fast_translation_A", "10_undisturbed_slow_translation_A"])
 def test_hand_held_sensor_against_motion_capture(

@@ -87,6 +87,7 @@ def test_37_milliseconds_between_camera_and_sensor(
     assert inside.mean() >= 0.85
 
 
+@pytest.mark.slow
 def test_clocks_that_agree_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
     run = imu.marching(rng)
@@ -120,6 +121,7 @@ def test_a_dropout_is_bridged_with_a_growing_band(swimid: Callable[..., Ran], tm
     assert abs(found.t_s[middle] - np.mean(hole)) < 0.8  # widest in the middle of the hole
 
 
+@pytest.mark.slow
 def test_mounting_and_lever_from_three_angles(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """A sensor turned by 90 degrees about the vertical, 12 cm ahead of what the camera follows."""
     rng = np.random.default_rng(8)
@@ -206,6 +208,7 @@ def under_water(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Un
     return path, pd.DataFrame({"t_s": seen[:, 0], **dict(zip(WHERE, place.T, strict=True))}), attitude
 
 
+@pytest.mark.slow
 def test_every_second_fix_left_out(
     under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:
@@ -226,6 +229,7 @@ def test_every_second_fix_left_out(
     assert rms(error) < 0.02
 
 
+@pytest.mark.slow
 def test_velocity_between_fixes_two_seconds_apart(
     under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:

@@ -21,6 +21,7 @@ from swimid.progress import Progress, silent
 from swimid.signals import rhythm
 from swimid.verbs import track_imu_evidence as told
 from swimid.verbs.outcome import Outcome
+from swimid.verbs.track_imu_checks import REST_LIMIT
 from swimid.verbs.track_imu_input import read_poses, read_record
 from swimid.verbs.track_imu_material import Material, Settings, contradicts, stated_frequency
 
@@ -177,7 +178,7 @@ def _warn(m: Material, notes: list[str]) -> None:
             f"the clocks differ: {1e3 * o.value_s:.1f} ms to add to the other log "
             f"(95 %: {1e3 * o.low_s:.1f} ... {1e3 * o.high_s:.1f} ms); the output is on the inertial clock",
         )
-    if m.rest_score is not None and m.rest_score > told.REST_LIMIT:
+    if m.rest_score is not None and m.rest_score > REST_LIMIT:
         warn(
             "SWM084",
             f"{name}: the motion between rests does not close within its band "
