@@ -50,7 +50,8 @@ def _mat(path: Path) -> None:
 
 def _mat73(path: Path) -> None:
     """What MATLAB writes with -v7.3: HDF5 behind a text block, arrays transposed."""
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in (("t", TIME_MS[:, None]), ("pose", np.column_stack([X_MM, YAW_DEG]))):
             file[name] = values.T

@@ -92,9 +92,9 @@ def _reader_of(path: Path) -> Reader:
         return _BY_ENDING[ending]
     if path.name.endswith(".evidence.json"):
         stem = path.name.removesuffix(".evidence.json")
-        raise InputError(
-            "is the evidence of a result", file=path, hint=f"name the result itself: {stem}.yaml"
-        )
+        there = [e for e in (".yaml", ".yml", *_BY_ENDING) if path.with_name(stem + e).exists()]
+        result = stem + (there[0] if there else ".yaml")
+        raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
     if ending not in {".yaml", ".yml"}:
         allowed = ", ".join([".yaml", *sorted(_BY_ENDING)])
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)

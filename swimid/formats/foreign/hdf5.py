@@ -59,5 +59,4 @@ READER = Reader(
     (".h5", ".hdf5"),
     _open,
     magic=(b"\x89HDF", b"MATLAB 7.3"),
-    extra="hdf5",
 )
