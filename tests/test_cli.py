@@ -126,7 +126,7 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
 
 
 def test_schema_lists_formats(swimid: Run) -> None:
-    names = ["trials", "robot", "parameters", "setup", "comparison", "gap", "evidence"]
+    names = ["trials", "robot", "parameters", "setup", "mapping", "comparison", "gap", "evidence"]
     assert swimid("schema").out.split() == names
 
 
