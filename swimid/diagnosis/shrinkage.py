@@ -20,6 +20,9 @@ TOLERANCE = 1e-4
 #: Resamples of trials for the interval.
 RESAMPLES = 1000
 
+#: Of the squared errors on held-out data, beyond their noise, a cause closes at least this share.
+TRACE = 0.02
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -241,8 +244,8 @@ def shrinkages(
 
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether the causes make held-out data fit better, all channels together in units of their noise."""
-    gained = 0.0
+    """Whether the causes close more than a trace of the gap on held-out data, in units of the noise."""
+    gained, gap = 0.0, 0.0
     for p in found:
         floor = max(floors.get(p.channel, 1.0), 1e-300)
         errors = [
@@ -250,7 +253,8 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
             for y in (p.before, p.after)
         ]
         gained += float(np.sum(errors[0] - errors[1]))
-    return gained > 0.0 or not found
+        gap += float(np.sum(errors[0][np.isfinite(p.measured)] - 1.0))
+    return gained > TRACE * max(gap, 0.0) or not found
 
 
 def closed(before: float, after: float, floor: float) -> float:
