@@ -78,12 +78,20 @@ def answer(
             bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
-    useless: list[str] = []
+    reasons: list[str] = []
     if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
-        # simulated from their own start states, held-out trials are no better with it: it is no cause
-        useless = [c.best.tried.effect.name for c in chosen]
-        chosen = []
-        word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+        # simulated from their own start states, held-out trials are no better with it
+        names = ", ".join(c.best.tried.effect.name for c in chosen)
+        if all(c.steady for c in chosen):
+            reasons.append(
+                f"{names}: it gains in every held-out fold, but held-out trials, simulated anew, are no better "
+                "with it: what differs between trials by chance hides it"
+            )
+            word = "ambiguous"
+        else:
+            reasons.append(f"{names}: held-out trials, simulated anew, are no better with it")
+            chosen = []
+            word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     if word == "none":
         # nothing it leaves can be told from noise and from what differs between trials by chance
         left_over = by_channel(nominal, nominal.residuals)
@@ -117,7 +125,7 @@ def answer(
         maps=places.maps(where),
         forces=dict(left.places) if left is not None else {},
         rounds=tuple(_told(r, state) for r in state.rounds),
-        reasons=_reasons(state, useless),
+        reasons=(*reasons, *_reasons(state)),
     )
 
 
@@ -132,8 +140,8 @@ def _told(found: Round, state: State) -> str:
     )
 
 
-def _reasons(state: State, useless: Sequence[str]) -> tuple[str, ...]:
-    said = [f"{name}: held-out trials, simulated anew, are no better with it" for name in useless]
+def _reasons(state: State) -> tuple[str, ...]:
+    said: list[str] = []
     leader = state.rounds[0].ranked[0] if state.rounds and state.rounds[0].ranked else None
     if leader is not None and leader.gain > state.rounds[0].threshold:
         why = why_not(state, state.rounds[0], leader)

@@ -28,13 +28,26 @@ REMAINDER = 0.3
 STRONG = 3.0
 #: Trials that differ by so many times what chance may make them do not differ by chance.
 DIFFERS = 2.0
-#: Share of the probability that the leader alone needs for a clear verdict.
+#: Of answers that the evidence alone would make sure, so many name another cause than the true one: a true
+#: effect never has quite its form in the catalogue, or is not in it. Read off blind cases with known causes.
+MISTAKEN = 0.15
+#: A cause whose losses are at most this share of its gains helps in every held-out fold.
+STEADY = 0.02
+#: Share of the evidence that the leader alone needs for a clear verdict.
 CLEAR = 0.55
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect chosen in a round, with its rivals there; the likeliest of them if they are too many."""
+    """An effect chosen in a round, with its rivals there; the likeliest of them if they are too many.
+
+    Attributes
+    ----------
+    probability : float
+        That the cause is among them; never above ``1 - MISTAKEN``.
+    alone : float
+        Share of the evidence for the best alone.
+    """
 
     best: Refitted
     equivalent: tuple[str, ...]
@@ -42,6 +55,11 @@ class Named:
     alone: float
     found: Round
     crowded: bool = False
+
+    @property
+    def steady(self) -> bool:
+        """Whether it helps in every held-out fold."""
+        return self.best.lost <= STEADY * self.best.gain
 
 
 def named(state: State, found: Round, unknown: float) -> Named:
@@ -71,7 +89,8 @@ def named(state: State, found: Round, unknown: float) -> Named:
     shown = sorted(rivals, key=lambda n: -weight[n])[: SET - 1]
     inside = sum(weight[n] for n in (name, *shown))
     alone = weight[name] / total
-    probability, alone = (1.0 - unknown) * inside / total, (1.0 - unknown) * alone
+    known = 1.0 - unknown
+    probability, alone = (1.0 - MISTAKEN) * known * inside / total, known * alone
     return Named(best, tuple(shown), probability, alone, found, crowded=len(rivals) > len(shown))
 
 
