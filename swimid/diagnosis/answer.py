@@ -84,8 +84,8 @@ def answer(
         names = ", ".join(c.best.tried.effect.name for c in chosen)
         if all(c.steady for c in chosen):
             reasons.append(
-                f"{names}: it gains in every held-out fold, but held-out trials, simulated anew, are no better "
-                "with it: what differs between trials by chance hides it"
+                f"{names}: it gains in every held-out fold, but held-out trials, simulated anew, are no "
+                "better with it: what differs between trials by chance hides it"
             )
             word = "ambiguous"
         else:
