@@ -74,6 +74,27 @@ def test_fast_turning_about_the_vertical_is_degrees(rng: np.random.Generator) ->
     assert np.abs(mended.rate).max() < 1.0
 
 
+@pytest.mark.parametrize(
+    ("rows", "value"),
+    [
+        ([500], -9999.0),
+        (range(500, 580), -9999.0),
+        ([300, 600, 601], -1e300),
+        ([500], 300.0),
+        ([700], 65535.0),
+    ],
+)
+@pytest.mark.parametrize("axis", [0, 5])
+def test_wild_readings_are_missing(run: imu.Run, axis: int, rows: list[int], value: float) -> None:
+    both = np.hstack([run.acceleration, run.rate])
+    both[list(rows), axis] = value
+    mended, found = faults.mend(replace(record(run), acceleration=both[:, :3], rate=both[:, 3:]))
+    assert names(found) == ["wild readings", "missing cells"]
+    assert found[0].count == len(list(rows))
+    true = np.hstack([run.acceleration, run.rate])[:, axis]
+    assert np.ptp(np.hstack([mended.acceleration, mended.rate])[:, axis]) <= np.ptp(true)
+
+
 @pytest.mark.parametrize(("axis", "value"), [(0, 0.0), (4, 0.0), (2, 9.81), (5, 0.013)])
 def test_a_dead_channel_is_refused(run: imu.Run, axis: int, value: float) -> None:
     both = np.hstack([run.acceleration, run.rate])

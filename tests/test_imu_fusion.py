@@ -269,3 +269,18 @@ def test_velocity_between_fixes_two_seconds_apart(
     ratio = theirs / ours
     print(f"velocity rms: fused {1e3 * ours:.1f} mm/s, trapezoid {1e3 * theirs:.1f} mm/s, {ratio:.1f}x")
     assert theirs >= 3 * ours
+
+
+@pytest.mark.parametrize("stray", [-9999.0, 3.0])
+def test_a_stray_fix_is_left_out(swimid: Callable[..., Ran], tmp_path: Path, stray: float) -> None:
+    """One mark for "no sample", or one wrong blob, among the camera's positions."""
+    run = imu.marching(np.random.default_rng(8), swim_s=8.0, rest_s=2.5, rate_hz=50.0)
+    log = save(tmp_path / "imu.csv", run.columns())
+    seen = {"t_s": run.time_s, "x_m": run.position[:, 0].copy(), "y_m": run.position[:, 1]}
+    seen["x_m"][300] = stray
+    camera = save(tmp_path / "camera.csv", {name: values[::3] for name, values in seen.items()})
+    ran = swimid("track", "imu", log, "--with", camera, "-o", tmp_path / "run.csv")
+    assert ran.status == 0, ran.err
+    assert "SWM058" in ran.err
+    error = table(tmp_path / "run.csv").x_m - run.position[:, 0]
+    assert np.sqrt(np.mean(error**2)) < 0.002

@@ -93,7 +93,7 @@ def run(
     on_record = replace(poses, time_s=poses.time_s + clocks.offset.value_s)
     rotation, mount_sd, told = _mount(mount, clocks)
     findings += told
-    turn = _world_turn(record, source, on_record, rotation, clocks)
+    turn = _world_turn(record, source, on_record, rotation)
     fixes = _fixes(poses, fix_sd_m)
     first = np.flatnonzero(np.isfinite(poses.position).any(axis=1))
     place = np.nan_to_num(poses.position[first[0]]) if len(first) else np.zeros(3)
@@ -189,7 +189,7 @@ def _mount(mount: Mount, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
     return fit.mount, FITTED_MOUNT_SD, [Finding("swapped or flipped axes", "handled", text)]
 
 
-def _world_turn(record: Record, source: Source, poses: Poses, mount: Rotation, fit: Fit) -> Rotation:
+def _world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
     """From the source's world to the other log's: by its angles, else by the shapes of the two paths."""
     if poses.yaw is not None:
         return alignment.world_turn(source, record, poses, mount)
@@ -227,11 +227,8 @@ def _noise_seen(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fix
     for o in aiding.fixes(fixes)(path, nodes, states):
         spread = np.einsum("ij,jk,ik->i", o.sensitivity, covariance[o.node], o.sensitivity)
         full = np.full(3, np.nan)
-        axes = np.flatnonzero(np.abs(o.sensitivity[:, P if o.kind == "position" else T]).sum(axis=0))
-        if o.kind == "position":
-            axes = np.array([int(np.argmax(row[P])) for row in o.sensitivity])
-        else:
-            axes = np.array([int(np.argmax(row[T])) for row in o.sensitivity])
+        part = P if o.kind == "position" else T
+        axes = np.array([int(np.argmax(row[part])) for row in o.sensitivity])
         value = o.residual**2 + spread
         full[axes] = np.where(value < (6 * o.sd) ** 2 * 4, value, np.nan)
         squares[o.kind].append(full)

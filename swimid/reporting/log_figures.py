@@ -164,7 +164,8 @@ def together(logs: Sequence[Log]) -> Figure:
     ]
     if len(order) > MAX_PANELS:
         remarks.append(f"{len(order) - MAX_PANELS} further channels are not drawn.")
-    return Figure(id="channels", title="Channels of all logs", caption=" ".join(remarks), panels=panels)
+    title = "Channels over each other" if shared else "Channels of each log"
+    return Figure(id="channels", title=title, caption=" ".join(remarks), panels=panels)
 
 
 def _names(logs: Sequence[Log]) -> list[str]:

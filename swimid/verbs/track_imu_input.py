@@ -12,7 +12,10 @@ from swimid.formats.delimited import missing_column
 from swimid.formats.mapping import MappedLog
 from swimid.inertial.alignment import Poses
 from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, angles, rotations
+from swimid.notices import warn
 from swimid.progress import Progress
+from swimid.signals import track_cleaning
+from swimid.signals.sampling import usual_step
 
 #: Fewest samples that make a motion.
 LEAST = 64
@@ -47,6 +50,12 @@ def read_record(path: Path, map_path: Path | None, progress: Progress) -> tuple[
         name=path.name,
     )
     return record, mapped.notes
+
+
+#: A track of fewer samples, or of samples farther apart, s, is too sparse to tell jumps from motion.
+FEWEST, SPARSE_S = 40, 0.25
+#: No tank is larger, m: a mark for "no sample".
+FARTHEST_M = 1e4
 
 
 def _together(mapped: MappedLog, names: tuple[str, ...]) -> Array:
@@ -92,7 +101,30 @@ def read_poses(path: Path) -> Poses:
             file=path,
             hint="tracks in pixels need a scale in their setup",
         )
+    _take_out(read, position, [a for a in (roll, pitch, yaw) if a is not None])
     return Poses(read.time_s, position, roll, pitch, _unwrapped(yaw))
+
+
+def _take_out(read: log.Log, position: Array, angle_columns: list[Array]) -> None:
+    """Empty the samples of a dense track that repeat a picture or jump away from it."""
+    far = (np.abs(position) > FARTHEST_M).any(axis=1)
+    position[far] = np.nan
+    repeated, jumped = np.zeros_like(far), far
+    seen = np.flatnonzero(np.isfinite(position).any(axis=0))
+    if len(read) >= FEWEST and usual_step(read.time_s) <= SPARSE_S and len(seen) > 1:
+        found = track_cleaning.clean(read.time_s, [position[:, k] for k in seen], angle_columns)
+        repeated, jumped = found.repeated, far | found.jumped
+    out = repeated | jumped
+    if not out.any():
+        return
+    position[out] = np.nan
+    for angle in angle_columns:
+        angle[out] = np.nan
+    warn(
+        "SWM058",
+        f"{read.path.name}: {int(repeated.sum())} repeated and {int(jumped.sum())} stray samples left out of "
+        "the track",
+    )
 
 
 def _unwrapped(angle: Array | None) -> Array | None:

@@ -15,6 +15,7 @@ from swimid.inertial.faults import (
     order,
     rate_unit,
     saturated,
+    wild,
 )
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Record
@@ -23,6 +24,7 @@ from swimid.inertial.record import Record
 #: and a place here.
 FAULTS: tuple[ModuleType, ...] = (
     order,
+    wild,
     missing,
     dead,
     held,

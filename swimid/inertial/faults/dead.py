@@ -18,9 +18,7 @@ MOST = 0.3
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
-    """Refuse a dead accelerometer or gyroscope axis; drop a dead compass "
-    "or quaternion; bridge stuck stretches.
-    """
+    """Refuse a dead accelerometer or gyroscope axis; bridge stuck samples; leave a dead compass aside."""
     found: list[Finding] = []
     stuck = []
     for names, values in ((ACCELERATION, record.acceleration), (RATE, record.rate)):
