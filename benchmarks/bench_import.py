@@ -1,7 +1,8 @@
 """Import of 10 million IMU rows against ``pandas.read_csv`` alone: ratio of speeds, peak memory.
 
-The whole command is timed, from starting Python to the log and its evidence on the disk; of pandas
-only the reading. Run from the source folder: ``python benchmarks/bench_import.py [ROWS]``.
+Timed are the reading itself, with the units, times and checks of a mapping, and the whole command, from
+starting Python to the log and its evidence on the disk; of pandas only the reading. Run from the source
+folder: ``python benchmarks/bench_import.py [ROWS]``.
 """
 
 from __future__ import annotations
@@ -36,6 +37,16 @@ PANDAS = """\
 import sys, time, pandas
 wall, work = time.perf_counter(), time.process_time()
 pandas.read_csv(sys.argv[1])
+print(time.perf_counter() - wall, time.process_time() - work)
+"""
+READING = """\
+import sys, time
+from pathlib import Path
+from swimid.formats import mapping
+from swimid.progress import silent
+rules = mapping.read(sys.argv[2])
+wall, work = time.perf_counter(), time.process_time()
+mapping.apply(rules, Path(sys.argv[1]), progress=silent)
 print(time.perf_counter() - wall, time.process_time() - work)
 """
 
@@ -83,6 +94,11 @@ def main() -> None:
         python = [sys.executable, "-c", PANDAS, str(folder / "imu.csv")]
         size = (folder / "imu.csv").stat().st_size / 2**20
         print(f"{ROWS} rows of {len(NAMES)} columns, {size:.0f} MiB as CSV; wall and processor time")
+        for source in ("csv", "parquet"):
+            peer, peer_work = (float(x) for x in run(python)[3].split())
+            words = [sys.executable, "-c", READING, str(folder / f"imu.{source}"), str(folder / "map.yaml")]
+            seconds, work = (float(x) for x in run(words)[3].split())
+            _print(f"read {source:7} to memory    ", seconds, work, peer, peer_work)
         for source, target in (
             ("csv", "parquet"),
             ("csv", "csv"),
@@ -94,12 +110,17 @@ def main() -> None:
             # the peer right before: whatever else the machine does, it does to both
             peer, peer_work = (float(x) for x in run(python)[3].split())
             seconds, work, peak, _ = run(words)
-            print(
-                f"import {source:7} -> {target:7} {seconds:5.1f} s {work:5.1f} s, "
-                f"pandas.read_csv {peer:5.1f} s {peer_work:5.1f} s: "
-                f"{peer / seconds:.2f} ({peer_work / work:.2f}) of its speed, peak {peak:.2f} GiB",
-                flush=True,
+            _print(
+                f"import {source:7} -> {target:7}", seconds, work, peer, peer_work, f", peak {peak:.2f} GiB"
             )
+
+
+def _print(what: str, seconds: float, work: float, peer: float, peer_work: float, more: str = "") -> None:
+    print(
+        f"{what} {seconds:5.1f} s {work:5.1f} s, pandas.read_csv {peer:5.1f} s {peer_work:5.1f} s: "
+        f"{peer / seconds:.2f} ({peer_work / work:.2f}) of its speed{more}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

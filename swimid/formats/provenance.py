@@ -27,7 +27,17 @@ def sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def collect(inputs: Iterable[str | Path], *, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+def digests_of(inputs: Iterable[str | Path]) -> dict[str, str]:
+    """SHA-256 of each file, by its name relative to the working folder."""
+    return {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+
+
+def collect(
+    inputs: Iterable[str | Path],
+    *,
+    settings: dict[str, Any] | None = None,
+    digests: dict[str, str] | None = None,
+) -> dict[str, Any]:
     """The ``provenance`` block of a result.
 
     Parameters
@@ -36,8 +46,10 @@ def collect(inputs: Iterable[str | Path], *, settings: dict[str, Any] | None = N
         Every file that was read. Each is named relative to the working folder.
     settings : dict, optional
         The options the result was made with, defaults included.
+    digests : dict, optional
+        :func:`digests_of` the inputs, where they were taken while something else went on.
     """
-    digests = {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+    digests = digests_of(inputs) if digests is None else digests
     block: dict[str, Any] = {
         "command": command_line(),
         "version": swimid.__version__,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -159,18 +160,20 @@ def _one(
     progress: Progress,
     notices: list[Notice],
 ) -> Outcome:
-    found = examine(
-        mapping.identity(path, progress=progress)
-        if rules is None
-        else mapping.apply(rules, path, progress=progress),
-        clean=clean,
-    )
-    with progress(f"writing {target.name}", total=len(found.time_s)) as step:
-        bulk.write(target, found.columns, found.metadata, step=step)
     inputs = [path] if map_path is None else [path, map_path]
-    record = build(
-        found, target, rules, provenance.collect(inputs, settings={"clean": found.cleaned}), notices
-    )
+    with ThreadPoolExecutor(1) as beside:
+        # a long file is hashed while it is read
+        digests = beside.submit(provenance.digests_of, inputs)
+        found = examine(
+            mapping.identity(path, progress=progress)
+            if rules is None
+            else mapping.apply(rules, path, progress=progress),
+            clean=clean,
+        )
+        with progress(f"writing {target.name}", total=len(found.time_s)) as step:
+            bulk.write(target, found.columns, found.metadata, step=step)
+    source = provenance.collect(inputs, settings={"clean": found.cleaned}, digests=digests.result())
+    record = build(found, target, rules, source, notices)
     proof = evidence.sidecar(target)
     evidence.write(proof, record)
     machine = facts(found, record)

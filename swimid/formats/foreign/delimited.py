@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from swimid.formats.foreign.layout import Layout
 
 #: Bytes of the file that are parsed at a time; threads share them by columns.
 BLOCK = 8 << 20
+#: Blocks that are parsed while earlier ones are worked on.
+AHEAD = 2
 #: Rows of a wrong number of cells up to this share are left out; more of them are an error.
 RAGGED = 0.01
 
@@ -42,13 +46,12 @@ class DelimitedSource:
 
     def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
         """Pieces of :data:`BLOCK` bytes; dates where a column holds them, else numbers."""
-        found, kinds = self.layout, dict(zip(self.layout.names, self.layout.kinds, strict=True))
+        kinds = dict(zip(self.layout.names, self.layout.kinds, strict=True))
         dates = [name for name in names if kinds[name] != "number"]
         rows, lines = 0, 0
         self._ragged.clear()
-        for text, count, taken in layout.blocks(self._path, found, BLOCK):
-            if not text.isspace():
-                table = self._parsed(text, names, dates)
+        for table, count, taken in self._tables(names, dates):
+            if table is not None:
                 piece = {name: table.column(name).to_numpy() for name in names}
                 for name in dates:
                     piece[name] = self._dates(name, piece[name], rows)
@@ -58,6 +61,22 @@ class DelimitedSource:
             step(taken)
         self._unbroken = lines == rows
         self._report_ragged(rows)
+
+    def _tables(
+        self, names: Sequence[str], dates: Sequence[str]
+    ) -> Iterator[tuple[pa.Table | None, int, int]]:
+        """Blocks parsed one ahead of what is made of them, with their lines and bytes."""
+        with ThreadPoolExecutor(1) as beside:
+            waiting: deque[tuple[Future[pa.Table] | None, int, int]] = deque()
+            for text, count, taken in layout.blocks(self._path, self.layout, BLOCK):
+                blank = text.isspace()
+                waiting.append(
+                    (None if blank else beside.submit(self._parsed, text, names, dates), count, taken)
+                )
+                if len(waiting) > AHEAD:
+                    yield _awaited(waiting.popleft())
+            while waiting:
+                yield _awaited(waiting.popleft())
 
     def _parsed(self, text: bytes, names: Sequence[str], dates: Sequence[str]) -> pa.Table:
         from pyarrow import csv
@@ -156,6 +175,11 @@ class DelimitedSource:
 
     def close(self) -> None:
         """Nothing is held open between readings."""
+
+
+def _awaited(one: tuple[Future[pa.Table] | None, int, int]) -> tuple[pa.Table | None, int, int]:
+    table, count, taken = one
+    return None if table is None else table.result(), count, taken
 
 
 READER = Reader(
