@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from swimid.diagnosis import chain, dropouts, folds, gram, places
+from swimid.diagnosis import chain, conclusion, dropouts, folds, gram, places, shrinkage
 from swimid.diagnosis.bench import Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
 from swimid.diagnosis.floor import floors, quiet, scatter, split
@@ -604,3 +604,29 @@ def test_what_counts(gains: list[float], why: str) -> None:
     said = chain.why_not(SimpleNamespace(rounds=[]), found, best)  # type: ignore[arg-type]
     assert why in said
     assert bool(said) == bool(why)
+
+
+def piece(before: float, after: float) -> shrinkage.Piece:
+    """A held-out trial whose errors are these, in units of the noise, beside it."""
+    time = np.arange(200) / 20
+    measured = np.sin(time) + np.random.default_rng(4).normal(0.0, 0.01, len(time))
+    return shrinkage.Piece(
+        Trial("held", "validate", time, {}), "x_m", time, measured, measured,
+        np.sin(time) + 0.01 * before, np.sin(time) + 0.01 * after,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "helps"), [(5.0, 0.0, True), (5.0, 4.9, True), (5.0, 4.98, False), (5.0, 6.0, False)]
+)
+def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bool) -> None:
+    """Of a squared gap of 25 a closed 1 counts, a closed 0.2 (less than 2 %) does not."""
+    assert shrinkage.helps([piece(before, after)], {"x_m": 0.01}) is helps
+
+
+@pytest.mark.parametrize(
+    ("gains", "steady"), [([30.0, 5.0, 80.0], True), ([30.0, -0.5, 80.0], True), ([30.0, -9.0, 80.0], False)]
+)
+def test_a_steady_cause_helps_in_every_fold(gains: list[float], steady: bool) -> None:
+    best = Refitted(None, None, np.array(gains))  # type: ignore[arg-type]
+    assert conclusion.Named(best, (), 0.8, 0.9, None).steady is steady  # type: ignore[arg-type]
