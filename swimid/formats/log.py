@@ -311,14 +311,22 @@ def _warn_missing(log: Log) -> None:
         )
 
 
+def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Unbroken runs of True as rows of (first, last + 1), shape (k, 2).
+
+    >>> runs(np.array([True, True, False, True])).tolist()
+    [[0, 2], [3, 4]]
+    """
+    return np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))).reshape(-1, 2)
+
+
 def longest_run(flags: NDArray[np.bool_]) -> int:
     """Length of the longest unbroken run of True.
 
     >>> longest_run(np.array([True, False, True, True]))
     2
     """
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
+    return int(np.max(np.diff(runs(flags)), initial=0))
 
 
 def warn_units(log: Log) -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Array, Record, from_angles, level
-from swimid.inertial.rest import Rest
+from swimid.inertial.rest import Rest, mean_acceleration
 from swimid.inertial.sensor import DEG
 
 NAME = "gravity axis"
@@ -49,8 +49,7 @@ def settle(
     InputError
         When gravity points down the z axis: an accelerometer with the wrong sign, or upside down.
     """
-    rows = np.concatenate([np.arange(r.first, r.last) for r in rests]) if rests else np.arange(len(record))
-    mean = record.acceleration[rows].mean(axis=0)
+    mean = mean_acceleration(record, rests)
     up = mean / np.linalg.norm(mean)
     if mount_deg is not None:
         return Mount(given(mount_deg), "given", up), []

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swimid.formats.log import runs
 from swimid.inertial.record import Array, Flags, Record
 
 #: Length over which motion is judged, s, and the shortest rest, s.
@@ -68,6 +69,12 @@ def find(record: Record) -> list[Rest]:
     return _stretches(still, record, size)
 
 
+def mean_acceleration(record: Record, rests: list[Rest]) -> Array:
+    """Over the still stretches, shape (3,); over everything where there are none."""
+    still = np.vstack([record.acceleration[r.rows] for r in rests]) if rests else record.acceleration
+    return np.asarray(still.mean(axis=0))
+
+
 def declared(record: Record, windows: list[tuple[float, float]]) -> list[Rest]:
     """The stretches a user named by their times, s."""
     found = []
@@ -125,12 +132,11 @@ def _loudness(values: Array, size: int) -> Array:
 
 
 def _stretches(still: Flags, record: Record, size: int) -> list[Rest]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
     found = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in runs(still).tolist():
         # a window reaches beyond its middle: its outer halves may already move
-        inner_first = int(first) if first == 0 else int(first) + size // 2
-        inner_last = int(last) if last == len(still) else int(last) - size // 2
+        inner_first = first if first == 0 else first + size // 2
+        inner_last = last if last == len(still) else last - size // 2
         if inner_last - inner_first < 4:
             continue
         if record.time_s[inner_last - 1] - record.time_s[inner_first] >= SHORTEST_S:

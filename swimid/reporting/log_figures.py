@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.formats.evidence import MAX_POINTS, Figure, Mark, Panel, Span, Trace, thinned
-from swimid.formats.log import TIME, Log
+from swimid.formats.log import TIME, Log, runs
 from swimid.notices import warn
 from swimid.reporting import numbers
 from swimid.signals import rhythm
@@ -67,12 +67,8 @@ def missing(time: Array, values: Array) -> list[tuple[float, float]]:
     quiet = [(float(time[k]), float(time[k + 1])) for k in pauses(time)]
     if not empty.any():
         return quiet
-    lost = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     last = len(time) - 1
-    blank = {
-        (float(time[max(first - 1, 0)]), float(time[min(end, last)]))
-        for first, end in zip(lost[::2], lost[1::2], strict=True)
-    }
+    blank = {(float(time[max(first - 1, 0)]), float(time[min(end, last)])) for first, end in runs(empty)}
     return sorted({*blank, *quiet})
 
 

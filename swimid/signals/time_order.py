@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.formats.log import longest_run
+
 Array = NDArray[np.float64]
 #: Of more samples than this share that come late, or of more in a row, the clock was reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
@@ -72,9 +74,7 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     behind = times < np.maximum.accumulate(times)
     late = int(behind.sum())
     if late:
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], behind.astype(np.int8), [0]))))
-        longest = int(np.max(edges[1::2] - edges[::2]))
-        if late > max(1, LATE_SHARE * len(times)) or longest > LATE_RUN:
+        if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
             return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
         index = index[np.argsort(times, kind="stable")]
         times = time_s[index]

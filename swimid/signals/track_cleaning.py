@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from swimid.formats.log import runs
 from swimid.signals.sampling import quantum
 
 Array = NDArray[np.float64]
@@ -102,8 +103,7 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
         stays, elsewhere, scale = _jumps(time_s[rows], place[rows])
         jumped[rows[~stays]] = True
         offsets = [int(rows[k]) for k in elsewhere]
-        edges = np.diff(np.concatenate(([0], (~stays).astype(np.int8), [0])))
-        jumps = int(np.sum(edges == 1)) + len(offsets)
+        jumps = len(runs(~stays)) + len(offsets)
     good = known & ~repeated & ~jumped
     return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), scale)
 
@@ -133,8 +133,7 @@ def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
     # A robot at rest repeats itself as well; it goes on from where it was.
     usual_s = float(np.median(np.diff(time_s[rows])))
     usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in runs(same):
         held_s = time_s[rows[end]] - time_s[rows[first]]
         if held_s <= LONG_HOLD * usual_s or end + 1 >= len(rows):
             continue

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.formats.log import runs
 from swimid.tracking.colour import hue_difference
 
 #: Words of the status column, by code.
@@ -86,8 +87,7 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
     area, confidence = track.area[marker], track.confidence[marker]
     usual_area = float(np.median(area[seen]))
     usual_confidence = float(np.median(confidence[seen]))
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], seen.astype(np.int8), [0]))))
-    starts, ends = edges[::2], edges[1::2]
+    starts, ends = runs(seen).T
     for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
         before = start - (ends[k - 1] if k else 0)
         after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end

@@ -7,6 +7,7 @@ import numpy as np
 from swimid.formats import evidence as ev
 from swimid.inertial import mounting
 from swimid.inertial.record import GRAVITY_M_S2
+from swimid.inertial.rest import mean_acceleration
 from swimid.inertial.sensor import DEG, MILLI_G
 from swimid.inertial.trust import BAND
 from swimid.verbs.track_imu_material import Material, contradicts, stated_frequency
@@ -46,10 +47,7 @@ def _still_check(m: Material) -> ev.Check:
 
 
 def _gravity_check(m: Material) -> ev.Check:
-    rows = (
-        np.concatenate([np.arange(r.first, r.last) for r in m.still.found]) if m.still.found else slice(None)
-    )
-    size = float(np.linalg.norm(m.record.acceleration[rows].mean(axis=0)))
+    size = float(np.linalg.norm(mean_acceleration(m.record, m.still.found)))
     off = abs(size / GRAVITY_M_S2 - 1)
     return ev.Check(
         name="Gravity",

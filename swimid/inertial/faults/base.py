@@ -75,16 +75,6 @@ def _interpolated(time_s: Array, values: Array, bad: Flags) -> Array:
     return out
 
 
-def runs(flags: Flags) -> list[tuple[int, int]]:
-    """Unbroken runs of True as (first, last + 1).
-
-    >>> runs(np.array([True, True, False, True]))
-    [(0, 2), (3, 4)]
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Array]:
     """How the direction of gravity turns in the sensor, as accelerometer and gyroscope see it.
 

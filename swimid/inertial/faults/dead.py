@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.inertial.faults.base import Finding, bridged, runs
+from swimid.formats.log import runs
+from swimid.inertial.faults.base import Finding, bridged
 from swimid.inertial.record import ACCELERATION, RATE, Record
 
 NAME = "dead channel"

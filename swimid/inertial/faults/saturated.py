@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.inertial.faults.base import Finding, bridged, runs
+from swimid.formats.log import runs
+from swimid.inertial.faults.base import Finding, bridged
 from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
 
 NAME = "saturated channel"
