@@ -49,7 +49,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from swimid.estimators import output_error
-from swimid.experiments import multilink
+from swimid.experiments import swimmer as swimmer_trials
 from swimid.formats import robot
 from swimid.models.base import Parameter, Trial
 from swimid.models.multilink import drive, engine
@@ -538,7 +538,7 @@ def section_fit(plant: Engine, full: bool) -> None:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         file = recorded(folder)
-        trials = multilink.load(file, channels=tuple(NOISE)).trials
+        trials = swimmer_trials.load(file, channels=tuple(NOISE)).trials
         verb_wall, verb, outcome = clocked(lambda: fit_graybox(file, channels=tuple(NOISE)))
     fits = {
         jobs: [

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.experiments.multilink import robot_model
+from swimid.experiments.swimmer import robot_model
 from swimid.models.base import Trial
 from swimid.models.multilink.drive import Beat
 from swimid.models.multilink.model import MultilinkModel

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.experiments import multilink
+from swimid.experiments import swimmer as swimmer_trials
 from swimid.formats import parameters as parameter_format
 from tests.blind import swim_actuation as actuation
 from tests.blind import swim_body, swim_gap, swimmers
@@ -156,7 +156,7 @@ def test_the_play_is_as_wide_as_it_says() -> None:
 def test_a_case_is_read_and_its_clean_channels_are_the_models(robot: str, tmp_path: Path) -> None:
     """The nominal model of the package, at the true coefficients, makes the same noiseless channels."""
     label = swimmers.make_case(tmp_path, robot=robot, effect=None, size=1.0, rng=np.random.default_rng(5))
-    found = multilink.load(tmp_path / "trials.yaml")
+    found = swimmer_trials.load(tmp_path / "trials.yaml")
     assert [t.id for t in found.trials] == [t.id for t in label["trials"]]
     assert label["gap_over_floor"]["overall"] == 0.0
     model = found.model

@@ -12,7 +12,8 @@ from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import paper, rest, strapdown
-from swimid.inertial.record import Record, angles, from_angles
+from swimid.inertial.record import Record
+from swimid.signals.rotation import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.estimators import metrics, output_error, start_states
 from swimid.estimators.fit_result import FitResult
-from swimid.experiments import multilink
+from swimid.experiments import swimmer
 from swimid.models.base import Array, Trial, chosen
 from swimid.models.multilink.drive import Beat
 from tests.conftest import ROOT, Ran
@@ -44,7 +44,7 @@ multilink:
 
 @pytest.mark.parametrize("name", ["msu-fish", "double-pendulum"])
 def test_the_example_robots_move(name: str) -> None:
-    _, model = multilink.robot_model(str(EXAMPLES / f"{name}.yaml"))
+    _, model = swimmer.robot_model(str(EXAMPLES / f"{name}.yaml"))
     starts = {"initial_angle_hinge1": 0.2, "initial_angle_hinge2": 0.2}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
     trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, settings={"beat": Beat("sine", 2.0, 0.3)})
@@ -146,7 +146,7 @@ def pendulum(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     folder = tmp_path_factory.mktemp("pendulum")
     windows, published = real_logs.read_pendulum(real_data, 2)
     file = real_logs.write_pendulum(folder, windows, EXAMPLES / "double-pendulum.yaml")
-    experiment = multilink.load(file, start_state="estimate")
+    experiment = swimmer.load(file, start_state="estimate")
     return output_error.fit(experiment.model, experiment.trials), published
 
 
@@ -232,7 +232,7 @@ def fish(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> FitResult
     file = real_logs.write_fish(
         folder, real_logs.read_fish(real_data), EXAMPLES / "msu-fish.yaml", lag_rad=real_logs.LAG_RAD
     )
-    experiment = multilink.load(
+    experiment = swimmer.load(
         file, channels=("u_m_s", "yaw_rate_rad_s"), start_state="estimate", max_step=0.012
     )
     parameters = chosen(experiment.model.parameters, freed=("drive_phase",))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
-from swimid.experiments import multilink as experiment
+from swimid.experiments import swimmer as experiment
 from swimid.formats import robot as robot_format
 from swimid.models.base import Trial
 from swimid.models.multilink import drive
@@ -274,7 +274,7 @@ def test_nothing_to_simulate(tmp_path: Path) -> None:
 
 
 def test_robot_without_links() -> None:
-    with pytest.raises(InputError, match="no 'multilink' part"):
+    with pytest.raises(InputError, match="no 'multilink' or 'multibody' part"):
         experiment.robot_model("boxfish")
 
 

@@ -45,6 +45,11 @@ _POSITIVE = click.FloatRange(0, min_open=True)
     type=click.Path(path_type=Path),
     help="Log that drives the run in place of a beat: joint angles or commands, a force, an arma input.",
 )
+@click.option("--stroke", metavar="NAME", help="Stroke of the robot file in place of a beat.")
+@click.option("--cycles", type=_POSITIVE, help="Cycles of the stroke; then its joints rest.")
+@click.option(
+    "--scale", type=click.FloatRange(0), default=1.0, help="What the stroke's angles are multiplied with."
+)
 @click.option("--pulling-mass-kg", type=_POSITIVE, help="Weight of a falling-weight rig.")
 @click.option("--fin", help="Fin of a cruise.")
 @click.option("--distance-m", type=_POSITIVE, help="Course of a cruise from rest, for its mean speed.")
@@ -82,6 +87,7 @@ def command(
     Examples:
       swimid simulate --params tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o sim.csv
       swimid simulate --robot dolphin --frequency-hz 2.5 --amplitude-deg 27 --animate swim.mp4
+      swimid simulate --robot sealion --stroke characteristic --cycles 3 -o stroke.csv
       swimid simulate --params tfish.yaml --trials trials.yaml -o simulated
       swimid simulate --params drag.yaml --pulling-mass-kg 0.02 --duration-s 8 -o drop.csv
       swimid simulate --params arma.yaml --input run.csv -o free_run.csv

@@ -10,10 +10,10 @@ import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
-from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens
 from swimid.effects.base import Effect
+from swimid.formats.checkpoint import Checkpoint
 from swimid.models.base import Array, Parameter
 
 #: A change smaller than this (squared, in units of the noise) is none.

@@ -16,13 +16,13 @@ from threadpoolctl import threadpool_limits
 from swimid.diagnosis import candidates, gram, remainder
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import quiet, scatter
 from swimid.diagnosis.lens import CHANCE, FEWEST, Lens, brief, coloured, spread
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
+from swimid.formats.checkpoint import Checkpoint
 from swimid.models.base import Array, Model, Parameter, Trial
 from swimid.progress import Progress, show, silent
 

@@ -11,7 +11,7 @@ import numpy as np
 from swimid.models.base import Array, Model, Trial
 from swimid.models.multilink import engine
 from swimid.models.multilink.model import MultilinkModel
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 from swimid.models.propulsion import RecoilModel
 from swimid.models.rig import COORDINATES, RigModel
 

@@ -12,6 +12,7 @@ import numpy as np
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Array, Model
+from swimid.models.multibody.model import MultibodyModel
 from swimid.models.multilink.model import MultilinkModel
 from swimid.notices import warn
 
@@ -58,7 +59,9 @@ class Applied:
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.model.parameters]
-        body = self.model.robot.multilink if isinstance(self.model, MultilinkModel) else None
+        body = None
+        if isinstance(self.model, MultilinkModel | MultibodyModel):
+            body = self.model.robot.multibody or self.model.robot.multilink
         #: What a robot file says of its coefficients; a fit starts elsewhere.
         self.stated = {name: c.value for name, c in body.coefficients.items()} if body else {}
         for name, value in self.chosen.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swimid.formats.trials import FreeSwimTrial
+from swimid.formats.trials import Drive, FreeSwimTrial
 from swimid.notices import warn
 from swimid.signals.beat import Beat, contradiction
 
@@ -17,7 +17,7 @@ def facts(entry: FreeSwimTrial, beat: Beat | None, *, used: str) -> dict[str, fl
     used : {"measured", "stated"}
         Which of the two the work goes on with, for the warning.
     """
-    assert entry.drive is not None
+    assert isinstance(entry.drive, Drive)
     stated = entry.drive.frequency_hz
     found: dict[str, float | str | None] = {"stated_hz": stated, "found_hz": None, "stderr_hz": None}
     if beat is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from swimid.errors import InputError
-from swimid.experiments import arma, multilink, propulsion, rig
+from swimid.experiments import arma, propulsion, rig, swimmer
 from swimid.experiments.applied import Applied
 from swimid.experiments.base import Experiment
 from swimid.formats import parameters as parameters_format
@@ -20,6 +20,7 @@ from swimid.models.propulsion import RecoilModel, SurgeModel
 #: Experiments whose trials tell each model's parameters.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
+    "multibody": ("free-swim", "multibody"),
     "falling-weight": ("falling-weight",),
     "towed": ("towed",),
     "free-decay": ("free-decay",),
@@ -88,9 +89,9 @@ def load(
             column="experiment",
         )
     _check_robot(entries.robot, trials_path, file, path, robot)
-    if file.model == "multilink":
+    if file.model in ("multilink", "multibody"):
         options = {**dict(file.settings.get("readings", {})), **(readings or {})}
-        experiment = multilink.load(trials_path, readings=options, max_step=max_step)
+        experiment = swimmer.load(trials_path, readings=options, max_step=max_step)
     elif file.model in ("falling-weight", "towed", "free-decay"):
         experiment = _rig(trials_path, file)
     elif file.model == "arma":

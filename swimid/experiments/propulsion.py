@@ -17,7 +17,7 @@ from swimid.formats import trials as trials_format
 from swimid.formats.log import Log
 from swimid.formats.parameters import ParameterFile
 from swimid.formats.robot import Robot
-from swimid.formats.trials import Cruise, FreeSwim
+from swimid.formats.trials import Cruise, Drive, FreeSwim
 from swimid.models.base import Trial
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.notices import warn
@@ -149,9 +149,9 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
     turning = []
     for entry in entries.trials:
         drive = entry.drive
-        if drive is None:
+        if not isinstance(drive, Drive):
             raise InputError(
-                f"the trial '{entry.id}' has no 'drive'",
+                f"the trial '{entry.id}' has no 'drive' that says its beat",
                 file=path,
                 column="drive",
                 hint="give its waveform, frequency_hz and amplitude_deg",

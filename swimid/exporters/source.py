@@ -197,7 +197,7 @@ class Source:
         law = joint.driven.servo if joint.driven else None
         if law is None:
             return 2.0 * math.pi * default_hz, 1.0
-        from swimid.models.multilink.polynomial import Polynomial
+        from swimid.models.polynomial import Polynomial
 
         values = dict(zip(self.assembly.names, self.values, strict=True))
         frequency = Polynomial.of(law.natural_frequency_hz).at(values)

@@ -17,7 +17,7 @@ from swimid.exporters.base import Exported, Options
 from swimid.exporters.source import Link, Source, central
 from swimid.formats.multilink import Drag, SlenderBody
 from swimid.models.base import Array
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 #: Height over length of a link whose elements give no area.
 SLENDER = 0.3

@@ -74,6 +74,8 @@ class Coefficient(yamlio.Document):
     scale: PositiveFloat | None = None
     #: Estimated unless the user says otherwise.
     free: bool = True
+    #: Each trial has a value of its own: how the robot was trimmed, say.
+    per_trial: bool = False
     meaning: str = ""
     source: str = ""
 
@@ -335,7 +337,7 @@ class Reading(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """The point of the first link whose pose the logs hold."""
+    """A point of the first link: the one whose pose the logs hold, or a marker that a camera follows."""
 
     station_m: float = 0.0
     offset_m: float = 0.0
@@ -349,6 +351,7 @@ class Multilink(yamlio.Document):
     #: Heading of a fixed base.
     heading_deg: float = 0.0
     reference: Reference = Reference()
+    markers: dict[str, Reference] = {}
     coefficients: dict[str, Coefficient] = {}
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []

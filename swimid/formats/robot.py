@@ -15,6 +15,7 @@ from pydantic import Field, PositiveFloat
 
 from swimid.errors import InputError, UsageError, nearest
 from swimid.formats import yamlio
+from swimid.formats.multibody import Multibody
 from swimid.formats.multilink import Multilink, Reading
 
 FORMAT = "swimid-robot/1"
@@ -87,8 +88,27 @@ class Robot(yamlio.Document):
     theory: list[Theory] = []
     #: Links, joints and elements of a planar multi-link robot.
     multilink: Multilink | None = None
+    #: Links, hinges and elements of a robot that moves in space.
+    multibody: Multibody | None = None
     #: Ambiguities of the source and the reading chosen for each.
     readings: dict[str, Reading] = {}
+
+    def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
+        """Markers seen from the reference point: forward, and to port (up in the vertical plane), m."""
+        if self.multibody is not None:
+            aside = 1 if plane == "horizontal" else 2
+            origin = self.multibody.reference.at_m
+            return {
+                name: (marker.at_m[0] - origin[0], marker.at_m[aside] - origin[aside])
+                for name, marker in self.multibody.markers.items()
+            }
+        if self.multilink is not None:
+            start = self.multilink.reference
+            return {
+                name: (start.station_m - marker.station_m, marker.offset_m - start.offset_m)
+                for name, marker in self.multilink.markers.items()
+            }
+        return {}
 
 
 def built_in() -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Discriminator, Field, PositiveFloat, Tag, model_validator
 
 from swimid.errors import InputError, nearest
 from swimid.formats import robot as robot_format
@@ -25,6 +25,25 @@ class Drive(yamlio.Document):
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
     #: Phase of the beat at t = 0.
     phase_deg: float = 0.0
+
+
+class StrokeDrive(yamlio.Document):
+    """A stroke of the robot file: several joints at once."""
+
+    stroke: str
+    #: Cycles a second; default those of the stroke.
+    frequency_hz: PositiveFloat | None = None
+    #: What its angles are multiplied with.
+    scale: Annotated[float, Field(ge=0)] = 1.0
+    ramp_s: Annotated[float, Field(ge=0)] = 0.0
+    #: After so many the joints rest.
+    cycles: PositiveFloat | None = None
+    phase_deg: float = 0.0
+
+
+def _kind_of_drive(value: Any) -> str:
+    named = "stroke" in value if isinstance(value, dict) else isinstance(value, StrokeDrive)
+    return "stroke" if named else "beat"
 
 
 class Trial(yamlio.Document):
@@ -69,7 +88,13 @@ class FallingWeightTrial(RigTrial):
 class FreeSwimTrial(Trial):
     """A free-swimming trial; without ``drive`` the log's joint columns are the input."""
 
-    drive: Drive | None = None
+    drive: (
+        Annotated[
+            Annotated[Drive, Tag("beat")] | Annotated[StrokeDrive, Tag("stroke")],
+            Discriminator(_kind_of_drive),
+        ]
+        | None
+    ) = None
     #: Coefficients that were set otherwise in this trial (a spring's stiffness, say).
     coefficients: dict[str, float] = {}
 

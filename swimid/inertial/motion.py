@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial.errorstate import ALONE, BG, LEVER, MOUNT, P, T, V, cross_matrix
-from swimid.inertial.record import Array, angles
+from swimid.inertial.record import Array
 from swimid.inertial.smoother import Smoothed
+from swimid.signals.rotation import angles
 
 
 @dataclass(frozen=True)

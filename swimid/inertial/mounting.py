@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import Array, Record, from_angles, level
+from swimid.inertial.record import Array, Record, level
 from swimid.inertial.rest import Rest, mean_acceleration
 from swimid.inertial.sensor import DEG
+from swimid.signals.rotation import from_angles
 
 NAME = "gravity axis"
 #: Within this angle of the z axis gravity is where it should be; farther off the sensor lies on its side.

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-import swimid
 from swimid.diagnosis import answer, chain, nominal
-from swimid.diagnosis.checkpoint import Checkpoint
 from swimid.diagnosis.nominal import Given
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
@@ -21,6 +17,7 @@ from swimid.experiments.catalogue import Loaded
 from swimid.formats import evidence as ev
 from swimid.formats import gap as gap_format
 from swimid.formats import provenance
+from swimid.formats.checkpoint import Checkpoint
 from swimid.formats.provenance import sha256
 from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel, prepare
 from swimid.notices import recorded
@@ -110,9 +107,7 @@ def diagnose(
                 "max_step_s": max_step,
             },
         )
-        key = json.dumps([origin["inputs"], origin["settings"], swimid.__version__], sort_keys=True)
-        partial = output.with_name(f"{output.name}.partial") if output is not None else None
-        keep = Checkpoint(partial, hashlib.sha256(key.encode()).hexdigest())
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         workers = jobs or os.cpu_count() or 1
         state = chain.run(
             model, refitted, fitted, prior, tried,

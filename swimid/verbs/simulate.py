@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError, UsageError
+from swimid.estimators import stroke_cycles
 from swimid.formats import atomic
 from swimid.formats.log import PARQUET_ENDINGS
 from swimid.models.multilink import geometry
@@ -52,6 +53,9 @@ def simulate(
     pulling_mass_kg: float | None = None,
     fin: str | None = None,
     distance_m: float | None = None,
+    stroke: str | None = None,
+    cycles: float | None = None,
+    scale: float = 1.0,
     output: Path | None = None,
     animate: Path | None = None,
     view: str = "auto",
@@ -88,6 +92,9 @@ def simulate(
     fin : str, optional
     distance_m : float, optional
         Of a cruise under the recoil law: the fin, and the course from rest for the mean speed.
+    stroke : str, optional
+    cycles, scale : float, optional
+        A stroke of the robot file in place of a beat, how often, and what its angles are multiplied with.
     output : Path, optional
         Log to write; for several trials a folder.
     animate : Path, optional
@@ -123,6 +130,9 @@ def simulate(
         pulling_mass_kg=pulling_mass_kg,
         fin=fin,
         distance_m=distance_m,
+        stroke=stroke,
+        cycles=cycles,
+        scale=scale,
     )
     if trials is None:
         if trial is not None:
@@ -136,7 +146,7 @@ def simulate(
         if len(cases) > 1:
             raise UsageError("an animation shows one trial: name it with --trial")
         if not isinstance(cases[0].applied.model, MultilinkModel):
-            raise UsageError("an animation needs a robot with links")
+            raise UsageError("an animation needs a robot with links in one plane")
         if animate.suffix.lower() not in animation.ENDINGS:
             raise UsageError(
                 f"'{animate.name}' can be no animation",
@@ -184,6 +194,9 @@ def _insist_on_trials_alone(request: Request) -> None:
         "pulling_mass_kg",
         "fin",
         "distance_m",
+        "stroke",
+        "cycles",
+        "scale",
     ):
         if getattr(request, name) != getattr(plain, name):
             raise UsageError(
@@ -296,7 +309,8 @@ def _summary(done: Sequence[Simulated], request: Request, remark: str) -> str:
 def _brief(done: Simulated) -> list[str]:
     """What a trial of many comes to, or where it ends."""
     if done.quantities:
-        found = [(n, done.quantities[n]) for n in BRIEF if n in done.quantities]
+        last = [n for n in done.quantities if n.startswith("cycle_")][-len(stroke_cycles.QUANTITIES) :]
+        found = [(n, done.quantities[n]) for n in (*BRIEF, *last) if n in done.quantities]
         return [f"{label(n)} {text(q.value, q.stderr, q.unit)}" for n, q in found]
     channels = [c for c in done.case.applied.model.channels if c.name in done.columns]
     if done.case.per_run:
@@ -312,6 +326,10 @@ def _one(done: Simulated, request: Request) -> list[str]:
     source = request.params.name if request.params else "the robot file's values"
     lines = [f"{case.metadata['robot']}, {source}"]
     drive = case.metadata.get("drive")
+    if isinstance(drive, dict) and "stroke" in drive:
+        parts = [f"{drive['stroke']} at {drive['frequency_hz']:.4g} Hz"]
+        parts += [f"scaled by {drive['scale']:g}"] if drive["scale"] != 1.0 else []
+        lines.append(f"  {', '.join(parts)}, {case.trial.time_s[-1] - case.trial.time_s[0]:g} s")
     if isinstance(drive, dict) and "waveform" in drive:
         parts = [f"{drive['waveform']} {drive['frequency_hz']:g} Hz", f"{drive['amplitude_deg']:g} deg"]
         parts += [f"bias {drive['bias_deg']:g} deg"] if drive["bias_deg"] else []

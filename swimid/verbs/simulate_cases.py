@@ -11,17 +11,22 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.experiments import arma, catalogue, multilink, propulsion
+from swimid.estimators import stroke_cycles
+from swimid.experiments import arma, catalogue, propulsion, swimmer
 from swimid.experiments.applied import Applied, Quantity
+from swimid.experiments.swimmer import Swimmer
 from swimid.formats import log as log_format
 from swimid.formats import parameters as parameters_format
 from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
 from swimid.formats.robot import Robot
+from swimid.formats.trials import StrokeDrive
 from swimid.models import rig
 from swimid.models.base import Array, Trial
+from swimid.models.multibody.model import MultibodyModel
+from swimid.models.multibody.stroke import Cycle
 from swimid.models.multilink import drive
-from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel, joint_motion
+from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, velocity_ratio
 from swimid.notices import warn
 from swimid.signals.beat import find_beat
@@ -57,6 +62,9 @@ class Request:
     pulling_mass_kg: float | None = None
     fin: str | None = None
     distance_m: float | None = None
+    stroke: str | None = None
+    cycles: float | None = None
+    scale: float = 1.0
 
     def metadata(self, robot: str, **more: Any) -> dict[str, Any]:
         """Comment lines every log of this request has."""
@@ -69,9 +77,12 @@ class Request:
             found["readings"] = dict(self.readings)
         return {**found, **more}
 
-    def times(self) -> Array:
-        """Even sample times of the run, s."""
-        duration = self.duration_s or DURATION_S
+    def times(self, stroke: Cycle | None = None) -> Array:
+        """Even sample times of the run, s; as long as the stroke's cycles where they are counted."""
+        whole = (
+            DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
+        )
+        duration = self.duration_s or whole
         rate = self.sample_rate_hz or RATE_HZ
         if duration * max(rate, 1.0 / self.dt) > MOST_STEPS:
             raise UsageError(f"{duration:g} s at this rate and step are too many samples")
@@ -100,7 +111,7 @@ def of_options(request: Request) -> Case:
             raise UsageError("name a parameter file (--params) or a robot (--robot)")
         return _swim(request, None, request.robot, None)
     file = catalogue.read_parameters(request.params)
-    if file.model == "multilink":
+    if file.model in ("multilink", "multibody"):
         name, folder = catalogue.robot_of_parameters(file, request.params, request.robot)
         return _swim(request, file, name, folder)
     if request.readings:
@@ -154,10 +165,12 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
         extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
         compute, per_run = None, False
         model = experiment.model
-        if isinstance(model, MultilinkModel):
-            beat = trial.settings.get("beat")
+        if isinstance(model, MultilinkModel | MultibodyModel):
+            beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
             if beat is not None:
                 metadata["drive"] = drive_block(beat)
+            if stroke is not None:
+                metadata["drive"] = stroke_block(stroke)
             metadata["dt_s"] = model.max_step
             extra = commands(model, trial, values)
             compute = _swim_quantities(model, trial, _frequency(model, trial, values))
@@ -178,20 +191,20 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
 
 def _swim(request: Request, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
     readings = {**(file.settings.get("readings", {}) if file else {}), **request.readings}
-    robot, model = multilink.robot_model(name, folder, readings=readings, max_step=request.dt)
+    robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=request.dt)
     applied = Applied(model, file, request.params, request.chosen)
     values = applied.values()
     try:
-        model.assembly.check(values[: len(model.assembly.names)])
+        model.check(values)
     except InputError as error:
         raise InputError(
             f"with these parameters, {error.reason}",
             file=request.params or robot_format.locate(name, folder),
             column=error.column,
         ) from error
-    experiment = "free-swim" if model.assembly.free_base else "multibody"
+    experiment = "free-swim" if isinstance(model, MultilinkModel) and model.free_base else "multibody"
     metadata = request.metadata(robot.name, experiment=experiment, dt_s=request.dt)
-    pose: dict[str, Any] = {"pose": (0.0, 0.0, 0.0)} if model.assembly.free_base else {}
+    pose: dict[str, Any] = {"pose": (0.0,) * len(model.pose)} if model.free_base else {}
     if request.input is not None:
         if request.frequency_hz is not None or request.amplitude_deg is not None:
             raise UsageError(
@@ -200,7 +213,11 @@ def _swim(request: Request, file: ParameterFile | None, name: str, folder: Path 
         time, joints = _recorded_joints(request, model)
         trial = Trial("run", "fit", time, {}, settings={"joints": joints, **pose})
         metadata["input"] = request.input.name
-    elif model.assembly.driven:
+    elif request.stroke is not None:
+        stroke = swimmer.cycle_of(_stroke(request), model)
+        trial = Trial("run", "fit", request.times(stroke), {}, settings={"stroke": stroke, **pose})
+        metadata["drive"] = stroke_block(stroke)
+    elif model.driven:
         beat = _beat(request, model)
         trial = Trial("run", "fit", request.times(), {}, settings={"beat": beat, **pose})
         metadata["drive"] = drive_block(beat)
@@ -233,7 +250,35 @@ def drive_block(beat: drive.Beat) -> dict[str, Any]:
     }
 
 
-def _beat(request: Request, model: MultilinkModel) -> drive.Beat:
+def stroke_block(stroke: Cycle) -> dict[str, Any]:
+    """A stroke as the ``drive`` of a trials file."""
+    return {
+        "stroke": stroke.name,
+        "frequency_hz": stroke.frequency_hz,
+        "scale": stroke.scale,
+        "ramp_s": stroke.ramp_s,
+        **({} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}),
+    }
+
+
+def _stroke(request: Request) -> StrokeDrive:
+    assert request.stroke is not None
+    if request.amplitude_deg is not None or request.bias_deg or request.asymmetry:
+        raise UsageError(
+            "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
+        )
+    # a beat is eased in by default, a stroke begins as it is
+    ramp = 0.0 if request.ramp_s == Request().ramp_s else request.ramp_s
+    return StrokeDrive(
+        stroke=request.stroke,
+        frequency_hz=request.frequency_hz,
+        scale=request.scale,
+        ramp_s=ramp,
+        cycles=request.cycles,
+    )
+
+
+def _beat(request: Request, model: Swimmer) -> drive.Beat:
     request.needs("a beat", frequency_hz=request.frequency_hz, amplitude_deg=request.amplitude_deg)
     assert request.frequency_hz is not None
     assert request.amplitude_deg is not None
@@ -245,13 +290,13 @@ def _beat(request: Request, model: MultilinkModel) -> drive.Beat:
         )
     if f >= 0.5 * rate:
         warn("SWM054", f"{rate:g} samples a second do not show a beat of {f:g} Hz: raise --sample-rate-hz")
-    for axis in model.assembly.driven:
-        law = axis.joint.driven
+    for axis in model.driven:
+        law = axis.driven
         assert law is not None
         bias_gain = law.gain if law.bias_gain is None else law.bias_gain
         bend = abs(law.gain) * request.amplitude_deg + abs(bias_gain * request.bias_deg)
         if bend > STEEPEST_DEG:
-            warn("SWM054", f"{axis.joint.name} bends by up to {bend:.0f} degrees")
+            warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
             break
     if request.asymmetry and request.waveform != "a-cpg":
         warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {request.waveform} has none")
@@ -265,20 +310,20 @@ def _beat(request: Request, model: MultilinkModel) -> drive.Beat:
     )
 
 
-def _recorded_joints(request: Request, model: MultilinkModel) -> tuple[Array, list[Any]]:
+def _recorded_joints(request: Request, model: Swimmer) -> tuple[Array, list[Any]]:
     """Sample times, and each driven joint's motion from a log."""
     assert request.input is not None
-    measured = [a.column for a in model.assembly.driven]
+    measured = [a.column for a in model.driven]
     commanded = [name.replace("joint", "cmd") for name in measured]
     log = log_format.read(request.input, optional=(*measured, *commanded))
     joints = []
-    for axis, joint, command in zip(model.assembly.driven, measured, commanded, strict=True):
-        servo = axis.joint.driven is not None and axis.joint.driven.servo is not None
+    for axis, joint, command in zip(model.driven, measured, commanded, strict=True):
+        servo = axis.driven is not None and axis.driven.servo is not None
         order = [command, joint] if servo else [joint, command]
         there = [name for name in order if name in log and np.isfinite(log[name]).sum() >= 5]
         if not there:
             raise InputError(
-                f"the driven joint '{axis.joint.name}' needs the column '{joint}' or '{command}'",
+                f"the driven joint '{axis.name}' needs the column '{joint}' or '{command}'",
                 file=log.path,
                 column=joint,
             )
@@ -291,19 +336,19 @@ def _recorded_joints(request: Request, model: MultilinkModel) -> tuple[Array, li
     return begin + np.arange(int((end - begin) * request.sample_rate_hz) + 1) / request.sample_rate_hz, joints
 
 
-def commands(model: MultilinkModel, trial: Trial, values: Array) -> dict[str, Array]:
+def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
     """Commanded angle of every driven joint, rad, as the columns of a log."""
     phase = float(values[model.index("drive_phase")])
     time = trial.time_s - float(values[model.index("clock_offset")])
     return {
-        axis.column.replace("joint", "cmd"): joint_motion(axis, k, trial.settings, time, phase)[0]
-        for k, axis in enumerate(model.assembly.driven)
+        axis.column.replace("joint", "cmd"): model.command(k, trial.settings, time, phase)
+        for k, axis in enumerate(model.driven)
     }
 
 
-def _frequency(model: MultilinkModel, trial: Trial, values: Array) -> float | None:
+def _frequency(model: Swimmer, trial: Trial, values: Array) -> float | None:
     """Frequency of a run's beat, Hz: the drive's, or that found in its first driven joint."""
-    beat = trial.settings.get("beat")
+    beat = trial.settings.get("beat") or trial.settings.get("stroke")
     if beat is not None:
         return float(beat.frequency_hz)
     for angle in commands(model, trial, values).values():
@@ -313,10 +358,28 @@ def _frequency(model: MultilinkModel, trial: Trial, values: Array) -> float | No
     return None
 
 
-def _swim_quantities(model: MultilinkModel, trial: Trial, frequency: float | None) -> Any:
+def _cycle_quantities(model: MultibodyModel, trial: Trial, frequency: float) -> Any:
+    """A function from parameter vectors to what each cycle comes to."""
+    cycles = stroke_cycles.windows(trial.time_s, frequency)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns = model.simulate(values, trial)
+        found = {}
+        for k, window in enumerate(cycles):
+            for name, value in stroke_cycles.quantities(trial.time_s, columns, window).items():
+                found[f"cycle_{k + 1}_{name}"] = Quantity(value, stroke_cycles.QUANTITIES[name])
+        return found
+
+    return compute if cycles else None
+
+
+def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> Any:
     """A function from parameter vectors to the quantities of the last beats; None without a beat."""
     if frequency is None:
         return None
+    if isinstance(model, MultibodyModel):
+        return _cycle_quantities(model, trial, frequency)
     beat = trial.settings.get("beat")
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     ramp = max(begin, beat.ramp_s) if beat is not None else begin

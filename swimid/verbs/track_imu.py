@@ -15,10 +15,11 @@ from swimid.inertial import alone, attitude, fusion, motion, mounting, oscillati
 from swimid.inertial import faults as recording_faults
 from swimid.inertial.alignment import Poses
 from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import Record, angles
+from swimid.inertial.record import Record
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.signals import rhythm
+from swimid.signals.rotation import angles
 from swimid.verbs import track_imu_evidence as told
 from swimid.verbs.outcome import Outcome
 from swimid.verbs.track_imu_checks import REST_LIMIT

@@ -8,9 +8,10 @@ import numpy as np
 
 from swimid.formats import evidence as ev
 from swimid.inertial.alignment import Poses
-from swimid.inertial.record import Array, angles
+from swimid.inertial.record import Array
 from swimid.inertial.sensor import DEG
 from swimid.inertial.trust import BAND
+from swimid.signals.rotation import angles
 from swimid.verbs.track_imu_material import Material
 
 #: Points a curve with a band is drawn with.

@@ -11,10 +11,11 @@ from swimid.formats import log, mapping
 from swimid.formats.delimited import missing_column
 from swimid.formats.mapping import MappedLog
 from swimid.inertial.alignment import Poses
-from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, angles, rotations
+from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, rotations
 from swimid.notices import warn
 from swimid.progress import Progress
 from swimid.signals import track_cleaning
+from swimid.signals.rotation import angles
 from swimid.signals.sampling import usual_step
 
 #: Fewest samples that make a motion.

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError, nearest
-from swimid.formats.multilink import Joint, Link, Multilink
+from swimid.errors import InputError
+from swimid.formats.multilink import Driven, Joint, Link, Multilink
 from swimid.formats.robot import Fluid
+from swimid.models import tree
 from swimid.models.base import Array
 from swimid.models.multilink import engine
 from swimid.models.multilink.elements import Row, Tables, adders
-from swimid.models.multilink.polynomial import Polynomial, Table
+from swimid.models.polynomial import Polynomial, Table
 
 #: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
 GYRATION = (0.02, 5.0)
@@ -47,6 +48,16 @@ class Axis:
     column: str
     link: int
 
+    @property
+    def name(self) -> str:
+        """Of the joint."""
+        return self.joint.name
+
+    @property
+    def driven(self) -> Driven | None:
+        """How it follows the drive."""
+        return self.joint.driven
+
 
 class Assembly:
     """A robot's tree, checked, with its tables as functions of the coefficients.
@@ -77,8 +88,8 @@ class Assembly:
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
         self.body = body
         self.names = list(body.coefficients)
-        _check_names(body)
-        self.links, joints = _ordered(body)
+        tree.check_names(body, "multilink")
+        self.links, joints = tree.ordered(body, "multilink")
         index = {link.name: i for i, link in enumerate(self.links)}
         moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
         columns = {j.name: f"joint{k + 1}_rad" for k, j in enumerate(moving)}
@@ -212,7 +223,7 @@ def _check_link(link: Link, own: Array, span: float) -> None:
 def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
     """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
     span = sum(link.length_m for link in body.links)
-    for path, quantity in _leaves(body.model_dump(include={"links", "joints", "elements"}), "multilink"):
+    for path, quantity in tree.quantities(body, "multilink"):
         number = Polynomial.of(quantity).at(values)
         key = path.rsplit(".", 1)[-1]
         if not abs(number) < HUGE:
@@ -227,110 +238,6 @@ def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
             )
         if number < 0 and LOSS.search(key) and path.startswith("multilink.elements"):
             raise InputError(f"{number:g} is negative; it must not be", column=path)
-
-
-def _check_names(body: Multilink) -> None:
-    links = [link.name for link in body.links]
-    for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
-        for n, own in enumerate(given):
-            if own in given[:n]:
-                raise InputError(f"the name '{own}' stands twice", column=f"multilink.{kind}.{n}")
-    used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
-    used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
-    for where, name in used:
-        if name not in links:
-            close = nearest(name, links)
-            raise InputError(
-                f"there is no link '{name}'",
-                column=f"multilink.{where}",
-                hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(links)}",
-            )
-    known = list(body.coefficients)
-    for path, quantity in _leaves(body.model_dump(include={"links", "joints", "elements"}), "multilink"):
-        for name in Polynomial.of(quantity).terms:
-            for factor in name:
-                if factor not in known:
-                    close = nearest(factor, known)
-                    raise InputError(
-                        f"there is no coefficient '{factor}'",
-                        column=path,
-                        hint=f"did you mean '{close}'?"
-                        if close
-                        else f"there are: {', '.join(known) or 'none'}",
-                    )
-
-
-#: Keys that hold words, not quantities.
-WORDS = {
-    "name",
-    "link",
-    "parent",
-    "child",
-    "kind",
-    "inertia_about",
-    "plane",
-    "base",
-    "frame",
-    "added_mass_direction",
-}
-
-
-def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
-    """The quantities of a robot file and their dotted paths, list members by their names."""
-    if isinstance(value, dict):
-        return [
-            found
-            for key, member in value.items()
-            if key not in WORDS and key != "coefficients"
-            for found in _leaves(member, f"{path}.{key}")
-        ]
-    if isinstance(value, list):
-        return [
-            found
-            for n, member in enumerate(value)
-            for found in _leaves(
-                member, f"{path}.{(member.get('name') or n) if isinstance(member, dict) else n}"
-            )
-        ]
-    return [(path, value)] if isinstance(value, float | int | str) and not isinstance(value, bool) else []
-
-
-def _ordered(body: Multilink) -> tuple[list[Link], list[Joint | None]]:
-    """Links with parents before children, and the joint each hangs on (None for the base)."""
-    joint_of: dict[str, Joint] = {}
-    for joint in body.joints:
-        where = f"multilink.joints.{joint.name}"
-        if joint.child in joint_of:
-            raise InputError(
-                f"the link '{joint.child}' hangs on two joints: '{joint_of[joint.child].name}' "
-                f"and '{joint.name}'",
-                column=where,
-            )
-        joint_of[joint.child] = joint
-    base = body.links[0].name
-    if base in joint_of:
-        raise InputError(
-            f"the first link, '{base}', is the base and cannot be a joint's child",
-            column=f"multilink.joints.{joint_of[base].name}.child",
-            hint="the tree closes on itself, or the base is not listed first",
-        )
-    by_name = {link.name: link for link in body.links}
-    order: list[str] = [base]
-    joints: list[Joint | None] = [None]
-    for name in order:
-        children = [j for j in body.joints if j.parent == name]
-        order += [j.child for j in children]
-        joints += children
-    left = [name for name in by_name if name not in order]
-    if left:
-        loose = [name for name in left if name not in joint_of]
-        if loose:
-            raise InputError(f"no joint holds the link '{loose[0]}'", column=f"multilink.links.{loose[0]}")
-        raise InputError(
-            f"the links {', '.join(left)} hang on each other in a circle and not on the base",
-            column=f"multilink.joints.{joint_of[left[0]].name}",
-        )
-    return [by_name[name] for name in order], joints
 
 
 def _add_rigid(link: Link, tables: Tables) -> None:

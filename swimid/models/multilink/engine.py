@@ -85,6 +85,19 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
+    """Torque of passive joint ``k``, N m, at an angle (rad) and rate (rad/s); columns :data:`PASSIVE`."""
+    off = angle - passive[k, 4]
+    torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
+    torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
+    if passive[k, 9] != 0.0:
+        torque -= passive[k, 9] * w / math.sqrt(w * w + passive[k, 10] * passive[k, 10])
+    if passive[k, 5] != 0.0:
+        torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
+    return torque
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
     """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
     n = len(state) // 2
@@ -280,14 +293,7 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
     for i in range(topology.shape[0] - 1, 0, -1):
         k = topology[i, 2]
         if k >= 0:
-            angle, w = state[3 + k], state[n + 3 + k]
-            off = angle - passive[k, 4]
-            torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
-            torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
-            if passive[k, 9] != 0.0:
-                torque -= passive[k, 9] * w / math.sqrt(w * w + passive[k, 10] * passive[k, 10])
-            if passive[k, 5] != 0.0:
-                torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
+            torque = passive_torque(passive, k, state[3 + k], state[n + 3 + k])
             right[3 + k] = torque - work[i, 10]
             matrix[3 + k, 3 + k] = work[i, 16]
             _coupling(i, k, topology, joint, work, matrix)
@@ -295,7 +301,7 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _solve(matrix, right, first):  # type: ignore[no-untyped-def]
+def solve(matrix, right, first):  # type: ignore[no-untyped-def]
     """Solve for the accelerations from row ``first`` on, by LDL^T in the lower triangle."""
     n = len(right)
     for j in range(first, n):
@@ -377,7 +383,7 @@ def derivative(  # type: ignore[no-untyped-def]
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = work[0, 11], work[0, 14], work[0, 16]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = work[0, 12], work[0, 13], work[0, 15]
         right[0], right[1], right[2] = -work[0, 8], -work[0, 9], -work[0, 10]
-    _solve(matrix, right, first)
+    solve(matrix, right, first)
     u, v = state[n], state[n + 1]
     c, s = work[0, 17], work[0, 18]
     rate[0] = c * u - s * v

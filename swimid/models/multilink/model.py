@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from swimid.models.base import Array, Channel, Model, Parameter, Trial
 from swimid.models.hooks import NONE, Hooks
 from swimid.models.multilink import drive, engine
 from swimid.models.multilink.assembly import Assembly, Axis
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
+from swimid.models.tree import Moving, coefficients
 from swimid.progress import Progress
 
 #: Largest integration step, s.
@@ -93,9 +94,14 @@ class MultilinkModel(Model):
         self.max_step = max_step
         self.assembly = Assembly(robot.multilink, robot.fluid)
         self.plane = PLANES[robot.multilink.plane]
+        self.pose, self.velocity = self.plane.pose, self.plane.velocity
+        self.driven: Sequence[Moving] = self.assembly.driven
+        self.passive: Sequence[Moving] = self.assembly.passive
+        self.free_base = self.assembly.free_base
+        self.coefficients = self.assembly.names
         #: Per-trial offsets of the start pose.
         self.starts = tuple(f"start_{word}" for word in self.plane.words[:3])
-        self.parameters = (*self._coefficients(), *self._start(), *self._view())
+        self.parameters = (*coefficients(robot.multilink.coefficients), *self._start(), *self._view())
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         self._count = len(self.assembly.names)
         self._dynamic = [i for i, p in enumerate(self.parameters) if p.name not in (*VIEW, *self.starts)]
@@ -106,30 +112,6 @@ class MultilinkModel(Model):
         self._lock = threading.Lock()
 
     # -------------------------------------------------------- what it offers
-
-    def _coefficients(self) -> list[Parameter]:
-        body = self.robot.multilink
-        assert body is not None
-        found = []
-        for name, c in body.coefficients.items():
-            start = c.value if c.start is None else c.start
-            low, high = (math.inf if b is None else b for b in c.bounds)
-            scale = c.scale or abs(c.value) or abs(start) or 1.0
-            found.append(
-                Parameter(
-                    name,
-                    c.unit,
-                    -math.inf if c.bounds[0] is None else low,
-                    high,
-                    start,
-                    scale,
-                    c.free,
-                    meaning=c.meaning,
-                    source=c.source,
-                    known=c.value,
-                )
-            )
-        return found
 
     def _start(self) -> list[Parameter]:
         inf, found = math.inf, []
@@ -242,6 +224,36 @@ class MultilinkModel(Model):
             column = axis.column.replace("_rad", "_rate_rad_s")
             found.append(Channel(column, "rad/s", f"rate of {axis.joint.name}"))
         return tuple(found)
+
+    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Velocities at the first sample, by parameter, as channels show them.
+
+        Parameters
+        ----------
+        seen : callable
+            Value (0) or rate (1) of a channel there; None where it does not tell.
+        """
+        names = [p.name for p in self._start()[:3]]
+        found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
+        heading = seen(self.pose[2], 0)
+        along, across, turn = (seen(column, 1) for column in self.pose)
+        if heading is not None and along is not None and across is not None:
+            c, s = math.cos(heading), math.sin(heading)
+            moved = (c * along + s * across, c * across - s * along, turn)
+            found = {n: v if found[n] is None else found[n] for n, v in zip(names, moved, strict=True)}
+        return found
+
+    def initial(self, measured: Collection[str]) -> list[str]:
+        """The start velocities, angles and rates that these channels can tell: all."""
+        return [p.name for p in self.parameters if p.name.startswith("initial_")]
+
+    def check(self, values: Array) -> None:
+        """Refuse coefficients that make masses no body has (:meth:`Assembly.check`)."""
+        self.assembly.check(values[: self._count])
+
+    def command(self, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float) -> Array:
+        """What a driven joint is told to do, rad."""
+        return joint_motion(self.assembly.driven[number], number, settings, time_s, phase_rad)[0]
 
     def refined(self) -> MultilinkModel:
         """The same model with half the integration step."""

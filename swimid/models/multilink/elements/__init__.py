@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from swimid.formats.multilink import Link
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 Row = list[Polynomial | float]
 

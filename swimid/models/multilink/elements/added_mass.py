@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from swimid.formats.multilink import AddedMass, Link
 from swimid.models.multilink.elements import Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: AddedMass, link: Link, tables: Tables) -> None:

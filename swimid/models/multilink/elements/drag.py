@@ -6,7 +6,7 @@ import numpy as np
 
 from swimid.formats.multilink import Drag, Link
 from swimid.models.multilink.elements import Row, Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: Drag, link: Link, tables: Tables) -> None:

@@ -6,7 +6,7 @@ import math
 
 from swimid.formats.multilink import Foil, Link
 from swimid.models.multilink.elements import Row, Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: Foil, link: Link, tables: Tables) -> None:

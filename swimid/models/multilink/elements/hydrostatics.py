@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swimid.formats.multilink import Hydrostatics, Link
 from swimid.models.multilink.elements import Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: Hydrostatics, link: Link, tables: Tables) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from swimid.formats.multilink import Link, SlenderBody
 from swimid.models.multilink.elements import Row, Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: SlenderBody, link: Link, tables: Tables) -> None:

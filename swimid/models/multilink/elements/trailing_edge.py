@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from swimid.formats.multilink import Link, TrailingEdge
 from swimid.models.multilink.elements import Row, Tables
-from swimid.models.multilink.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial
 
 
 def add(element: TrailingEdge, link: Link, tables: Tables) -> None:

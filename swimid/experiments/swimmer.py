@@ -1,4 +1,4 @@
-"""Free-swimming and multibody trials of a planar multi-link robot."""
+"""Free-swimming and multibody trials of a robot with links, in its plane or in space."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ from swimid.formats import robot as robot_format
 from swimid.formats import trials as trials_format
 from swimid.formats.log import Log
 from swimid.formats.robot import Robot
-from swimid.formats.trials import Drive, FreeSwim, FreeSwimTrial, Multibody
+from swimid.formats.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive
 from swimid.models.base import Array, Trial
+from swimid.models.multibody.model import MultibodyModel
+from swimid.models.multibody.stroke import Cycle
 from swimid.models.multilink import drive
 from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel
 from swimid.signals.beat import find_beat
 
+#: A model of a robot with links.
+Swimmer = MultilinkModel | MultibodyModel
 #: The start state is estimated when a log's first stretch moves faster than this share of its top
 #: speed, by more than this many standard errors.
 MOVING, CERTAIN = 0.05, 4.0
@@ -44,8 +48,8 @@ def robot_model(
     *,
     readings: Mapping[str, str] | None = None,
     max_step: float = DEFAULT_STEP,
-) -> tuple[Robot, MultilinkModel]:
-    """A multi-link robot and its model.
+) -> tuple[Robot, Swimmer]:
+    """A robot with links and its model: in space where the file says how, else in its plane.
 
     Raises
     ------
@@ -54,13 +58,15 @@ def robot_model(
     """
     robot = robot_format.read(name, relative_to, readings=readings)
     path = robot_format.locate(name, relative_to)
-    if robot.multilink is None:
+    if robot.multilink is None and robot.multibody is None:
         raise InputError(
-            f"the robot '{robot.name}' has no 'multilink' part: links, joints and elements",
+            f"the robot '{robot.name}' has no 'multilink' or 'multibody' part: links, joints and elements",
             file=path,
             hint="fit-drag and fit-propulsion serve robots that are one body",
         )
     try:
+        if robot.multibody is not None:
+            return robot, MultibodyModel(robot, max_step=max_step)
         return robot, MultilinkModel(robot, max_step=max_step)
     except InputError as error:
         raise robot_format.located(error, path) from error
@@ -109,7 +115,7 @@ def load(
             moving.append(entry.id)
     free = set(_start_parameters(model, trials))
     if start_state == "estimate" or (start_state == "auto" and moving):
-        free |= {p.name for p in model.parameters if p.name.startswith("initial_")}
+        free |= set(model.initial([c for t in trials for c in t.measured]))
     held = {
         t.id: tuple(n for n in free if n.startswith("initial_"))
         for t in trials
@@ -120,7 +126,12 @@ def load(
         for t, log in zip(trials, read, strict=True)
     ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
-    facts = {"beats": found, "moving": moving, "start_state": start_state}
+    facts = {
+        "beats": found,
+        "moving": moving,
+        "start_state": start_state,
+        "profiles": {entry.id: _profile(entry) for entry in entries.trials},
+    }
     return Experiment(
         entries.experiment,
         robot,
@@ -129,6 +140,21 @@ def load(
         input_files(path, entries.robot, [log.path for log in read]),
         facts=facts,
     )
+
+
+def _profile(entry: FreeSwimTrial) -> str:
+    """The motion a trial repeats: its drive in words; of measured joints, the trial itself."""
+    command = entry.drive
+    if command is None:
+        return entry.id
+    if isinstance(command, StrokeDrive):
+        said = [command.stroke]
+        said += [f"{command.frequency_hz:g} Hz"] if command.frequency_hz else []
+        said += [f"scale {command.scale:g}"] if command.scale != 1.0 else []
+        return ", ".join(said)
+    said = [command.waveform, f"{command.frequency_hz:g} Hz", f"{command.amplitude_deg:g} deg"]
+    said += [f"bias {command.bias_deg:g} deg"] if command.bias_deg else []
+    return ", ".join(said)
 
 
 def beat_of(command: Drive) -> drive.Beat:
@@ -144,7 +170,41 @@ def beat_of(command: Drive) -> drive.Beat:
     )
 
 
-def _check_channels(model: MultilinkModel, channels: Sequence[str]) -> None:
+def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
+    """A stroke as the robot file has it.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The trials file that asks for it; without one the user does.
+
+    Raises
+    ------
+    InputError, UsageError
+        When the robot has no such stroke.
+    """
+    body = model.robot.multibody
+    known = {} if body is None else body.strokes
+    if command.stroke not in known:
+        close = nearest(command.stroke, list(known))
+        text = f"the robot '{model.robot.name}' has no stroke '{command.stroke}'"
+        hint = f"did you mean '{close}'?" if close else f"it has: {', '.join(known) or 'none'}"
+        if path is None:
+            raise UsageError(text, hint=hint)
+        raise InputError(text, file=path, column="drive.stroke", hint=hint)
+    law = known[command.stroke]
+    return Cycle(
+        command.stroke,
+        law,
+        command.frequency_hz or 1.0 / law.period_s,
+        command.scale,
+        command.ramp_s,
+        math.inf if command.cycles is None else command.cycles,
+        math.radians(command.phase_deg),
+    )
+
+
+def _check_channels(model: Swimmer, channels: Sequence[str]) -> None:
     known = [c.name for c in model.channels]
     for name in channels:
         if name not in known:
@@ -152,23 +212,24 @@ def _check_channels(model: MultilinkModel, channels: Sequence[str]) -> None:
             raise UsageError(f"the robot has no channel '{name}'", hint=hint)
 
 
-def _trial(
-    entry: FreeSwimTrial, path: Path, model: MultilinkModel, channels: Sequence[str]
-) -> tuple[Trial, Log]:
+def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str]) -> tuple[Trial, Log]:
     known = [c.name for c in model.channels]
-    commands = [a.column.replace("joint", "cmd") for a in model.assembly.driven]
+    commands = [a.column.replace("joint", "cmd") for a in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
     log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
     settings: dict[str, Any] = {"coefficients": _own_coefficients(entry, path, model)}
-    if entry.drive is not None:
+    if isinstance(entry.drive, StrokeDrive):
+        settings["stroke"] = cycle_of(entry.drive, model, path)
+    elif entry.drive is not None:
         settings["beat"] = beat_of(entry.drive)
-    elif model.assembly.driven:
-        motions = [_motion(model, k, log) for k in range(len(model.assembly.driven))]
+    elif model.driven:
+        motions = [_motion(model, k, log) for k in range(len(model.driven))]
         settings["joints"] = [motion for motion, _ in motions]
         settings["commanded"] = any(commanded for _, commanded in motions)
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
-    pose = [log[name] for name in model.plane.pose if name in log]
-    if len(pose) == 3 and model.assembly.free_base:
+    pose = [log[name] if name in log else np.full(len(log), np.nan) for name in model.pose]
+    # in its plane a robot is where the log says or nowhere; a side view tells half of a pose in space
+    if model.free_base and (len(pose) > 3 or all(name in log for name in model.pose)):
         settings["pose"] = tuple(
             float(values[np.isfinite(values)][0]) if np.isfinite(values).any() else 0.0 for values in pose
         )
@@ -176,16 +237,16 @@ def _trial(
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, settings=settings), log
 
 
-def _own_coefficients(entry: FreeSwimTrial, path: Path, model: MultilinkModel) -> dict[str, float]:
+def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
     """The coefficients a trial sets for itself."""
     for name in entry.coefficients:
-        if name not in model.assembly.names:
-            close = nearest(name, model.assembly.names)
+        if name not in model.coefficients:
+            close = nearest(name, model.coefficients)
             raise InputError(
                 f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
                 file=path,
                 column="coefficients",
-                hint=f"did you mean '{close}'?" if close else f"it has: {', '.join(model.assembly.names)}",
+                hint=f"did you mean '{close}'?" if close else f"it has: {', '.join(model.coefficients)}",
             )
     return dict(entry.coefficients)
 
@@ -200,29 +261,30 @@ def _unwrapped(name: str, values: Array) -> Array:
     return found
 
 
-def _default_channels(model: MultilinkModel, log: Log) -> list[str]:
+def _default_channels(model: Swimmer, log: Log) -> list[str]:
     def there(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
 
     chosen = []
-    if model.assembly.free_base:
-        pose = there(model.plane.pose)
-        chosen = pose if len(pose) == 3 else there(model.plane.velocity) or pose
-    chosen += there([a.column for a in model.assembly.passive])
-    chosen += there([a.column for a in model.assembly.driven if a.joint.driven and a.joint.driven.servo])
+    if model.free_base:
+        pose = there(model.pose)
+        whole = len(pose) == 3 or (len(model.pose) > 3 and len(pose) > 1)
+        chosen = pose if whole else there(model.velocity) or pose
+    chosen += there([a.column for a in model.passive])
+    chosen += there([a.column for a in model.driven if a.driven and a.driven.servo])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
         raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
     return chosen
 
 
-def _motion(model: MultilinkModel, number: int, log: Log) -> tuple[Any, bool]:
+def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
 
     A joint no drive moves (gain 0) stays straight where the log has neither.
     """
-    axis = model.assembly.driven[number]
-    joint, name, law = axis.joint, axis.column, axis.joint.driven
+    axis = model.driven[number]
+    name, law = axis.column, axis.driven
     assert law is not None
     command = name.replace("joint", "cmd")
     for candidate in (command, name) if law.servo is not None else (name, command):
@@ -231,7 +293,7 @@ def _motion(model: MultilinkModel, number: int, log: Log) -> tuple[Any, bool]:
     if law.gain == 0.0 and not law.bias_gain:
         return _straight, False
     raise InputError(
-        f"the driven joint '{joint.name}' needs this column, or '{command}'",
+        f"the driven joint '{axis.name}' needs this column, or '{command}'",
         file=log.path,
         line=log.first_line - 1 if log.first_line else None,
         column=name,
@@ -244,11 +306,13 @@ def _straight(time_s: Array) -> drive.Motion:
     return zero, zero, zero
 
 
-def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, Any] | None:
+def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
     """The beat found in the heading, against the drive's."""
-    if entry.drive is None or not model.assembly.free_base:
+    if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
-    for name in (model.plane.pose[2], model.plane.velocity[2]):
+    for name in (*model.pose[2:], *model.velocity[2:]):
+        if not name.removesuffix("_s").endswith("_rad"):
+            continue
         if name in log and np.isfinite(log[name]).sum() > 16:
             seen = np.isfinite(log[name])
             time = log.time_s[seen]
@@ -258,14 +322,15 @@ def _beat(entry: FreeSwimTrial, log: Log, model: MultilinkModel) -> dict[str, An
     return None
 
 
-def _moving(trial: Trial, log: Log, model: MultilinkModel) -> bool:
+def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
-    beat = trial.settings.get("beat")
-    begun = 0.0 if beat is None or beat.amplitude_rad == 0 else trial.time_s[0]
+    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
+    begun = 0.0 if still else trial.time_s[0]
     if beat is not None and begun > max(UNDER_WAY * beat.ramp_s, OPENING_S):
         return True
-    body = (*model.plane.pose, *model.plane.velocity) if model.assembly.free_base else ()
-    joints = tuple(a.column for a in model.assembly.passive)
+    body = (*model.pose, *model.velocity) if model.free_base else ()
+    joints = tuple(a.column for a in model.passive)
     for name in (n for n in (*body, *joints) if n in log):
         values = log[name]
         seen = np.isfinite(values)
@@ -292,7 +357,7 @@ def _opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
 
 
-def _starts(trial: Trial, log: Log, model: MultilinkModel) -> dict[str, float]:
+def _starts(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
 
     def at_start(name: str, derivative: int) -> float | None:
@@ -304,18 +369,9 @@ def _starts(trial: Trial, log: Log, model: MultilinkModel) -> dict[str, float]:
             return None
         return _fitted(log.time_s[there] - log.time_s[0], values[there], derivative)[0]
 
-    found: dict[str, float | None] = {}
-    if model.assembly.free_base:
-        names = [p.name for p in model.parameters if p.name.startswith("initial_")][:3]
-        found = {name: at_start(column, 0) for name, column in zip(names, model.plane.velocity, strict=True)}
-        heading = at_start(model.plane.pose[2], 0)
-        along, across, turn = (at_start(column, 1) for column in model.plane.pose)
-        if heading is not None and along is not None and across is not None:
-            c, s = math.cos(heading), math.sin(heading)
-            moved = (c * along + s * across, c * across - s * along, turn)
-            found = {n: v if found[n] is None else found[n] for n, v in zip(names, moved, strict=True)}
-    for axis in model.assembly.passive:
-        joint, rate = axis.joint.name, axis.column.replace("_rad", "_rate_rad_s")
+    found: dict[str, float | None] = model.opening(at_start) if model.free_base else {}
+    for axis in model.passive:
+        joint, rate = axis.name, axis.column.replace("_rad", "_rate_rad_s")
         found[f"initial_angle_{joint}"] = at_start(axis.column, 0)
         found[f"initial_rate_{joint}"] = (
             at_start(rate, 0) if rate in trial.measured else at_start(axis.column, 1)
@@ -353,10 +409,10 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
     return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
 
 
-def _start_parameters(model: MultilinkModel, trials: Sequence[Trial]) -> list[str]:
+def _start_parameters(model: Swimmer, trials: Sequence[Trial]) -> list[str]:
     """Offsets of the start pose, for each measured coordinate."""
     return [
         name
-        for name, column in zip(model.starts, model.plane.pose, strict=True)
-        if model.assembly.free_base and any(column in t.measured for t in trials)
+        for name, column in zip(model.starts, model.pose, strict=True)
+        if model.free_base and any(column in t.measured for t in trials)
     ]

@@ -1,18 +1,21 @@
-"""Optima found so far, kept beside the result so that a killed run goes on where it was."""
+"""What a long run found so far, kept beside its result so that a killed one goes on where it was."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swimid.models.base import Array
+import swimid
 
 
 class Checkpoint:
-    """A file of optima, one JSON line each, under a first line that says what they belong to.
+    """A file of named numbers, one JSON line each, under a first line that says what they belong to.
 
     Parameters
     ----------
@@ -39,16 +42,28 @@ class Checkpoint:
         else:
             path.write_text(self._head(key) + "\n", encoding="utf-8")
 
+    @classmethod
+    def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
+        """One beside a result, of this version of the program and of what JSON says it belongs to."""
+        text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
+        path = None if output is None else output.with_name(f"{output.name}.partial")
+        return cls(path, hashlib.sha256(text.encode()).hexdigest())
+
+    @property
+    def begun(self) -> bool:
+        """Whether an earlier run left something."""
+        return bool(self._known)
+
     @staticmethod
     def _head(key: str) -> str:
-        return json.dumps({"swimid": "diagnose", "key": key})
+        return json.dumps({"swimid": "checkpoint", "key": key})
 
-    def get(self, name: str) -> Array | None:
+    def get(self, name: str) -> NDArray[np.float64] | None:
         """Numbers kept under a name."""
         found = self._known.get(name)
         return None if found is None else np.array(found)
 
-    def put(self, name: str, numbers: Array) -> None:
+    def put(self, name: str, numbers: NDArray[np.float64]) -> None:
         """Keep numbers under a name."""
         if self.path is None:
             return

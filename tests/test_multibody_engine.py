@@ -1,0 +1,438 @@
+"""The engine in space: against MuJoCo, conservation laws, closed forms, and the planar engine."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from swimid.errors import InputError
+from swimid.formats import robot as robot_format
+from swimid.formats.multibody import Multibody
+from swimid.formats.robot import Fluid
+from swimid.models.multibody import engine
+from swimid.models.multibody.assembly import Assembly
+from swimid.models.multibody.elements import spheroid
+from swimid.models.multibody.inertia import full
+from swimid.models.multibody.planar import Lifted
+from swimid.models.multilink import drive
+from swimid.models.multilink import engine as planar_engine
+from swimid.models.multilink.model import MultilinkModel, joint_motion
+
+WATER, G = 1000.0, 9.81
+
+
+def assembly(body: dict[str, Any]) -> Assembly:
+    return Assembly(Multibody.model_validate(body), Fluid(density_kg_m3=WATER, gravity_m_s2=G))
+
+
+def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+    """Rate of a state; ``motion`` holds angle, rate and acceleration of every driven joint."""
+    motion = np.zeros((len(model.driven), 3)) if motion is None else motion
+    row = np.column_stack([motion, np.cos(motion[:, 0]), np.sin(motion[:, 0])])
+    n = 6 + len(model.passive)
+    rate = np.empty(len(state))
+    tables = model.tables(np.zeros(0))
+    scratch = np.zeros((model.links, 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
+    engine.derivative(state, row, *tables.values(), *scratch, rate)
+    return rate
+
+
+def at_rest(model: Assembly) -> np.ndarray:
+    state = np.zeros(13 + 2 * len(model.passive))
+    state[3] = 1.0
+    return state
+
+
+def random_state(model: Assembly, rng: np.random.Generator) -> np.ndarray:
+    state = rng.normal(size=13 + 2 * len(model.passive))
+    state[3:7] /= np.linalg.norm(state[3:7])
+    return state
+
+
+def integrated(model: Assembly, start: np.ndarray, step: float, duration: float) -> np.ndarray:
+    table = np.zeros((2 * round(duration / step) + 1, len(model.driven), 5))
+    table[:, :, 3] = 1.0
+    return engine.integrate(start, step, table, *model.tables(np.zeros(0)).values())[0]
+
+
+def random_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
+    """Rigid bodies on hinges at odd places, with odd axes; some yield, the rest are driven or stiff."""
+
+    def vector(size: float) -> list[float]:
+        return [float(v) for v in rng.normal(0.0, size, 3)]
+
+    bodies, joints = [], []
+    passive = set(rng.choice(np.arange(1, links), min(yielding, links - 1), replace=False).tolist())
+    for i in range(links):
+        turn = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
+        central = turn @ np.diag(rng.uniform(0.9, 1.3, 3) * rng.uniform(0.005, 0.02)) @ turn.T
+        entries = [central[r, c] for r, c in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        bodies.append(
+            {
+                "name": f"l{i}", "mass_kg": float(rng.uniform(0.5, 2.0)), "com_m": vector(0.05),
+                "inertia_kg_m2": [float(e) for e in entries],
+            }
+        )  # fmt: skip
+        if i == 0:
+            continue
+        joint: dict[str, Any] = {
+            "name": f"j{i}", "parent": f"l{int(rng.integers(0, i))}", "child": f"l{i}", "at_m": vector(0.2),
+            "axis": vector(1.0), "mount_deg": [float(a) for a in rng.uniform(-170, 170, 3)],
+        }  # fmt: skip
+        if i in passive:
+            joint["passive"] = {
+                "stiffness_N_m_rad": 0.4, "damping_N_m_s_rad": 0.02, "rest_deg": float(rng.uniform(-20, 20)),
+            }  # fmt: skip
+        elif driven:
+            joint["driven"] = {}
+        joints.append(joint)
+    return {"links": bodies, "joints": joints}
+
+
+# ------------------------------------------------------------ MuJoCo
+
+
+def mujoco_model(body: dict[str, Any], step: float) -> Any:
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is the second opinion on rigid trees")
+    links = {link["name"]: link for link in body["links"]}
+
+    def written(name: str, place: str, joints: str) -> str:
+        link = links[name]
+        x, y, z = link["com_m"]
+        inertia = " ".join(repr(e) for e in link["inertia_kg_m2"])
+        text = f'<body name="{name}" {place}>{joints}<inertial pos="{x!r} {y!r} {z!r}" '
+        text += f'mass="{link["mass_kg"]!r}" fullinertia="{inertia}"/>'
+        for j in body["joints"]:
+            if j["parent"] != name:
+                continue
+            q = Rotation.from_euler("xyz", j["mount_deg"], degrees=True).as_quat().tolist()
+            spot = f'pos="{" ".join(map(repr, j["at_m"]))}" quat="{q[3]!r} {q[0]!r} {q[1]!r} {q[2]!r}"'
+            hinge, law = "", j.get("passive")
+            if law or "driven" in j:
+                hinge = f'<joint name="{j["name"]}" type="hinge" axis="{" ".join(map(repr, j["axis"]))}"'
+                if law:
+                    hinge += (
+                        f' stiffness="{law["stiffness_N_m_rad"]!r}" damping="{law["damping_N_m_s_rad"]!r}"'
+                    )
+                    hinge += f' springref="{math.radians(law["rest_deg"])!r}"'
+                hinge += "/>"
+            text += written(j["child"], spot, hinge)
+        return text + "</body>"
+
+    text = f"""<mujoco><compiler angle="radian" inertiafromgeom="false"/>
+        <option timestep="{step}" integrator="RK4" gravity="0 0 -9.81"/>
+        <worldbody>{written(body["links"][0]["name"], "", '<freejoint name="base"/>')}</worldbody></mujoco>"""
+    return mujoco, mujoco.MjModel.from_xml_string(text)
+
+
+def weighed(body: dict[str, Any]) -> dict[str, Any]:
+    return {**body, "elements": [{"kind": "hydrostatics", "link": link["name"]} for link in body["links"]]}
+
+
+def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
+    """Set MuJoCo's state to ours; where its velocities of our unknowns stand."""
+    p = len(model.passive)
+    turn = Rotation.from_quat(np.roll(state[3:7], -1))
+    data.qpos[:3], data.qpos[3:7] = state[:3], state[3:7]
+    data.qvel[:3], data.qvel[3:6] = turn.apply(state[7 + p : 10 + p]), state[10 + p : 13 + p]
+    places = list(range(6))
+    for k, axis in enumerate(model.passive):
+        joint = theirs.joint(axis.name)
+        data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = state[7 + k], state[13 + p + k]
+        places.append(int(joint.dofadr[0]))
+    return places
+
+
+def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
+    """Of the base's origin in the world, of its turning in its own axes, of the passive joints."""
+    p = len(model.passive)
+    rate = derivative(model, state, motion)
+    turn = Rotation.from_quat(np.roll(state[3:7], -1))
+    v, w = state[7 + p : 10 + p], state[10 + p : 13 + p]
+    linear = turn.apply(rate[7 + p : 10 + p] + np.cross(w, v))
+    return np.concatenate([linear, rate[10 + p :]])
+
+
+class TestMujoco:
+    def test_accelerations(self) -> None:
+        rng = np.random.default_rng(1)
+        for _ in range(20):
+            body = weighed(random_tree(rng, int(rng.integers(2, 9)), int(rng.integers(1, 4)), driven=False))
+            model = assembly(body)
+            mujoco, theirs = mujoco_model(body, 0.001)
+            data = mujoco.MjData(theirs)
+            state = random_state(model, rng)
+            places = put(model, theirs, data, state)
+            mujoco.mj_forward(theirs, data)
+            expected = data.qacc[places]
+            found = accelerations(model, state)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+    def test_forces_with_driven_joints(self) -> None:
+        """Inverse dynamics of our accelerations leaves no force on the base and the passive joints."""
+        rng = np.random.default_rng(2)
+        for _ in range(20):
+            body = weighed(random_tree(rng, int(rng.integers(3, 9)), 1, driven=True))
+            model = assembly(body)
+            mujoco, theirs = mujoco_model(body, 0.001)
+            data = mujoco.MjData(theirs)
+            state, motion = random_state(model, rng), rng.normal(size=(len(model.driven), 3))
+            places = put(model, theirs, data, state)
+            data.qacc[places] = accelerations(model, state, motion)
+            for axis, (angle, rate, bend) in zip(model.driven, motion, strict=True):
+                joint = theirs.joint(axis.name)
+                data.qpos[joint.qposadr[0]] = angle
+                data.qvel[joint.dofadr[0]], data.qacc[joint.dofadr[0]] = rate, bend
+            mujoco.mj_inverse(theirs, data)
+            scale = np.abs(data.qfrc_bias).max() + np.abs(data.qacc).max()
+            np.testing.assert_allclose(data.qfrc_inverse[places], 0.0, atol=1e-10 * scale)
+
+    def test_trajectory(self) -> None:
+        """Two seconds of a falling, tumbling tree; both use fourth-order steps of 0.5 ms."""
+        body = weighed(random_tree(np.random.default_rng(3), 5, 3, driven=False))
+        model = assembly(body)
+        mujoco, theirs = mujoco_model(body, 0.0005)
+        data = mujoco.MjData(theirs)
+        start = at_rest(model)
+        start[7:10], start[13:16] = (0.4, -0.3, 0.2), (0.5, 1.0, -1.0)
+        put(model, theirs, data, start)
+        states = integrated(model, start, 0.0005, 2.0)
+        for _ in range(4000):
+            mujoco.mj_step(theirs, data)
+        np.testing.assert_allclose(states[-1, :3], data.qpos[:3], atol=1e-7)
+        assert abs(states[-1, 3:7] @ data.qpos[3:7]) == pytest.approx(1.0, abs=1e-10)
+
+
+# ------------------------------------------------------------ conservation
+
+
+def with_water(body: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """Added masses of unlike size along the axes of each link, at odd places."""
+    elements = [
+        {
+            "kind": "added-mass", "link": link["name"],
+            "mass_kg": [float(m) for m in rng.uniform(0.1, 3.0, 3)],
+            "inertia_kg_m2": [float(m) for m in rng.uniform(0.001, 0.03, 3)],
+            "at_m": [float(a) for a in rng.normal(0, 0.05, 3)],
+        }
+        for link in body["links"]
+    ]  # fmt: skip
+    return {**body, "elements": elements}
+
+
+def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
+    """Linear and angular momentum in the world, and kinetic energy, by plain vector mechanics."""
+    p = len(model.passive)
+    tables = model.tables(np.zeros(0))
+    turns, places, v, w = {}, {}, {}, {}
+    turns[0], places[0] = Rotation.from_quat(np.roll(state[3:7], -1)).as_matrix(), state[:3]
+    v[0], w[0] = turns[0] @ state[7 + p : 10 + p], turns[0] @ state[10 + p : 13 + p]
+    total, energy = np.zeros(6), 0.0
+    for i, (parent, _, k, _) in enumerate(tables["topology"]):
+        if i:
+            row = tables["joint"][i]
+            angle, rate = (state[7 + k], state[13 + p + k]) if k >= 0 else (0.0, 0.0)
+            own = row[6:15].reshape(3, 3) @ Rotation.from_rotvec(angle * row[3:6]).as_matrix()
+            turns[i] = turns[parent] @ own
+            arm = turns[parent] @ row[:3]
+            places[i], v[i] = places[parent] + arm, v[parent] + np.cross(w[parent], arm)
+            w[i] = w[parent] + turns[i] @ row[3:6] * rate
+        twist = np.concatenate([turns[i].T @ v[i], turns[i].T @ w[i]])
+        held = full(tables["inertia"][i]) @ twist
+        linear, angular = turns[i] @ held[:3], turns[i] @ held[3:]
+        total += np.concatenate([linear, angular + np.cross(places[i], linear)])
+        energy += 0.5 * float(twist @ held)
+    return total, energy
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_momentum_and_energy_are_kept(seed: int) -> None:
+    """Free motion in water without loss: what a step changes falls with its fourth power."""
+    rng = np.random.default_rng(seed)
+    body = with_water(random_tree(rng, 5, 3, driven=False), rng)
+    for joint in body["joints"]:
+        if "passive" in joint:
+            joint["passive"] = {}
+    model = assembly(body)
+    start = random_state(model, rng)
+    start[13 + 3 :] *= 2.0
+    drift = []
+    for step in (0.004, 0.002):
+        states = integrated(model, start, step, 1.0)
+        (p0, e0), (p1, e1) = momentum(model, states[0]), momentum(model, states[-1])
+        drift.append(max(np.abs(p1 - p0).max() / np.abs(p0).max(), abs(e1 - e0) / e0))
+    assert drift[1] < 1e-6
+    assert drift[1] < drift[0] / 10.0 or drift[1] < 1e-11
+
+
+# ------------------------------------------------------------ planar robots
+
+
+@pytest.mark.parametrize("name", ["tfish", "dolphin"])
+def test_planar_robots_move_as_in_their_plane(name: str) -> None:
+    """20 s of swimming: the same to 1e-9 m, and nothing off the plane."""
+    robot = robot_format.read(name)
+    body = robot.multilink
+    assert body is not None
+    planar, lifted = MultilinkModel(robot).assembly, Lifted(body, robot.fluid)
+    values = np.array([c.value for c in body.coefficients.values()])
+    step, steps = 0.005, 4000
+    half = 0.5 * step * np.arange(2 * steps + 1)
+    settings = {"beat": drive.Beat("sine", 1.2, 0.4, 0.1)}
+    motions = [joint_motion(axis, k, settings, half, 0.0) for k, axis in enumerate(planar.driven)]
+    mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
+    n = planar.unknowns
+    flat = np.zeros(2 * n)
+    flat[n] = 0.1
+    expected, _ = planar_engine.integrate(
+        flat, step, drive.table(len(half), motions, mounts), *planar.tables(values).values(), None, 0.0
+    )
+    start = np.zeros(13 + 2 * len(lifted.passive))
+    start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
+    table = drive.table(len(half), motions, [0.0] * len(motions))
+    found, _ = engine.integrate(start, step, table, *lifted.tables(values).values())
+    second = 1 if body.plane == "horizontal" else 2
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
+    np.testing.assert_allclose(found[:, second], expected[:, 1], atol=1e-9)
+    np.testing.assert_allclose(found[:, 3 - second], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found[:, 7:-6][:, : n - 3], expected[:, 3:n], atol=1e-9)
+
+
+# ------------------------------------------------------------ elements
+
+
+def one_body(*elements: dict[str, Any], **link: Any) -> Assembly:
+    own = {"name": "hull", "mass_kg": 2.0, "inertia_kg_m2": [0.02, 0.05, 0.05]} | link
+    return assembly({"links": [own], "elements": [{"link": "hull", **e} for e in elements]})
+
+
+def wrench(model: Assembly, **at: Any) -> np.ndarray:
+    """Force and moment at the origin, from the accelerations of a body that moves, but does not turn."""
+    state = at_rest(model)
+    state[2] = at.get("z", 0.0)
+    if "attitude" in at:
+        state[3:7] = np.roll(at["attitude"].as_quat(), 1)
+    state[7:10] = at.get("velocity", (0.0, 0.0, 0.0))
+    matrix = full(model.tables(np.zeros(0))["inertia"][0])
+    return matrix @ derivative(model, state)[7:]
+
+
+def test_spheroid_of_lamb() -> None:
+    """Sphere limit 1/2, 1/2, 0; a slender body 0, 1, 1; Lamb's table at 5:1 (0.059, 0.895, 0.700)."""
+    assert spheroid.coefficients(1.0, 0.999) == pytest.approx((0.5, 0.5, 0.0), abs=2e-3)
+    assert spheroid.coefficients(1.0, 1e-3) == pytest.approx((0.0, 1.0, 1.0), abs=1e-4)
+    assert spheroid.coefficients(5.0, 1.0) == pytest.approx((0.059, 0.895, 0.700), abs=1e-3)
+
+
+def test_spheroid_and_plate_masses() -> None:
+    model = one_body(
+        {"kind": "spheroid", "semi_major_m": 0.5, "semi_minor_m": 0.1, "factors": [1.0, 1.0, 1.5]},
+        {
+            "kind": "plate",
+            "span_m": 0.3,
+            "chord_m": 0.1,
+            "k": 0.8,
+            "at_m": [0.1, 0.2, 0.0],
+            "normal": [0, 0, 2],
+        },
+    )
+    matrix = full(model.tables(np.zeros(0))["inertia"][0])
+    k1, k2, _ = spheroid.coefficients(0.5, 0.1)
+    hull = 4.0 / 3.0 * math.pi * WATER * 0.5 * 0.1**2
+    plate = math.pi * WATER * 0.8 * 0.3 * 0.1**2 / 4.0
+    np.testing.assert_allclose(
+        np.diag(matrix)[:3], [2 + k1 * hull, 2 + k2 * hull, 2 + 1.5 * k2 * hull + plate]
+    )
+    # the plate's mass at (0.1, 0.2): its heave momentum turns about x and y
+    assert matrix[2, 3] == pytest.approx(0.2 * plate)
+    assert matrix[2, 4] == pytest.approx(-0.1 * plate)
+
+
+def test_drag_along_each_axis() -> None:
+    model = one_body(
+        {"kind": "drag", "area_m2": [0.01, 0.02, 0.03], "coefficient": [0.3, 1.0, 1.2], "at_m": [0.1, 0, 0]}
+    )
+    found = wrench(model, velocity=(0.4, -0.3, 0.2))
+    half = 0.5 * WATER
+    force = [-half * 0.003 * 0.16, half * 0.02 * 0.09, -half * 0.036 * 0.04]
+    np.testing.assert_allclose(found[:3], force, rtol=1e-12)
+    np.testing.assert_allclose(found[3:], np.cross([0.1, 0, 0], force), atol=1e-12)
+
+
+@pytest.mark.parametrize("attack_deg", [-160, -60, -10, 0, 5, 45, 90, 170])
+def test_foil_by_its_polar(attack_deg: float) -> None:
+    area, cl, cd0, cd1 = 0.02, 1.1, 0.05, 0.8
+    model = one_body(
+        {"kind": "foil", "area_m2": area, "at_m": [0, 0, 0], "chord": [0, 1, 0], "normal": [0, 0, 1],
+         "lift_coefficient": cl, "drag_coefficient_0": cd0, "drag_coefficient_1": cd1}
+    )  # fmt: skip
+    a = math.radians(attack_deg)
+    velocity = np.array([0.7, 0.5 * math.cos(a), 0.5 * math.sin(a)])
+    force = wrench(model, velocity=velocity)[:3]
+    pressure = 0.5 * WATER * area * 0.25
+    motion, side = np.array([0, math.cos(a), math.sin(a)]), np.array([0, math.sin(a), -math.cos(a)])
+    assert force[0] == pytest.approx(0.0, abs=1e-12)
+    assert force @ motion == pytest.approx(-pressure * (cd0 + cd1 * (1 - math.cos(2 * a))))
+    assert force @ side == pytest.approx(pressure * cl * math.sin(2 * a), abs=1e-12)
+
+
+def test_hydrostatics_right_the_body() -> None:
+    """A centre of mass 12 mm below that of buoyancy: -m g d sin about either horizontal axis."""
+    model = one_body({"kind": "hydrostatics", "volume_m3": 2.0 / WATER, "buoyancy_at_m": [0, 0, 0.012]})
+    for angle in np.radians([-120.0, -20.0, 0.0, 20.0, 90.0]):
+        for axis in (0, 1):
+            turn = Rotation.from_rotvec(angle * np.eye(3)[axis])
+            found = wrench(model, attitude=turn)
+            np.testing.assert_allclose(found[:3], 0.0, atol=1e-12)
+            assert found[3 + axis] == pytest.approx(-2.0 * G * 0.012 * math.sin(angle), abs=1e-12)
+
+
+def test_buoyancy_and_drag_end_at_the_surface() -> None:
+    body = {
+        "surface_z_m": 0.5,
+        "links": [{"name": "hull", "mass_kg": 2.0, "inertia_kg_m2": [0.02, 0.05, 0.05]}],
+        "elements": [
+            {"kind": "hydrostatics", "link": "hull", "volume_m3": 0.002, "half_height_m": 0.1},
+            {"kind": "drag", "link": "hull", "area_m2": [0.01, 0, 0], "half_height_m": 0.1},
+        ],
+    }
+    model = assembly(body)
+    for z, share in ((0.0, 1.0), (0.4, 1.0), (0.5, 0.5), (0.6, 0.0), (2.0, 0.0)):
+        force = wrench(model, z=z, velocity=(1.0, 0.0, 0.0))
+        assert force[2] == pytest.approx(2.0 * G * (share - 1.0), abs=1e-9)
+        assert force[0] == pytest.approx(-0.5 * WATER * 0.01 * share)
+
+
+def test_water_inside_adds_inertia_and_weighs_where_it_is_told() -> None:
+    plain = {"kind": "water", "volume_m3": 0.001, "at_m": [0.2, 0, 0], "gyration_m": [0.05, 0.1, 0.1]}
+    open_hull, closed = one_body(plain), one_body({**plain, "weighs": True})
+    matrix = full(open_hull.tables(np.zeros(0))["inertia"][0])
+    assert matrix[0, 0] == pytest.approx(3.0)
+    assert matrix[5, 5] == pytest.approx(0.05 + 0.04 + 0.01)
+    np.testing.assert_allclose(wrench(open_hull), 0.0, atol=1e-12)
+    np.testing.assert_allclose(wrench(closed), [0, 0, -G, 0, 0.2 * G, 0], atol=1e-12)
+
+
+# ------------------------------------------------------------ what is refused
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"links": [{"name": "a", "mass_kg": 1.0}]}, "inertia_kg_m2"),
+        ({"links": [{"name": "a", "mass_kg": 1.0, "inertia_kg_m2": [0.1, 0.1, 0.5]}]}, "inertia_kg_m2"),
+        ({"links": [{"name": "a", "mass_kg": -1.0, "inertia_kg_m2": [0.1, 0.1, 0.1]}]}, "mass_kg"),
+        ({"elements": [{"kind": "drag", "link": "b"}]}, "elements.0.link"),
+        ({"elements": [{"kind": "drag", "link": "a", "area_m2": ["c_x", 0, 0]}]}, "area_m2.0"),
+        ({"joints": [{"name": "j", "parent": "a", "child": "a", "axis": [0, 0, 1]}]}, "joints.j.child"),
+    ],
+)
+def test_what_no_robot_is(change: dict[str, Any], where: str) -> None:
+    body = {"links": [{"name": "a", "mass_kg": 1.0, "inertia_kg_m2": [0.1, 0.1, 0.1]}]} | change
+    with pytest.raises(InputError) as caught:
+        assembly(body)
+    assert where in str(caught.value.column)
