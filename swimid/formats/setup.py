@@ -14,7 +14,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from swimid.errors import InputError
-from swimid.formats.yamlio import Document, validated
+from swimid.formats import robot as robot_format
+from swimid.formats import yamlio
+from swimid.formats.yamlio import Document
 
 FORMAT = "swimid-setup/1"
 
@@ -73,6 +75,8 @@ class Marker(Document):
     area_px: _Area | None = None
     #: Where each is in the first frame (image pixels), to name equal ones.
     start_px: _Points | None = None
+    #: Place on the robot, seen from its reference point: forward, and to port (up in the vertical plane), m.
+    at_m: Annotated[_Point, BeforeValidator(_tuples)] | None = None
 
     @model_validator(mode="after")
     def _one_colour(self) -> Marker:
@@ -196,6 +200,10 @@ class Setup(Document):
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
+    #: Vertical plane: which way the robot faces in the picture, and x of the log runs.
+    facing: Literal["auto", "right", "left"] = "auto"
+    #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
+    robot: str | None = None
     #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.
     reference_offset_m: Annotated[_Point, BeforeValidator(_tuples)] = (0.0, 0.0)
     scale: Scale | None = None
@@ -228,9 +236,29 @@ class Setup(Document):
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.reference_offset_m != (0.0, 0.0) and (self.tail is None or self.scale is None):
             raise ValueError("reference_offset_m needs a head, a tail and a scale")
+        if self.facing != "auto" and self.plane == "horizontal":
+            raise ValueError(f"facing: {self.facing} goes with plane: vertical")
         for box in [self.region_px, *self.ignore_px]:
             if box is not None and (box[2] <= box[0] or box[3] <= box[1]):
                 raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
+        return self
+
+    @model_validator(mode="after")
+    def _places_fit(self) -> Setup:
+        if all(marker.at_m is None for marker in self.markers):
+            return self
+        if self.tail is None or self.scale is None:
+            raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
+        if self.reference_offset_m != (0.0, 0.0):
+            raise ValueError("reference_offset_m and at_m both say where the reference point lies; keep one")
+        head, tail = (self.marker(name) for name in (self.head_name, self.tail))
+        for marker in (head, tail):
+            if marker.at_m is None and self.robot is None:
+                raise ValueError(
+                    f"marker '{marker.name}' needs at_m, too: head and tail both have it or none"
+                )
+        if head.at_m is not None and head.at_m == tail.at_m:
+            raise ValueError(f"markers '{self.head}' and '{self.tail}' have the same at_m")
         return self
 
     @property
@@ -243,18 +271,66 @@ class Setup(Document):
         """The marker that gives the position."""
         return self.head or self.marker_names[0]
 
+    def marker(self, name: str) -> Marker:
+        """The kind of a single marker."""
+        return next(marker for marker in self.markers if name in marker.names)
+
+    @property
+    def places(self) -> tuple[_Point, _Point] | None:
+        """Where head and tail marker are, seen from the reference point (``at_m``); None if not known."""
+        if self.tail is None:
+            return None
+        head, tail = self.marker(self.head_name).at_m, self.marker(self.tail).at_m
+        return None if head is None or tail is None else (head, tail)
+
 
 def read(path: str | Path) -> Setup:
-    """Read and check a setup file.
+    """Read and check a setup file; with a ``robot``, its markers' places are put in.
 
     Raises
     ------
     InputError
         With line, key and what is allowed.
     """
-    setup = validated(path, Setup)
+    data = yamlio.load(path)
+    setup = yamlio.validate(data, Setup, path)
     if setup.plane == "vertical" and setup.tail is None and len(setup.marker_names) > 1:
         raise InputError(
             "plane: vertical with several markers needs a tail for the pitch", file=path, column="tail"
         )
-    return setup
+    if setup.robot is None:
+        return setup
+    filled = yamlio.plain(data)
+    places = _robot_places(setup, setup.robot, Path(path))
+    for marker, kind in zip(filled["markers"], setup.markers, strict=True):
+        if kind.at_m is None and kind.name in places:
+            marker["at_m"] = list(places[kind.name])
+    return yamlio.validate(filled, Setup, path)
+
+
+def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
+    """Places of the robot's markers; raises when head or tail is none of them."""
+    robot = robot_format.read(name, path.parent)
+    if robot.multilink is not None and robot.multilink.plane != setup.plane:
+        raise InputError(
+            f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows the "
+            f"{setup.plane} one",
+            file=path,
+            column="robot",
+        )
+    places = robot.marker_places(setup.plane)
+    if setup.tail is None:
+        raise InputError(
+            "robot gives the places of head and tail; there is no tail", file=path, column="robot"
+        )
+    for role in (setup.head_name, setup.tail):
+        marker = setup.marker(role)
+        if marker.at_m is None and marker.name not in places:
+            raise InputError(
+                f"the robot '{name}' names no marker '{marker.name}'; "
+                f"it names: {', '.join(places) or 'none'}",
+                file=path,
+                column="robot",
+                hint="name the markers of the film as the robot file does, or give their at_m",
+            )
+    return places

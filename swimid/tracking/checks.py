@@ -42,6 +42,8 @@ def run(track: RawTrack, pose: Pose, setup: Setup) -> list[Check]:
         _found(pose),
         _longest_gap(pose, setup),
         *_separation(pose),
+        *_against_robot(pose, setup),
+        *_facing(pose, setup),
         _timing(pose),
         _edges(track, setup),
         _jumps(pose),
@@ -152,6 +154,52 @@ def _separation(pose: Pose) -> list[Check]:
             verdict=grade,
             text="A trend over the picture is an error of lens, perspective or marker height.",
         ),
+    ]
+
+
+def _against_robot(pose: Pose, setup: Setup) -> list[Check]:
+    """The distance of the markers in the film against that on the robot: a length known in the picture."""
+    if pose.separation is None or setup.places is None:
+        return []
+    (a, b), (c, d) = setup.places
+    known = math.hypot(a - c, b - d)
+    off = float(np.nanmedian(np.where(pose.measured, pose.separation, np.nan))) / known - 1
+    grade = _grade(abs(off), 0.02, 0.05)
+    if grade != "pass":
+        warn(
+            "SWM042",
+            f"the distance of head and tail marker in the film is {100 * off:+.1f} % off the {known:g} m on "
+            "the robot, and so is every length in the log (a scale taken at another distance from the "
+            "camera, or in air); or their places on the robot are wrong",
+        )
+    return [
+        Check(
+            name="Marker distance against the robot",
+            value=f"{100 * off:+.2f} % of {known:g} m",
+            limit="within 2 %",
+            verdict=grade,
+            text="A scale taken at another distance from the camera, or out of the water, shows here.",
+        )
+    ]
+
+
+def _facing(pose: Pose, setup: Setup) -> list[Check]:
+    """Which way the robot looks, and whether it swims that way."""
+    if setup.plane == "horizontal" or pose.angle is None or pose.separation is None:
+        return []
+    angle, (vx, vz) = pose.angle.position[0], pose.path.velocity
+    ahead = float(np.nanmean(vx * np.cos(angle) + vz * np.sin(angle))) * float(np.ptp(pose.times))
+    backwards = ahead < -float(np.nanmedian(pose.separation))
+    side = "left" if pose.plane.runs_left else "right"
+    return [
+        Check(
+            name="Facing",
+            value=f"{side}, and swims {'backwards' if backwards else 'forwards'}",
+            limit="forwards",
+            verdict="warn" if backwards else "pass",
+            text=f"x runs to the {side} of the picture, and pitch is nose up. Where a robot seems to swim "
+            "backwards, head and tail marker may be exchanged in the setup.",
+        )
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,6 +31,11 @@ class Plane:
         Factor towards ``foot`` for markers above the plane.
     foot : ndarray, shape (2,)
         World point below the camera.
+    middle : ndarray, shape (2,)
+        Image point in the middle of the picture.
+    far_x : float
+        x of the picture's right edge where the picture sets the origin; 0 where calibration
+        points do.
     residual_px, residual : float
         Root mean square error of the calibration points, in px and world units; 0 where
         the map is exact.
@@ -41,6 +46,8 @@ class Plane:
     lens: tuple[Array, Array] | None
     shrink: float
     foot: Array
+    middle: Array
+    far_x: float = 0.0
     residual_px: float = 0.0
     residual: float = 0.0
 
@@ -72,6 +79,29 @@ class Plane:
                 )
             image[:, known] = points.T
         return image[0], image[1]
+
+    def along_x(self, left: bool) -> Plane:
+        """The plane with x running to the left or to the right of the picture, reversed if need be."""
+        if self.runs_left == left:
+            return self
+        turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
+        return replace(self, matrix=turn @ self.matrix, foot=_mapped(self.foot[None], turn)[0])
+
+    @property
+    def runs_left(self) -> bool:
+        """Whether x runs to the left of the picture."""
+        return bool(self._gradient()[0, 0] < 0)
+
+    @property
+    def upside_down(self) -> bool:
+        """Whether the second coordinate grows downwards in the picture."""
+        return bool(self._gradient()[1, 1] > 0)
+
+    def _gradient(self) -> Array:
+        """Change of the world coordinates (rows) with column and row of the picture, in its middle."""
+        u, v = self.middle
+        wx, wy = self.to_world(np.array([u, u + 1, u]), np.array([v, v, v + 1]))
+        return np.array([wx[1:] - wx[0], wy[1:] - wy[0]])
 
     def size_of_pixel(self, x: float, y: float) -> float:
         """World length of one pixel about an image point (geometric mean of the two directions)."""
@@ -128,19 +158,30 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         image = _undistorted(np.array(scale.points_px, dtype=float), lens)
         world = np.array(scale.points_m, dtype=float)
         matrix, residual_px, residual = _homography(image, world, file)
+        if setup.plane == "horizontal":
+            _warn_of_back(matrix)
     camera_centre = np.array([[(width - 1) / 2, (height - 1) / 2]]) if lens is None else lens[0][:2, 2][None]
     shrink = 1.0
     if scale is not None and scale.heights is not None:
         shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    return Plane(
+    plane = Plane(
         unit=unit,
         matrix=matrix,
         lens=lens,
         shrink=shrink,
         foot=_mapped(camera_centre, matrix)[0],
+        middle=np.array([(width - 1) / 2, (height - 1) / 2]),
+        far_x=0.0 if scale is not None and scale.points_m is not None else factor * (width - 1),
         residual_px=residual_px,
         residual=residual,
     )
+    if setup.plane == "vertical" and plane.upside_down:
+        warn(
+            "SWM048",
+            "z of the calibration points runs down in the picture: give heights, not depths, in points_m, or "
+            "z and the pitch have the wrong sign (they are right if the camera hung upside down)",
+        )
+    return plane
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, float, float]:
@@ -160,15 +201,18 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, fl
             column="scale.points_m",
             hint="list points_px and points_m corner by corner, both going round the same way",
         )
+    error = _mapped(image, matrix) - world
+    back = _mapped(world, np.linalg.inv(matrix).astype(float)) - image
+    return matrix, float(np.sqrt(np.mean(np.sum(back**2, 1)))), float(np.sqrt(np.mean(np.sum(error**2, 1))))
+
+
+def _warn_of_back(matrix: Array) -> None:
     if np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
         warn(
             "SWM048",
             "the calibration points map the picture to a world seen from its back: x, y as given, and yaw is "
             "counter-clockwise from x to y there, clockwise in the picture",
         )
-    error = _mapped(image, matrix) - world
-    back = _mapped(world, np.linalg.inv(matrix).astype(float)) - image
-    return matrix, float(np.sqrt(np.mean(np.sum(back**2, 1)))), float(np.sqrt(np.mean(np.sum(error**2, 1))))
 
 
 def _thin(points: Array) -> bool:

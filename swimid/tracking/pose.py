@@ -41,11 +41,12 @@ class Pose:
     segment : ndarray of int, shape (n,)
         1, 2, ...; 0 before the first sight, after the last, and in gaps over the limit.
     raw : ndarray, shape (2, n)
-        Measured world position of the reference point.
+        Measured world position of the reference point (that of the head marker where no place of the
+        markers on the robot is given).
     path : Smoothed
         Two coordinates, world units.
     raw_angle : ndarray, shape (n,), or None
-        Measured heading (pitch in the vertical plane), rad, unwrapped.
+        Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
     angle : Smoothed or None
     markers : ndarray, shape (m, 2, n)
         Measured world position of every marker.
@@ -71,8 +72,31 @@ class Pose:
         return (self.segment > 0) & ~self.measured
 
 
+def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
+    """The plane with x running the way the robot faces, where a camera at the side may see either flank.
+
+    With ``facing: auto`` that is the way from tail to head, summed over the film (from the rearmost
+    to the foremost, where their places on the robot are known); a lone marker leaves x as it is.
+    """
+    if setup.plane == "horizontal":
+        return plane
+    if setup.facing != "auto":
+        return plane.along_x(setup.facing == "left")
+    if setup.tail is None:
+        return plane
+    head, tail = (track.names.index(name) for name in (setup.head_name, setup.tail))
+    (front, _), (rear, _) = (plane.to_world(track.x[i], track.y[i]) for i in (head, tail))
+    ahead = 1.0 if setup.places is None else setup.places[0][0] - setup.places[1][0]
+    return plane if ahead * np.nansum(front - rear) >= 0 else plane.along_x(not plane.runs_left)
+
+
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     """Pose from raw pixels.
+
+    Where the places of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid
+    body through both: turned by the angle between the line of the markers in the film and on the robot, its
+    markers' mid-point on theirs. Else the position is the head marker's, moved by
+    ``reference_offset_m``, and the heading that of the line of the markers.
 
     Raises
     ------
@@ -98,22 +122,35 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     pixel = plane.size_of_pixel(float(middle_x), float(middle_y))
     weights = _weights(track, head)
     raw = np.where(segment > 0, markers[head], np.nan)
+    lever = np.array(setup.reference_offset_m)
+    places = None if setup.places is None else np.array(setup.places)
     angle = raw_angle = separation = None
     if tail is not None:
         forward = markers[head] - markers[tail]
         separation = np.hypot(forward[0], forward[1])
-        raw_angle = np.where(measured, _unwrapped(np.arctan2(forward[1], forward[0])), np.nan)
         both = np.maximum(weights, _weights(track, tail))
+        if places is not None:
+            # Seen from the mid-point; frames with one marker only would mix in errors of the scale.
+            raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
+            lever, weights = -places.mean(axis=0), both
+            ahead, aside = places[0] - places[1]
+            forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
+        raw_angle = np.where(measured, _unwrapped(np.arctan2(forward[1], forward[0])), np.nan)
         least = 1.4 * LEAST_NOISE_PX * pixel / max(float(np.nanmedian(separation)), 1e-12)
         angle = smooth(times, raw_angle[None], both, segments, least_sd=least)
         angle = _widened(angle, least / LEAST_NOISE_PX * SYSTEMATIC_PX)
-        ahead, aside = setup.reference_offset_m
-        if ahead or aside:
-            # Tilted by the smoothed heading: the raw one would add its noise to the path.
-            cos, sin = np.cos(angle.position[0]), np.sin(angle.position[0])
-            raw = raw + np.stack([ahead * cos - aside * sin, ahead * sin + aside * cos])
+        # Tilted by the smoothed heading: the raw one would add its noise to the path.
+        raw = raw + _turned(lever, angle.position[0])
     path = smooth(times, raw, weights, segments, least_sd=LEAST_NOISE_PX * pixel)
     path = _widened(path, SYSTEMATIC_PX * pixel)
+    if angle is not None:
+        # An error of the heading moves the reference point across the lever.
+        across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
+        path = replace(
+            path,
+            position_sd=np.hypot(path.position_sd, across * angle.position_sd),
+            velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
+        )
     return Pose(
         times=times,
         measured=measured,
@@ -126,6 +163,12 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         separation=separation,
         plane=plane,
     )
+
+
+def _turned(vector: Array, angle: Array) -> Array:
+    """A vector of the body in the world, shape (2, n)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
 
 def _widened(result: Smoothed, systematic: float) -> Smoothed:

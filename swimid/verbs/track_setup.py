@@ -280,6 +280,16 @@ def _text(setup: Setup, shares: dict[str, float], remarks: list[str], video: str
         "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
         f"plane: {setup.plane}",
     ]
+    if setup.plane == "vertical":
+        lines += [
+            "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
+            f"facing: {setup.facing}",
+        ]
+    lines += [
+        "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
+        "# tail, or with the name of a robot whose file names markers like these.",
+        "# robot: sealion",
+    ]
     if setup.scale is not None:
         lines += ["scale:"]
         lines += [

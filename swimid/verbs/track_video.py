@@ -96,6 +96,7 @@ def _track(
     track, info, rules = run.track, run.info, run.setup
     ground = plane.build(rules, info.width, info.height, file=str(setup_path))
     _demand_markers(track, rules, run.kept)
+    ground = pose.facing(track, rules, ground)
     result = pose.build(track, rules, ground)
     found_checks = checks.run(track, result, rules)
     count, total = int(result.measured.sum()), len(result.times)
@@ -108,8 +109,7 @@ def _track(
         "first_stamp_s": run.first_stamp_s,
         "image_size_px": [info.width, info.height],
         "plane": rules.plane,
-        "reference": rules.head_name,
-        "reference_offset_m": list(rules.reference_offset_m),
+        **_reference(rules, ground),
         **metadata,
     }
     log.write(output, columns, head)
@@ -162,6 +162,18 @@ def _track(
         "checks": [check.model_dump() for check in found_checks],
     }
     return Outcome("track video", _summary(machine, found_checks, remark), machine, outputs)
+
+
+def _reference(rules: Setup, ground: plane.Plane) -> dict[str, Any]:
+    """What the pose in the log is that of."""
+    found: dict[str, Any] = {}
+    if rules.plane == "vertical":
+        found["facing"] = "left" if ground.runs_left else "right"
+    if rules.places is None:
+        return found | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
+    names = (rules.head_name, rules.tail)
+    places = {str(name): list(place) for name, place in zip(names, rules.places, strict=True)}
+    return found | {"reference": rules.robot or "robot", "markers_at_m": places}
 
 
 def _demand_markers(track: RawTrack, rules: Setup, kept: dict[int, Any]) -> None:
