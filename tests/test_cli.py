@@ -118,7 +118,9 @@ def test_a_bug_is_reported_as_one(swimid: Run, samples: Path, monkeypatch: pytes
     assert "--debug" in ran.err
 
 
-@pytest.mark.parametrize("name", ["trials", "robot", "parameters", "setup", "comparison", "gap", "evidence"])
+@pytest.mark.parametrize(
+    "name", ["trials", "robot", "parameters", "setup", "comparison", "gap", "sensitivity", "evidence"]
+)
 def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
     document = json.loads(swimid("schema", name).out)
     assert document["$schema"].startswith("https://json-schema.org/")
@@ -126,7 +128,17 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
 
 
 def test_schema_lists_formats(swimid: Run) -> None:
-    names = ["trials", "robot", "parameters", "setup", "mapping", "comparison", "gap", "evidence"]
+    names = [
+        "trials",
+        "robot",
+        "parameters",
+        "setup",
+        "mapping",
+        "comparison",
+        "gap",
+        "sensitivity",
+        "evidence",
+    ]
     assert swimid("schema").out.split() == names
 
 

@@ -18,6 +18,7 @@ from swimid.cli import (
     report,
     rwls,
     schema,
+    sensitivity,
     simulate,
     track,
 )
@@ -27,7 +28,7 @@ SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track", "import"]),
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
     ("Simulate and compare", ["simulate", "compare"]),
-    ("Diagnose", ["diagnose"]),
+    ("Diagnose", ["diagnose", "sensitivity"]),
     ("Publish", ["plot", "report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
@@ -71,6 +72,7 @@ for command in (
     simulate.command,
     compare.command,
     diagnose.command,
+    sensitivity.command,
     plot.command,
     report.command,
     export.command,

@@ -48,6 +48,19 @@ def bounded(texts: tuple[str, ...], option: str) -> dict[str, tuple[float, float
     return found
 
 
+def swept(texts: tuple[str, ...], option: str) -> dict[str, tuple[float, float, int]]:
+    """``NAME=LOW:HIGH:COUNT`` items."""
+    found = {}
+    for name, value in _named(texts, option):
+        parts = value.split(":")
+        if len(parts) != 3 or not parts[2].strip().isdigit():
+            raise UsageError(f"{option}: '{name}={value}' should be NAME=LOW:HIGH:COUNT")
+        if name in found:
+            raise UsageError(f"{option}: {name} is given twice")
+        found[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
+    return found
+
+
 def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
     pairs = []
     for text in texts:

@@ -74,15 +74,17 @@ class Span(_Part):
 class Heat(_Part):
     """A table of numbers shaded by their size, in place of the traces of a panel.
 
-    The number stands in every cell; the shade grows with its logarithm where it exceeds ``neutral``.
+    The number stands in every cell; the shade grows with its logarithm where it exceeds ``neutral``, or
+    evenly from the smallest to the largest number.
     """
 
     rows: list[str]
     columns: list[str]
     #: One list a row; None where there is no number.
     values: list[Numbers]
-    #: Up to here a cell is not shaded.
+    #: Up to here a cell is not shaded, with a scale of logarithms.
     neutral: float = Field(default=1.0, gt=0)
+    scale: Literal["log", "linear"] = "log"
 
 
 class Panel(_Part):

@@ -63,7 +63,10 @@ def draw(axes: Axes, heat: Heat, width: float, font: float) -> None:
         for j, value in enumerate(row):
             if value is not None:
                 corner = (j - 0.5, i - 0.5)
-                shade = _shade(value, heat.neutral, largest)
+                if heat.scale == "linear":
+                    shade = _evenly(value, min(known), max(known))
+                else:
+                    shade = _shade(value, heat.neutral, largest)
                 axes.add_patch(Rectangle(corner, 1, 1, facecolor=SERIES[0], alpha=shade, lw=0, zorder=1))
             text = numbers.number(value, 2)
             axes.text(j, i, text, ha="center", va="center", fontsize=size, color=INK, zorder=3)
@@ -94,6 +97,11 @@ def _shade(value: float, neutral: float, largest: float) -> float:
     if value <= neutral:
         return 0.0
     return _DARKEST * math.log(value / neutral) / math.log(largest / neutral)
+
+
+def _evenly(value: float, smallest: float, largest: float) -> float:
+    """Opacity of a cell, by the place of its value between two others."""
+    return _DARKEST * (value - smallest) / (largest - smallest) if largest > smallest else 0.0
 
 
 def _short(name: str) -> str:

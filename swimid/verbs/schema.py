@@ -9,7 +9,18 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from swimid.errors import UsageError, suggestion
-from swimid.formats import atomic, comparison, evidence, gap, mapping, parameters, robot, setup, trials
+from swimid.formats import (
+    atomic,
+    comparison,
+    evidence,
+    gap,
+    mapping,
+    parameters,
+    robot,
+    sensitivity,
+    setup,
+    trials,
+)
 from swimid.verbs.outcome import Outcome
 
 
@@ -23,6 +34,7 @@ def schemas() -> dict[str, dict[str, Any]]:
         "mapping": mapping.Mapping,
         "comparison": comparison.ComparisonFile,
         "gap": gap.GapFile,
+        "sensitivity": sensitivity.SensitivityFile,
         "evidence": evidence.Evidence,
     }
     return {
