@@ -19,7 +19,7 @@ from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import identifiability, output_error
-from swimid.experiments import multilink
+from swimid.experiments import swimmer as swimmer_trials
 from swimid.formats import evidence, parameters
 from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
@@ -181,7 +181,7 @@ class TestRecovery:
         assert list(told) == list(file.parameters)
         for name, e in file.parameters.items():
             assert (told[name]["value"], told[name]["stderr"]) == (e.value, e.stderr)
-        experiment = multilink.load(trials)
+        experiment = swimmer_trials.load(trials)
         values = np.array(
             [
                 file.value(p.name) if p.name in file.parameters else p.start
@@ -324,7 +324,7 @@ class TestLogs:
         run = swimmer.Run("d", drive, swimmer.simulate("dolphin", None, drive, 2.0))
         columns = ["x_m", "z_m", "pitch_rad", "joint2_rad"]
         path = swimmer.write_trials(tmp_path, "dolphin", [run], {}, 0, columns=columns, with_drive=False)
-        experiment = multilink.load(path, start_state="rest")
+        experiment = swimmer_trials.load(path, start_state="rest")
         (trial,) = experiment.trials
         still, moved = (motion(trial.time_s)[0] for motion in trial.settings["joints"])
         assert not still.any()
@@ -358,7 +358,7 @@ class TestLogs:
 
     def test_rest_is_rest_without_noise(self, tmp_path: Path) -> None:
         for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
-            assert multilink.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
+            assert swimmer_trials.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
 
     def test_a_held_out_run_elsewhere(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
@@ -601,7 +601,7 @@ class TestBadInput:
         "old, new, said",
         [
             ("robot: tfish", "robot: tfisch", "did you mean 'tfish'"),
-            ("robot: tfish", "robot: boxfish", "has no 'multilink' part"),
+            ("robot: tfish", "robot: boxfish", "has no 'multilink' or 'multibody' part"),
             ("experiment: free-swim", "experiment: falling-weight", "'falling-weight' is not allowed"),
             ("experiment: free-swim", "experiment: freeswim", "did you mean 'free-swim'"),
             ("log: slow.csv", "log: sloe.csv", "sloe.csv"),
@@ -684,7 +684,7 @@ class TestPublishedFish:
         """95 % intervals over 50 seeds of noise; starts at the truth, the minimum is the same."""
         repeats = 50
         trials = _write(tmp_path, _published("mid-link"), dict.fromkeys(noise, 0.0))
-        experiment = multilink.load(trials, start_state="rest", max_step=0.01)
+        experiment = swimmer_trials.load(trials, start_state="rest", max_step=0.01)
         begin = _starting_at(experiment.model.parameters, swimmer.TFISH)
         inside = dict.fromkeys(swimmer.TFISH, 0)
         sums = []

@@ -8,6 +8,7 @@ import click
 
 from swimid.cli.common import Shared, protect, running, shared_options
 from swimid.cli.parsing import bounded, named_number, named_word
+from swimid.errors import UsageError
 
 
 @click.command("fit-graybox")
@@ -54,6 +55,75 @@ from swimid.cli.parsing import bounded, named_number, named_word
     help="Start from so many points in the bounds.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
+@click.option(
+    "--method",
+    type=click.Choice(["least-squares", "nsga2", "hybrid"]),
+    default="least-squares",
+    show_default=True,
+    help="nsga2: a Pareto front of time-warped distances, and a point chosen on it. hybrid: least squares "
+    "that starts there.",
+)
+@click.option(
+    "--population",
+    type=click.IntRange(4),
+    default=80,
+    show_default=True,
+    help="nsga2, hybrid: points at a time.",
+)
+@click.option(
+    "--generations",
+    type=click.IntRange(1),
+    default=50,
+    show_default=True,
+    help="nsga2, hybrid: so many times.",
+)
+@click.option(
+    "--crossover",
+    type=click.FloatRange(0, 1),
+    default=0.8,
+    show_default=True,
+    help="nsga2, hybrid: probability of crossover.",
+)
+@click.option(
+    "--fronts",
+    type=click.Choice(["profile", "overall"]),
+    default="profile",
+    show_default=True,
+    help="nsga2, hybrid: a front for each motion profile, or one over all trials.",
+)
+@click.option(
+    "--pick",
+    default="least-worst",
+    show_default=True,
+    metavar="RULE|INDEX",
+    help="nsga2, hybrid: choose a point by least-worst or knee, or by its index.",
+)
+@click.option(
+    "--front",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="nsga2, hybrid: choose from this front of an earlier run; no search.",
+)
+@click.option(
+    "--scale",
+    "scales",
+    multiple=True,
+    metavar="CHANNEL=SIZE",
+    help="nsga2, hybrid: an error of this size counts as one. Default: 0.05 m, 0.05 m/s, 5 deg, 10 deg/s.",
+)
+@click.option(
+    "--band",
+    type=click.FloatRange(0, 1),
+    default=0.05,
+    show_default=True,
+    help="nsga2, hybrid: stretch time by at most this share of a record.",
+)
+@click.option(
+    "--resume/--no-resume",
+    default=None,
+    help="nsga2, hybrid: insist on going on with an unfinished search, or begin anew. Default: go on where "
+    "there is one.",
+)
 @click.option("--subset", is_flag=True, help="Hold what the trials cannot tell, until all the rest is known.")
 @click.option(
     "--reading",
@@ -84,6 +154,16 @@ def command(
     loss: str,
     starts: int,
     seed: int,
+    method: str,
+    population: int,
+    generations: int,
+    crossover: float,
+    fronts: str,
+    pick: str,
+    front: Path | None,
+    scales: tuple[str, ...],
+    band: float,
+    resume: bool | None,
     subset: bool,
     readings: tuple[str, ...],
     max_step: float,
@@ -93,17 +173,23 @@ def command(
     """Identify the coefficients of a multi-link swimmer.
 
     TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
-    dolphin, or a robot file of your own. Ctrl-C keeps the best point so far.
+    dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far, and the generations
+    of a front.
 
     \b
     Examples:
       swimid fit-graybox trials.yaml -o tfish.yaml
       swimid fit-graybox trials.yaml --share c_f --starts 8 -o tfish.yaml
       swimid fit-graybox trials.yaml --channels u_m_s,yaw_rate_rad_s --free d_p -o tfish.yaml
+      swimid fit-graybox strokes.yaml --method hybrid -o sealion.yaml
+      swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
     """
     with running("fit-graybox", shared) as run:
+        if method == "least-squares" and (front is not None or resume is not None):
+            raise UsageError("--front and --resume belong to --method nsga2 or hybrid")
         protect(shared.output, shared, inputs=(trials,))
         from swimid.verbs.fit_graybox import fit_graybox
+        from swimid.verbs.fit_graybox_front import Genetic
 
         run.finish(
             fit_graybox(
@@ -122,6 +208,18 @@ def command(
                 subset=subset,
                 readings=named_word(readings, "--reading"),
                 max_step=max_step,
+                method=method,  # type: ignore[arg-type]
+                options=Genetic(
+                    population=population,
+                    generations=generations,
+                    crossover=crossover,
+                    per_profile=fronts == "profile",
+                    pick=pick,
+                    front=front,
+                    resume=resume,
+                    scales=named_number(scales, "--scale"),
+                    band=band,
+                ),
                 jobs=jobs,
                 progress=run.progress,
             )

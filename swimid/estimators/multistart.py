@@ -44,6 +44,7 @@ def multistart(
     *,
     starts: int = 8,
     seed: int = 0,
+    begins: Sequence[Array] | None = None,
     jobs: int | None = None,
     loss: output_error.Loss = "linear",
     progress: Progress = silent,
@@ -55,9 +56,11 @@ def multistart(
     model, trials, parameters, jobs, loss
         As :func:`swimid.estimators.output_error.fit` takes them.
     starts : int
-        The first is the parameters' own start; the others are uniform within the bounds, or
-        within one scale of the start on a side without a bound.
+        The first are ``begins``; the others are uniform within the bounds, or within one scale of
+        the start on a side without a bound.
     seed : int
+    begins : sequence of ndarray, each shape (p,), optional
+        Default the parameters' own start alone.
 
     Returns
     -------
@@ -74,15 +77,14 @@ def multistart(
     parameters = tuple(parameters or model.parameters)
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
-    bounded = np.isfinite(problem.lower) & np.isfinite(problem.upper)
-    low = np.where(bounded, problem.lower, np.maximum(problem.start - problem.scale, problem.lower))
-    high = np.where(bounded, problem.upper, np.minimum(problem.start + problem.scale, problem.upper))
+    low, high = problem.box()
+    given = [problem.start] if begins is None else list(begins)
     best: FitResult | None = None
     ends: list[Start] = []
     failure: NoTrustworthyResult | None = None
     with progress("starts", total=starts) as step:
         for k in range(starts):
-            begin = rng.uniform(low, high) if k else problem.start
+            begin = given[k] if k < len(given) else rng.uniform(low, high)
             try:
                 found = output_error.fit(
                     model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin

@@ -113,6 +113,43 @@ def fit(
     return result
 
 
+def at(
+    model: Model,
+    trials: Sequence[Trial],
+    point: Array,
+    *,
+    parameters: Sequence[Parameter] | None = None,
+    jobs: int | None = None,
+) -> FitResult:
+    """What :func:`fit` would say of a point if its search ended there.
+
+    The covariance is that of the model made linear at the point; the misfit there counts as noise.
+
+    Parameters
+    ----------
+    point : ndarray, shape (p,)
+        One number per label of the result.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the model cannot be simulated there, or there are fewer samples than unknowns.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        result = _fit_once(
+            model,
+            trials,
+            tuple(parameters or model.parameters),
+            silent,
+            jobs or os.cpu_count() or 1,
+            "linear",
+            point,
+            search=False,
+        )
+    finer = model.refined()
+    return result if finer is None else replace(result, step_error=_step_error(result, finer))
+
+
 def _step_error(result: FitResult, finer: Model) -> float:
     trials = {t.id: t for t in result.trials}
     worst = 0.0
@@ -133,6 +170,8 @@ def _fit_once(
     jobs: int,
     loss: Loss,
     begin: Array | None,
+    *,
+    search: bool = True,
 ) -> FitResult:
     fitted = [t for t in trials if t.role == "fit"]
     if not fitted:
@@ -146,17 +185,20 @@ def _fit_once(
             hint="give longer logs or more trials, or fix some parameters",
         )
     try:
-        search = _Search(problem, start, loss)
-        search.run(progress)
-        _insist(problem, search)
-        if search.crept:
+        path = _Search(problem, start, loss)
+        if search:
+            path.run(progress)
+        else:
+            path.stay()
+        _insist(problem, path)
+        if path.crept:
             warn(
                 "SWM026",
-                f"the search crept along a flat valley and was ended after {search.iterations} iterations: "
+                f"the search crept along a flat valley and was ended after {path.iterations} iterations: "
                 f"ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
             )
-        noise = noise_model.estimate(problem, search.theta, search.noise, robust=loss == "huber")
-        return _result(problem, search, noise, parameters, tuple(trials), loss)
+        noise = noise_model.estimate(problem, path.theta, path.noise, robust=loss == "huber")
+        return _result(problem, path, noise, parameters, tuple(trials), loss)
     finally:
         problem.close()
 
@@ -179,13 +221,7 @@ class _Search:
 
     def run(self, progress: Progress) -> None:
         """Search until done or interrupted once there is a point to keep."""
-        fitted = self.problem.trials
-        # equal weights everywhere stay equal: one round is enough
-        even = (
-            self.loss == "linear"
-            and len({c for names in self.problem.channels for c in names}) == 1
-            and not any(t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted)
-        )
+        even = self._even()
         rounds = 1 if even else ROUNDS
         noise_model.weigh_first(self.problem, even)
         try:
@@ -201,6 +237,24 @@ class _Search:
                 raise
             self.interrupted, self.converged = True, False
             self.message = f"interrupted after {self.iterations} iterations"
+
+    def stay(self) -> None:
+        """Take the point as the end, and settle the weights there."""
+        even = self._even()
+        noise_model.weigh_first(self.problem, even)
+        for _ in range(0 if even else ROUNDS):
+            if self._reweigh() < SETTLED:
+                break
+        self.converged, self.message = True, "no search: the point was given"
+
+    def _even(self) -> bool:
+        """Whether all samples weigh the same and go on doing so: one round is then enough."""
+        fitted = self.problem.trials
+        return (
+            self.loss == "linear"
+            and len({c for names in self.problem.channels for c in names}) == 1
+            and not any(t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted)
+        )
 
     def _reweigh(self) -> float:
         """Estimate the noise anew; the largest relative change of a weight."""

@@ -115,6 +115,16 @@ class Problem:
         known = {} if owner is None else self.trials[owner].settings.get("starts", {})
         return float(known.get(parameter.name, parameter.start))
 
+    def box(self) -> tuple[Array, Array]:
+        """Ends of the range a search over all of it covers, each shape (p,).
+
+        The bounds; where a side has none, one scale from the start.
+        """
+        bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
+        low = np.where(bounded, self.lower, np.maximum(self.start - self.scale, self.lower))
+        high = np.where(bounded, self.upper, np.minimum(self.start + self.scale, self.upper))
+        return low, high
+
     def own(self, trial: int) -> list[int]:
         """Places of the numbers that belong to one trial alone."""
         return [j for j, (_, owner) in enumerate(self.slots) if owner == trial]
@@ -131,7 +141,7 @@ class Problem:
         """Simulated channels of every trial; the last few points are remembered."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
-            found = self._simulate([(theta, k) for k in range(len(self.trials))])
+            found = self.simulated([(theta, k) for k in range(len(self.trials))])
             while len(self._simulated) >= KEPT:
                 del self._simulated[next(iter(self._simulated))]
             self._simulated[key] = found
@@ -227,7 +237,7 @@ class Problem:
         if self.quick is None:
             here = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
         else:
-            base = self._simulate([(theta, k) for k in range(len(self.trials))], self.quick)
+            base = self.simulated([(theta, k) for k in range(len(self.trials))], self.quick)
             here = [self.stacked(k, s) for k, s in enumerate(base)]
         steps = (1e-5 if central else 1e-6) * size
         # step towards the inside of the bounds
@@ -247,7 +257,7 @@ class Problem:
                     moved[j] += sign * steps[j]
                     points.append((moved, k))
                 places.append((k, j))
-        moves = iter(zip(points, self._simulate(points, self.quick), strict=True))
+        moves = iter(zip(points, self.simulated(points, self.quick), strict=True))
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
             ahead, back, back_at = self.stacked(k, simulated), here[k], theta
@@ -273,7 +283,7 @@ class Problem:
         # a step of one standard error in any direction changes the cost by the residuals' variance
         return moved * samples <= self.near**2 * left
 
-    def _simulate(
+    def simulated(
         self, points: list[tuple[Array, int]], model: Model | None = None
     ) -> list[dict[str, Array]]:
         """Simulations of (numbers, trial) pairs, in their order."""

@@ -6,33 +6,33 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.estimators import identifiability, metrics, multistart, output_error, start_states
-from swimid.estimators.fit_result import FitResult, Series
-from swimid.experiments import multilink as multilink_experiment
+from swimid.estimators import identifiability, multistart, output_error, start_states
+from swimid.estimators.fit_result import FitResult
+from swimid.estimators.profiles import Profiles
+from swimid.experiments import swimmer
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
 from swimid.formats import parameters as parameters_format
 from swimid.formats import provenance
 from swimid.formats import robot as robot_format
 from swimid.formats.parameters import ParameterFile
-from swimid.models.base import Model, Parameter
-from swimid.models.multilink.drive import Beat as Drive
-from swimid.models.multilink.model import DEFAULT_STEP, PLANES, prepare
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.multilink.model import DEFAULT_STEP, prepare
 from swimid.models.tied import Tied, groups_by_prefix
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
-from swimid.reporting import numbers
-from swimid.signals.beat import find_beat
-from swimid.verbs import fit_common
+from swimid.verbs import fit_common, fit_graybox_evidence
+from swimid.verbs import fit_graybox_front as front
+from swimid.verbs.fit_graybox_evidence import body_of
+from swimid.verbs.fit_graybox_front import Found, Genetic
 from swimid.verbs.outcome import Outcome
 
-#: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
-BEAT_HARMONICS = 3.5
+Method = Literal["least-squares", "nsga2", "hybrid"]
 
 
 def fit_graybox(
@@ -52,6 +52,8 @@ def fit_graybox(
     subset: bool = False,
     readings: Mapping[str, str] | None = None,
     max_step: float = DEFAULT_STEP,
+    method: Method = "least-squares",
+    options: Genetic = front.AS_PUBLISHED,
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> Outcome:
@@ -80,6 +82,10 @@ def fit_graybox(
     readings : mapping, optional
         Readings of the robot's source other than the file's.
     max_step : float, s
+    method : {"least-squares", "nsga2", "hybrid"}
+        Output error; a Pareto front and a point chosen on it; output error that starts on the front.
+    options : Genetic
+        Of the front.
     jobs : int, optional
         Threads; default one per processor.
 
@@ -92,7 +98,7 @@ def fit_graybox(
         far is then written first.
     """
     with recorded(repeat=True) as notices:
-        experiment = multilink_experiment.load(
+        experiment = swimmer.load(
             trials_file, readings=readings, channels=channels, start_state=start_state, max_step=max_step
         )
         prepare(progress)
@@ -107,29 +113,8 @@ def fit_graybox(
             bounds=bounds,
             also=[begin] if begin else [],
         )
-        if starts > 1:
-            result, ends = multistart.multistart(
-                model,
-                experiment.trials,
-                choices,
-                starts=starts,
-                seed=seed,
-                jobs=jobs,
-                loss=loss,
-                progress=progress,
-            )
-        else:
-            result = output_error.fit(
-                model, experiment.trials, parameters=choices, jobs=jobs, loss=loss, progress=progress
-            )
-            ends = []
-        left_out: list[str] = []
-        if subset:
-            result = _starting_here(result, experiment)
-            result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
-        result = start_states.with_held_out(result)
         origin = provenance.collect(
-            [*experiment.inputs, *([begin] if begin else [])],
+            [*experiment.inputs, *(p for p in (begin, options.front) if p is not None)],
             settings={
                 "fixed": dict(fixed or {}),
                 "freed": list(freed),
@@ -143,25 +128,68 @@ def fit_graybox(
                 "subset": subset,
                 "readings": dict(readings or {}),
                 "max_step_s": max_step,
+                "method": method,
+                **(options.settings() if method != "least-squares" else {}),
             },
         )
-        file = _file(experiment, result, origin, left_out, output, trials_file, readings)
+        found: Found | None = None
+        stages: dict[str, FitResult | None] = {}
+        ends: list[multistart.Start] = []
+        if method == "least-squares":
+            result, ends = _least_squares(
+                model, experiment.trials, choices, None, starts, seed, jobs, loss, progress
+            )
+        else:
+            profiles = Profiles(
+                model, choices, experiment.trials, front.profiled(experiment.facts["profiles"], options),
+                scales=options.scales, band=options.band, jobs=jobs or os.cpu_count() or 1,
+            )  # fmt: skip
+            keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
+            found = front.search(profiles, options, seed=seed, checkpoint=keep, progress=progress)
+            result = _picked(model, experiment.trials, choices, found, jobs)
+            stages = {front.UNTUNED: _untuned(model, experiment.trials, choices, profiles, jobs)}
+            stages[front.CHOSEN] = start_states.with_held_out(result)
+            if method == "hybrid":
+                begins = found.begins(starts)
+                result, ends = _least_squares(
+                    model, experiment.trials, choices, begins, starts, seed, jobs, loss, progress
+                )
+        left_out: list[str] = []
+        if subset:
+            result = _starting_here(result, experiment)
+            result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
+        result = start_states.with_held_out(result)
+        if method == "hybrid":
+            stages[front.AFTER] = result
+        file = _file(experiment, result, origin, left_out, output, trials_file, readings, method)
         checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
         if ends:
-            checks.append(_starts_check(ends))
+            checks.append(fit_graybox_evidence.starts_check(ends))
+        if found is not None:
+            found.profiles.close()
+    tables = fit_graybox_evidence.tables(experiment, result, ends)
+    figures = [*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)]
+    methods = fit_graybox_evidence.methods(experiment, result, ends, left_out, method)
+    if found is not None:
+        tables = [front.stages_table(found, stages), front.choices_table(found), *tables]
+        figures = [*front.figures(found, stages), *figures]
+        methods = [*front.methods(found, options, method, seed), *methods]
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=fit_common.verdict(checks, fit_common.answer(file)),
         checks=checks,
-        tables=_tables(experiment, result, ends),
-        figures=[*_track(experiment, result), *fit_common.figures(result)],
+        tables=tables,
+        figures=figures,
         notices=fit_common.notices(notices),
-        methods=_methods(experiment, result, ends, left_out),
+        methods=methods,
         references=list(experiment.robot.sources),
         provenance=origin,
     )
     outputs = fit_common.save(output, file, evidence)
+    if found is not None and output is not None:
+        outputs += front.save(output, found, options)
+        keep.done()
     if result.interrupted:
         kept = f"; the best point so far is in {output}, from which --start-from goes on" if output else ""
         raise NoTrustworthyResult(f"{result.message}{kept}")
@@ -177,11 +205,63 @@ def fit_graybox(
             f"{', '.join(result.noise)}",
             fit_common.summary_rows(fit_common.brief(file)),
             *(f"  {line}" for line in file.identifiability),
-            *_scores(file),
+            *fit_graybox_evidence.scores(file),
+            *(front.summary(found, options, outputs) if found is not None else []),
             f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
         ]
     )
     return Outcome("fit-graybox", summary, file.model_dump(mode="json"), outputs)
+
+
+def _least_squares(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    begins: Sequence[Array] | None,
+    starts: int,
+    seed: int,
+    jobs: int | None,
+    loss: output_error.Loss,
+    progress: Progress,
+) -> tuple[FitResult, list[multistart.Start]]:
+    """The output-error fit, and its starts where there were several."""
+    starts = max(starts, len(begins or []))
+    if starts > 1:
+        return multistart.multistart(
+            model, trials, parameters,
+            starts=starts, seed=seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
+        )  # fmt: skip
+    begin = None if begins is None else begins[0]
+    found = output_error.fit(
+        model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin, progress=progress
+    )
+    return found, []
+
+
+def _picked(
+    model: Model, trials: Sequence[Trial], parameters: tuple[Parameter, ...], found: Found, jobs: int | None
+) -> FitResult:
+    """The point chosen on the front, with the errors of the model made linear there."""
+    theta = found.profiles.theta(found.point)
+    result = output_error.at(model, trials, theta, parameters=parameters, jobs=jobs)
+    return replace(result, message=f"point {found.chosen} of the front; standard errors are local to it")
+
+
+def _untuned(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    profiles: Profiles,
+    jobs: int | None,
+) -> FitResult | None:
+    """The start values, for comparison; None where they cannot be simulated."""
+    try:
+        begin = profiles.theta(profiles.start)
+        return start_states.with_held_out(
+            output_error.at(model, trials, begin, parameters=parameters, jobs=jobs)
+        )
+    except NoTrustworthyResult:
+        return None
 
 
 def _tied(model: Model, share: Sequence[str]) -> Model:
@@ -195,16 +275,15 @@ def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
     Held where a search starts, often the middle of the bounds, it would pull all others off. An
     estimate that ran into a bound is no value to hold either: the robot file's is taken then.
     """
-    body = experiment.robot.multilink
-    assert body is not None
+    known = body_of(experiment.robot).coefficients
 
     def moved(p: Parameter) -> Parameter:
         if p.per_trial:
             return p
         value = result.value(p.name)
         margin = 1e-3 * p.scale
-        if p.name in body.coefficients and (value - p.lower < margin or p.upper - value < margin):
-            value = body.coefficients[p.name].value
+        if p.name in known and (value - p.lower < margin or p.upper - value < margin):
+            value = known[p.name].value
         return replace(p, start=value)
 
     return replace(result, parameters=tuple(moved(p) for p in result.parameters))
@@ -212,7 +291,7 @@ def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
 
 def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) -> tuple[Parameter, ...]:
     """The parameters starting from a file's values; a shared one from its members' mean."""
-    file = parameters_format.read(path, model="multilink")
+    file = parameters_format.read(path, model=("multilink", "multibody"))
     found = []
     for parameter in parameters:
         members = [parameter.name]
@@ -236,6 +315,7 @@ def _file(
     output: Path | None,
     trials_file: str | Path,
     readings: Mapping[str, str] | None,
+    method: Method,
 ) -> ParameterFile:
     settings: dict[str, Any] = {}
     if readings:
@@ -250,7 +330,7 @@ def _file(
         robot=_robot_reference(experiment, trials_file, output),
         provenance=origin,
         settings=settings,
-        method=f"output error, {result.loss} loss",
+        method="point of a Pareto front" if method == "nsga2" else f"output error, {result.loss} loss",
     )
     parameters = file.parameters
     if isinstance(model, Tied):
@@ -265,191 +345,3 @@ def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Pa
         return name
     folder = output.parent if output else Path(trials_file).parent
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
-
-
-def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
-    """The paths in the plane of motion, where the pose was fitted."""
-    body = experiment.robot.multilink
-    assert body is not None
-    across, along = PLANES[body.plane].pose[:2]
-    traces = []
-    for group, trial in enumerate(t.id for t in result.trials):
-        series = {s.channel: s for s in result.series if s.trial == trial}
-        if across not in series or along not in series:
-            continue
-        held_out = ", held out" if series[across].role == "validate" else ""
-        for style, part in (("points", "measured"), ("line" if not held_out else "dashed", "simulated")):
-            x, y = getattr(series[across], part), getattr(series[along], part)
-            step = max(len(x) // 200, 1) if style == "points" else 1
-            label = f"{trial}{held_out}" if style == "points" else ""
-            traces.append(ev.Trace(x=x[::step], y=y[::step], style=style, label=label, group=group))
-    if not traces:
-        return []
-    view = "from above" if body.plane == "horizontal" else "from the side"
-    panel = ev.Panel(
-        x_label=f"{across[:-2]} (m)", y_label=f"{along[:-2]} (m)", traces=traces, equal_aspect=True
-    )
-    return [
-        ev.Figure(
-            id="track",
-            title=f"Paths {view}",
-            caption="Points are measured, lines simulated with the estimated parameters.",
-            panels=[panel],
-        )
-    ]
-
-
-def _starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
-    agree = multistart.agreeing(ends)
-    return ev.Check(
-        name="one minimum",
-        value=f"{agree} of {len(ends)} starts end in it",
-        limit="every start",
-        verdict="pass" if agree == len(ends) else "warn",
-        text="the other starts end higher; the lowest is reported" if agree < len(ends) else "",
-    )
-
-
-def _tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
-    tables = [_metrics_table(result)]
-    ranking = identifiability.ranked(result)
-    if len(ranking) > 1:
-        tables.append(
-            ev.Table(
-                id="ranking",
-                title="What the trials know best",
-                columns=["parameter", "share of its own", "status"],
-                rows=[[label, round(share, 4), result.status[label]] for label, share in ranking],
-                caption="From the best to the least identifiable parameter. The share is the part of the "
-                "trials' sensitivity to it that those above it, and the start states, cannot imitate.",
-            )
-        )
-    if ends:
-        tables.append(
-            ev.Table(
-                id="starts",
-                title="Starts",
-                columns=["start", "converged", "cost"],
-                rows=[[k + 1, end.converged, float(end.cost)] for k, end in enumerate(ends)],
-                caption="The cost is the mean squared residual, averaged geometrically over the channels.",
-            )
-        )
-    readings = experiment.robot.readings
-    if readings:
-        tables.append(
-            ev.Table(
-                id="readings",
-                title="How the source was read",
-                columns=["reading", "question", "chosen", "meaning"],
-                rows=[[k, r.question, r.chosen, r.options[r.chosen].says] for k, r in readings.items()],
-                caption="Other readings are options of the robot file (--reading NAME=OPTION).",
-            )
-        )
-    return tables
-
-
-def _metrics_table(result: FitResult) -> ev.Table:
-    rows: list[list[Any]] = []
-    units = {c.name: c.unit for c in result.model.channels}
-    drives = {t.id: t.settings.get("beat") for t in result.trials}
-    for s in result.series:
-        score = metrics.score(s.measured, s.simulated)
-        _, relative = metrics.peak_error(s.measured, s.simulated)
-        rows.append(
-            [
-                s.trial,
-                "held out" if s.role == "validate" else "fit",
-                s.channel,
-                numbers.number(score.rmse, 3, units[s.channel]),
-                numbers.number(100 * score.nrmse, 3, "%"),
-                numbers.number(100 * score.vaf, 4, "%"),
-                numbers.number(100 * relative, 3, "%"),
-                numbers.number(_dtw(s), 3, units[s.channel]),
-                _phase(s, drives[s.trial]),
-            ]
-        )
-    return ev.Table(
-        id="metrics",
-        title="Errors of every trial",
-        columns=[
-            "trial",
-            "role",
-            "channel",
-            "RMSE",
-            "NRMSE",
-            "VAF",
-            "peak error",
-            "DTW distance",
-            "phase error",
-        ],
-        rows=rows,
-        caption="NRMSE is over the measured range (tendon fish, Eq 13); the peak error is the difference of "
-        "the largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
-        "within 5 % of the record; the phase error is taken at the beat.",
-    )
-
-
-def _dtw(s: Series) -> float:
-    return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
-
-
-def _phase(s: Series, drive: Drive | None) -> str:
-    there = np.isfinite(s.measured)
-    highest = None
-    if drive is not None and there.sum() > 1:
-        rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
-        highest = min(BEAT_HARMONICS * drive.frequency_hz, 0.45 * rate)
-    beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
-    if beat is None:
-        return ""
-    error = metrics.phase_error(s.measured, s.simulated, s.time_s, frequency_hz=beat.frequency_hz)
-    return numbers.number(float(np.degrees(error)), 2, "deg")
-
-
-def _methods(
-    experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start], left_out: list[str]
-) -> list[str]:
-    fitted = [t for t in result.trials if t.role == "fit"]
-    names = [label for label in result.labels if "[" not in label]
-    body = experiment.robot.multilink
-    assert body is not None
-    model = result.model.model if isinstance(result.model, Tied) else result.model
-    said = [
-        f"{', '.join(names)} were estimated from {len(fitted)} {experiment.name} trials ({result.samples} "
-        f"samples of {', '.join(result.noise)}) by output-error maximum likelihood with a planar model of "
-        f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
-        f"{1e3 * getattr(model, 'max_step', DEFAULT_STEP):g} ms; halving them changes no sample by more than "
-        f"{result.step_error:.2g} standard deviations of its noise.",
-        "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
-        "accounted for.",
-    ]
-    if result.loss == "huber":
-        said.append("Huber's loss was used.")
-    if ends:
-        said.append(
-            f"{multistart.agreeing(ends)} of {len(ends)} starts, drawn evenly within the bounds, end in the "
-            "reported minimum."
-        )
-    if left_out:
-        said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")
-    if any("[" in label for label in result.labels):
-        kinds = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
-        said.append(
-            f"Each trial has its own {', '.join(kinds)}; on held-out trials these are estimated with the "
-            "rest held."
-        )
-    return said
-
-
-def _scores(file: ParameterFile) -> list[str]:
-    assert file.fit is not None
-    lines = []
-    for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
-        for channel, score in block.items():
-            rmse, nrmse = (
-                numbers.number(score["rmse"], 3, score["unit"]),
-                numbers.number(100 * score["nrmse"], 3),
-            )
-            vaf = numbers.number(100 * score["vaf"], 4)
-            lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse} %, VAF {vaf} %")
-    return lines
