@@ -26,6 +26,14 @@ from swimid.cli.parsing import named_number, named_word
 @click.option(
     "--set", "chosen", multiple=True, metavar="NAME=VALUE", help="Use this value of a parameter. Repeatable."
 )
+@click.option(
+    "--buoyancy-band",
+    type=click.FloatRange(0, 50),
+    default=2.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="Shade what so much less and more buoyancy changes (robots in space). 0 for none.",
+)
 @reading_option
 @step_option
 @shared_options("Comparison file to write (YAML).")
@@ -36,6 +44,7 @@ def command(
     channels: str,
     refit_start: bool,
     chosen: tuple[str, ...],
+    buoyancy_band: float,
     readings: tuple[str, ...],
     dt: float,
     shared: Shared,
@@ -43,7 +52,8 @@ def command(
     """Compare recorded trials with their simulation.
 
     TRIALS is a trials file of any experiment; the parameter file says which model is to describe it.
-    Errors by channel and trial, stroke by stroke and over the stroke's phase; the report draws them.
+    Errors by channel and trial, stroke by stroke and over the stroke's phase; the report draws them. Of a
+    robot in space, trials that repeat a motion are averaged and shown beside the paper's tables.
 
     \b
     Examples:
@@ -66,6 +76,7 @@ def command(
                 chosen=named_number(chosen, "--set"),
                 readings=named_word(readings, "--reading"),
                 dt=dt,
+                buoyancy=buoyancy_band / 100.0,
                 progress=run.progress,
             )
         )

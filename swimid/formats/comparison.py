@@ -92,6 +92,31 @@ class TrialComparison(yamlio.Document):
     mean_speed: Speed | None = None
 
 
+class CycleComparison(yamlio.Document):
+    """One stroke of a motion profile: quantities by name (Tables I and II of the sea lion paper), in SI."""
+
+    cycle: int
+    #: Means over the profile's trials.
+    measured: dict[str, Number]
+    simulated: dict[str, Number]
+    #: Standard deviation over them, where there are several.
+    spread: dict[str, Number] = {}
+
+
+class ProfileComparison(yamlio.Document):
+    """Trials that repeat one motion, the mean of them against that of their simulations."""
+
+    name: str
+    trials: list[str]
+    cycles: list[CycleComparison] = []
+    #: Between the mean paths, and the mean angles.
+    position_rmse_m: Number = None
+    orientation_rmse_rad: Number = None
+    #: From the first sample to the last, ``measured`` and ``simulated``.
+    surge_m: dict[str, Number] = {}
+    heave_m: dict[str, Number] = {}
+
+
 class ComparisonFile(yamlio.Document):
     """A comparison file."""
 
@@ -104,6 +129,8 @@ class ComparisonFile(yamlio.Document):
     #: All trials together, by channel.
     channels: dict[str, ChannelScore]
     trials: list[TrialComparison]
+    #: Of a robot in space.
+    profiles: list[ProfileComparison] = []
     #: Root-mean-square error of the mean speeds of all trials, m/s.
     mean_speed_rmse_m_s: Number = None
     settings: dict[str, Any] = {}

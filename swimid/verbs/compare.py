@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,13 @@ from swimid.models.multilink.model import DEFAULT_STEP
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.reporting import numbers
-from swimid.verbs import compare_evidence, compare_series, fit_common
+from swimid.verbs import (
+    compare_evidence,
+    compare_series,
+    compare_strokes,
+    compare_strokes_evidence,
+    fit_common,
+)
 from swimid.verbs.compare_series import Compared
 from swimid.verbs.outcome import Outcome
 
@@ -41,6 +48,7 @@ def compare(
     chosen: Mapping[str, float] | None = None,
     readings: Mapping[str, str] | None = None,
     dt: float = DEFAULT_STEP,
+    buoyancy: float = compare_strokes.BUOYANCY_SHARE,
     progress: Progress = silent,
 ) -> Outcome:
     """Compare recorded trials with their simulation.
@@ -62,6 +70,8 @@ def compare(
         shared parameters held.
     chosen, readings, dt
         As in :func:`swimid.verbs.simulate.simulate`.
+    buoyancy : float
+        Half width of the band of buoyancy drawn for robots in space, as a share of it; 0 for none.
 
     Raises
     ------
@@ -98,9 +108,12 @@ def compare(
                 "set": dict(chosen or {}),
                 "readings": dict(readings or {}),
                 "dt": dt,
+                "buoyancy_band": buoyancy,
             },
         )
+        profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
         file = _file(experiment, done, params, origin)
+        file.profiles = [p.record for p in profiles]
         checks = _checks(file)
     verdict = fit_common.verdict(checks, _answer(file))
     file.verdict = verdict.level
@@ -109,10 +122,13 @@ def compare(
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
         verdict=verdict,
         checks=checks,
-        tables=compare_evidence.tables(file),
-        figures=compare_evidence.figures(experiment, done, file),
+        tables=[*compare_strokes_evidence.tables(file.profiles), *compare_evidence.tables(file)],
+        figures=[
+            *compare_strokes_evidence.figures(profiles, buoyancy),
+            *compare_evidence.figures(experiment, done, file),
+        ],
         notices=fit_common.notices(notices),
-        methods=_methods(experiment, done, params),
+        methods=[*_methods(experiment, done, params), *compare_strokes_evidence.methods(profiles, buoyancy)],
         references=list(experiment.robot.sources),
         provenance=origin,
     )
@@ -134,7 +150,7 @@ def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
             hint = suggestion(name, list(done.pairs))
             raise UsageError(f"the trial '{done.trial.id}' has no channel '{name}' to compare", hint=hint)
     pairs = {name: p for name, p in done.pairs.items() if name in channels}
-    return Compared(done.trial, done.start, done.start_values, done.frequency_hz, pairs)
+    return replace(done, pairs=pairs)
 
 
 def _file(
@@ -268,6 +284,7 @@ def _summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
         for name, speed in speeds:
             pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
             lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
+    lines += compare_strokes_evidence.summary(file.profiles)
     estimated = sum(t.start == "estimated" for t in file.trials)
     if estimated:
         lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]

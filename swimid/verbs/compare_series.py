@@ -66,6 +66,8 @@ class Compared:
         Those that were estimated here.
     frequency_hz : float or None
     pairs : dict of str to Pair
+    values : ndarray, shape (p,)
+        Parameters of the simulation.
     """
 
     trial: Trial
@@ -73,6 +75,7 @@ class Compared:
     start_values: dict[str, float]
     frequency_hz: float | None
     pairs: dict[str, Pair]
+    values: Array
 
     @property
     def drive(self) -> dict[str, Any]:
@@ -96,7 +99,7 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
         When the simulation breaks down.
     """
     model: Model = experiment.model
-    values, start, found = _start(applied, trial, refit)
+    values, start, found = start_of(applied, trial, refit)
     if isinstance(model, Arma) and refit and (model.output_level or model.source_level):
         model, level = _about_own_level(model, values, trial)
         start, found = "estimated", {"output_level": level}
@@ -124,10 +127,10 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     frequency = _frequency(model, trial, values, pairs) if isinstance(model, MultilinkModel) else None
     if isinstance(model, MultilinkModel):
         pairs = _with_velocities(model, trial, pairs, frequency)
-    return Compared(trial, start, found, frequency, pairs)
+    return Compared(trial, start, found, frequency, pairs, values)
 
 
-def _start(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
+def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
     """Parameters of a trial with its start state: from the file, estimated, or neutral."""
     model = applied.model
     values = applied.values(trial.id)
@@ -138,7 +141,9 @@ def _start(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, d
     names = {
         p.name
         for p in own
-        if (p.free or p.name in estimated) and p.name.startswith(STARTS) and p.name not in applied.chosen
+        if (p.free or p.name in estimated)
+        and (p.name.startswith(STARTS) or p.name in getattr(model, "coefficients", ()))
+        and p.name not in applied.chosen
     }
     if not refit or not names:
         return values, "neutral", {}

@@ -1,0 +1,128 @@
+"""Motion profiles of a robot in space: per-cycle tables, means of repeats, the band of buoyancy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from swimid.estimators import stroke_cycles
+from swimid.formats import comparison, evidence
+from swimid.formats import parameters as parameters_format
+from swimid.formats.parameters import Estimate, ParameterFile
+from tests.conftest import SAMPLES, Ran
+
+Run = Callable[..., Ran]
+TRIALS = SAMPLES / "sealion" / "trials.yaml"
+
+
+def _params(folder: Path) -> Path:
+    values = {"water_volume": 0.0085, "com_offset": 0.016, "z_added_mass": 1.35, "z_drag": 1.65}
+    estimates = {n: Estimate(value=v, unit="1", status="fixed") for n, v in values.items()}
+    path = folder / "params.yaml"
+    parameters_format.write(path, ParameterFile(model="multibody", robot="sealion", parameters=estimates))
+    return path
+
+
+def _log(name: str) -> pd.DataFrame:
+    return pd.read_csv(SAMPLES / "sealion" / f"{name}.csv", comment="#")
+
+
+@pytest.mark.kernels
+def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) -> None:
+    out = tmp_path / "c.yaml"
+    ran = swimid("compare", TRIALS, "--params", _params(tmp_path), "--no-refit-start", "-o", out)
+    assert ran.status == 0, ran.err
+    file = comparison.read(out)
+    profiles = {p.name: p for p in file.profiles}
+    assert list(profiles) == ["characteristic", "characteristic-pelvis", "pitch"]
+    one = profiles["characteristic"]
+    assert one.trials == ["characteristic-1", "characteristic-2"]
+    assert len(one.cycles) == 3
+    logs = [_log(f"characteristic-{k}") for k in (1, 2)]
+    ways = [float(log["x_m"].iloc[-1] - log["x_m"].iloc[0]) for log in logs]
+    assert one.surge_m["measured"] == pytest.approx(np.mean(ways), abs=1e-12)
+    # the end of a stroke of 2.9 s is a sample of a film of 30 pictures a second
+    for cycle in one.cycles:
+        k = round(2.9 * cycle.cycle * 30)
+        ends = [float(log["pitch_rad"].iloc[k]) for log in logs]
+        assert cycle.measured["final_pitch_rad"] == pytest.approx(np.mean(ends), abs=1e-12)
+        assert cycle.spread["final_pitch_rad"] == pytest.approx(np.std(ends, ddof=1), abs=1e-12)
+        begin = round(2.9 * (cycle.cycle - 1) * 30)
+        rates = [float(log["pitch_rad"].iloc[k] - log["pitch_rad"].iloc[begin]) / 2.9 for log in logs]
+        assert cycle.measured["mean_pitch_rate_rad_s"] == pytest.approx(np.mean(rates), abs=1e-12)
+        assert set(cycle.simulated) == set(stroke_cycles.QUANTITIES)
+    assert profiles["pitch"].cycles == []
+    assert profiles["pitch"].position_rmse_m is not None
+    shown = evidence.read(evidence.sidecar(out))
+    assert {"profiles", "cycle-velocity", "cycle-angles", "cycle-way"} <= {t.id for t in shown.tables}
+    drawn = {f.id: f for f in shown.figures}
+    assert {"cycles", "profile-characteristic", "profile-pitch"} <= set(drawn)
+    for panel in drawn["profile-characteristic"].panels:
+        line = next(t for t in panel.traces if t.label == "simulated")
+        low, middle, high = (
+            np.array([math.nan if v is None else v for v in values])
+            for values in (line.lower or [], line.y, line.upper or [])
+        )
+        known = np.isfinite(low)
+        assert known.any()
+        assert (low[known] <= middle[known]).all()
+        assert (middle[known] <= high[known]).all()
+
+
+@pytest.mark.kernels
+def test_more_buoyancy_lifts_the_robot(swimid: Run, tmp_path: Path) -> None:
+    """Over a short time from rest a surplus F lifts a mass m by F t^2 / 2 m: both ends of the band, alike."""
+    trials = tmp_path / "trials.yaml"
+    trials.write_text(
+        "format: swimid-trials/1\nexperiment: multibody\nrobot: sealion\ntrials:\n"
+        f"  - {{id: a, log: {SAMPLES / 'sealion' / 'characteristic-1.csv'}, end_s: 0.6, "
+        "drive: {stroke: characteristic, scale: 0}}\n"
+    )
+    out = tmp_path / "c.yaml"
+    options = ("--params", _params(tmp_path), "--no-refit-start", "--buoyancy-band", "1", "-o", out)
+    assert swimid("compare", trials, *options).status == 0
+    figure = next(
+        f for f in evidence.read(evidence.sidecar(out)).figures if f.id == "profile-a" or "profile" in f.id
+    )
+    panel = next(p for p in figure.panels if p.y_label.startswith("z"))
+    line = next(t for t in panel.traces if t.label == "simulated")
+    assert line.lower is not None
+    assert line.upper is not None
+    up, down = line.upper[-1] - line.y[-1], line.y[-1] - line.lower[-1]
+    assert up > 0.001
+    assert up == pytest.approx(down, rel=0.1)
+    assert swimid("compare", trials, *options[:-3], "0", "-o", out).status == 0
+    figure = next(f for f in evidence.read(evidence.sidecar(out)).figures if "profile" in f.id)
+    assert all(t.lower is None for p in figure.panels for t in p.traces)
+
+
+def test_speeds_of_a_cycle_by_hand() -> None:
+    time = np.arange(88) / 30.0
+    window = stroke_cycles.windows(time, 1 / 2.9)[0]
+    x, z = 0.3 * time, 0.4 * time
+    found = stroke_cycles.quantities(time, {"x_m": x, "z_m": z}, window)
+    assert found["max_speed_m_s"] == pytest.approx(0.5)
+    assert found["mean_speed_m_s"] == pytest.approx(0.5)
+    assert found["surge_m"] == pytest.approx(0.3 * 2.9)
+    assert found["heave_m"] == pytest.approx(0.4 * 2.9)
+    # the log's own speeds win, turned into the world where they are the body's: nose up 90 degrees
+    own = {
+        "x_m": x,
+        "z_m": z,
+        "u_m_s": np.full(88, 0.2),
+        "w_m_s": np.zeros(88),
+        "pitch_rad": np.full(88, math.pi / 2),
+    }
+    found = stroke_cycles.quantities(time, own, window)
+    assert found["max_speed_m_s"] == pytest.approx(0.2)
+    velocity = stroke_cycles.velocity(time, own)
+    assert velocity is not None
+    np.testing.assert_allclose(velocity[1], 0.2)
+    # a gap in the speeds takes nothing from the way
+    own["u_m_s"][:5] = math.nan
+    assert stroke_cycles.quantities(time, own, window)["surge_m"] == pytest.approx(0.3 * 2.9)
