@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.generators import cruise, gap_trials, longfin, polled_camera, pool_video, rig, swimmer
+from tests.generators import cruise, gap_trials, longfin, polled_camera, pool_video, rig, sealion, swimmer
 
 
 def main(folder: Path) -> None:
@@ -17,6 +17,7 @@ def main(folder: Path) -> None:
     swimmer.write_sample(folder / "tfish")
     gap_trials.write_sample(folder / "gap")
     polled_camera.write_sample(folder / "camera")
+    sealion.write_sample(folder / "sealion")
 
 
 if __name__ == "__main__":
