@@ -221,6 +221,13 @@ def test_a_heat_map_shades_by_the_logarithm() -> None:
     assert heat._shade(0.0, 1.0, 16.0) == 0.0
 
 
+def test_a_heat_map_shades_evenly() -> None:
+    drawn = _svg(ev.Heat(rows=["a"], columns=["x", "y", "z"], values=[[-2.0, -1.5, 2.0]], scale="linear"))
+    shades = [float(o) for o in re.findall(r"fill: var\(--s1\); (?:fill-)?opacity: ([\d.]+)", drawn)]
+    # the smallest is not shaded at all; the drawing holds two decimals
+    assert shades == pytest.approx([heat._DARKEST / 8, heat._DARKEST], abs=0.01)
+
+
 @pytest.mark.parametrize("values", [[[1.0, 2.0]], [[1.0], [2.0]]])
 def test_a_heat_map_must_fit_its_labels(values: list[list[float | None]]) -> None:
     with pytest.raises(InputError, match=r"values"):

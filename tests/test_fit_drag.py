@@ -260,6 +260,7 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
     return trials
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["clicks", "white", "coloured", "sampled"])
 def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> None:
     """200 seeded repeats: 95 % intervals cover the truth in 92 to 98 %, for every kind of record.

@@ -131,6 +131,7 @@ class TestCruise:
         page = evidence.read(evidence.sidecar(out))
         assert {"fins", "points", "offsets", "departures"} == {t.id for t in page.tables}
 
+    @pytest.mark.slow
     def test_intervals_cover_the_truth(
         self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path
     ) -> None:

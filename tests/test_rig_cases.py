@@ -91,6 +91,7 @@ def test_a_decay_that_is_held_before_its_release(swimid: Run, tmp_path: Path) ->
         assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
 
 
+@pytest.mark.slow
 def test_friction_that_wanders_from_trial_to_trial(swimid: Run, tmp_path: Path) -> None:
     """5 % scatter of the friction: 95 % intervals of 12 repeats hold the truth in at least 9 for each."""
     hits = dict.fromkeys(TRUTH, 0)

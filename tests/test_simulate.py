@@ -80,6 +80,7 @@ def test_drag_in_strips_is_the_generators_slices(swimid: Run, tmp_path: Path) ->
         assert np.max(np.abs(log[name] - truth[name])) < 0.02 * np.ptp(truth[name]), name
 
 
+@pytest.mark.slow
 def test_uncertainty_is_that_of_repeated_draws(swimid: Run, tmp_path: Path) -> None:
     """The delta method against runs with parameters drawn from their errors."""
     errors = {"c_d4": 0.05, "c_f0": 0.0004}
@@ -263,7 +264,7 @@ def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -
     [
         ((), 2, "name a parameter file"),
         (("--robot", "tfihs", *BEAT), 3, "did you mean 'tfish'"),
-        (("--robot", "boxfish", *BEAT), 3, "no 'multilink' part"),
+        (("--robot", "boxfish", *BEAT), 3, "no 'multilink' or 'multibody' part"),
         (("--robot", "tfish"), 2, "needs --frequency-hz"),
         (("--robot", "tfish", "--frequency-hz", "1"), 2, "needs --amplitude-deg"),
         (("--robot", "tfish", "--frequency-hz", "150", "--amplitude-deg", "9"), 2, "cannot be integrated"),
