@@ -351,8 +351,8 @@ def _advice(
         where = _where(state)
         return (
             Advice(
-                f"repeat one setting three times, and vary what may drive the {where}: what repeats is "
-                "physics, what does not is chance",
+                "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
+                f"{where})",
                 (),
                 math.nan,
                 math.nan,

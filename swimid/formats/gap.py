@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from swimid.errors import InputError
 from swimid.formats import yamlio
 from swimid.formats.parameters import Status
+from swimid.formats.yamlio import Number, Pair
 
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
-
-
-def _known(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_known(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-#: A number, or nothing where none can be had.
-Number = Annotated[float | None, BeforeValidator(_known)]
-Pair = Annotated[tuple[float | None, float | None], BeforeValidator(_known)]
 
 
 class ChannelGap(yamlio.Document):
@@ -213,7 +199,5 @@ def read(path: str | Path) -> GapFile:
         When it is none.
     """
     path = Path(path)
-    data = yamlio.load(path)
-    if data.get("format") != FORMAT:
-        raise InputError(f"is no gap file: its 'format' must be {FORMAT}", file=path, line=1, column="format")
+    data = yamlio.of_format(path, FORMAT, "gap file")
     return yamlio.validate(data, GapFile, path)

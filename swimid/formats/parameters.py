@@ -114,11 +114,7 @@ def read(path: str | Path, *, model: str | tuple[str, ...] | None = None) -> Par
         When it is no parameter file, or of another model.
     """
     path = Path(path)
-    data = yamlio.load(path)
-    if data.get("format") != FORMAT:
-        raise InputError(
-            f"is no parameter file: its 'format' must be {FORMAT}", file=path, line=1, column="format"
-        )
+    data = yamlio.of_format(path, FORMAT, "parameter file")
     parameters = yamlio.validate(data, ParameterFile, path)
     models = (model,) if isinstance(model, str) else model
     if models and parameters.model not in models:

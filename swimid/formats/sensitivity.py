@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from swimid.errors import InputError
 from swimid.formats import yamlio
+from swimid.formats.yamlio import Number, Rows
 
 FORMAT: Literal["swimid-sensitivity/1"] = "swimid-sensitivity/1"
-
-
-def _known(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list):
-        return [_known(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-#: A number, or nothing where none can be had; the same in rows.
-Number = Annotated[float | None, BeforeValidator(_known)]
-Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
 
 
 class Range(yamlio.Document):
@@ -169,9 +155,5 @@ def read(path: str | Path) -> SensitivityFile:
         When it is none.
     """
     path = Path(path)
-    data = yamlio.load(path)
-    if data.get("format") != FORMAT:
-        raise InputError(
-            f"is no sensitivity file: its 'format' must be {FORMAT}", file=path, line=1, column="format"
-        )
+    data = yamlio.of_format(path, FORMAT, "sensitivity file")
     return yamlio.validate(data, SensitivityFile, path)

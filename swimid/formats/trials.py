@@ -177,12 +177,8 @@ def read(path: str | Path, *experiments: type[T]) -> T:
         For broken YAML, unknown keys, another experiment than those, repeated trial ids.
     """
     path = Path(path)
-    data = yamlio.load(path)
+    data = yamlio.of_format(path, FORMAT, "trials file")
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
-    if data.get("format") != FORMAT:
-        raise InputError(
-            f"is no trials file: its 'format' must be {FORMAT}", file=path, column="format", line=1
-        )
     experiment = data.get("experiment")
     if experiment not in names:
         line = data.lc.key("experiment")[0] + 1 if "experiment" in data else None

@@ -6,9 +6,9 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.constructor import DuplicateKeyError
@@ -32,6 +32,22 @@ class Document(BaseModel):
     """Base of every YAML format: unknown keys are errors, values are never coerced loosely."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
+
+
+def _known(value: Any) -> Any:
+    """Arrays as lists, and nothing where a number is none."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_known(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+#: A number, or nothing where none can be had; the same in lists, rows and pairs.
+Number = Annotated[float | None, BeforeValidator(_known)]
+Numbers = Annotated[list[float | None], BeforeValidator(_known)]
+Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
+Pair = Annotated[tuple[float | None, float | None], BeforeValidator(_known)]
 
 
 def _yaml() -> YAML:
@@ -110,6 +126,20 @@ def load(path: str | Path) -> CommentedMap:
         raise InputError(f"is not valid YAML: {first}", file=path) from error
     if not isinstance(data, CommentedMap):
         raise InputError("its top level must be 'key: value' lines", file=path, line=1)
+    return data
+
+
+def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
+    """A document that says it has a format.
+
+    Raises
+    ------
+    InputError
+        When it does not, naming ``what`` it should be.
+    """
+    data = load(path)
+    if data.get("format") != form:
+        raise InputError(f"is no {what}: its 'format' must be {form}", file=path, line=1, column="format")
     return data
 
 
