@@ -40,6 +40,8 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
     file = comparison.read(out)
     profiles = {p.name: p for p in file.profiles}
     assert list(profiles) == ["characteristic", "characteristic-pelvis", "pitch"]
+    # the joints that drive the manoeuvre are no prediction of it
+    assert set(file.channels) == {"x_m", "z_m", "pitch_rad"}
     one = profiles["characteristic"]
     assert one.trials == ["characteristic-1", "characteristic-2"]
     assert len(one.cycles) == 3

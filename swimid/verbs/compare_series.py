@@ -18,6 +18,7 @@ from swimid.experiments.base import Experiment
 from swimid.formats.comparison import ChannelScore, CycleTable, PhaseTable, Speed, TrialComparison
 from swimid.models.arx import Arma
 from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.multibody.model import MultibodyModel
 from swimid.models.multilink.model import MultilinkModel
 from swimid.notices import warn
 from swimid.signals.beat import find_beat
@@ -106,10 +107,10 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         simulated = model.simulate(values, trial)
     logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
-    if trial.settings.get("joints") is not None and isinstance(model, MultilinkModel):
+    if trial.settings.get("joints") is not None and isinstance(model, MultilinkModel | MultibodyModel):
         # measured joints that drive the run are no prediction of it
-        for axis in model.assembly.driven:
-            if axis.joint.driven is not None and axis.joint.driven.servo is None:
+        for axis in model.driven:
+            if axis.driven is not None and axis.driven.servo is None:
                 logged.pop(axis.column, None)
     pairs = {
         c.name: Pair(c.name, c.unit, c.meaning, "logged", trial.time_s, logged[c.name], simulated[c.name])
