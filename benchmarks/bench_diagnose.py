@@ -1,14 +1,16 @@
 """How long ``swimid diagnose`` takes, and how that grows with the number of trials.
 
-    PYTHONPATH=. python benchmarks/bench_diagnose.py [TRIALS ...]
+    PYTHONPATH=. python benchmarks/bench_diagnose.py [--plot FILE] [TRIALS ...]
 
 Tendon fish with play in its servos, made by the independent simulator of the tests: 20 s trials at 25 Hz of
 unlike settings, the whole catalogue, one thread per processor. Each size runs in a process of its own, whose
 largest resident memory is read; "over linear" is the wall time per trial against that of the smallest size.
+``--plot`` draws the wall time over the trials beside a straight line through the smallest size.
 """
 
 from __future__ import annotations
 
+import argparse
 import resource
 import subprocess
 import sys
@@ -51,16 +53,38 @@ def measured(count: int) -> tuple[float, float, float, gap.GapFile]:
         return wall, cpu, after.ru_maxrss / 1024.0, gap.read(folder / "gap.yaml")
 
 
+def plot(path: Path, counts: list[int], walls: list[float]) -> None:
+    """Wall time over trials."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(counts, walls, "o-", label="swimid diagnose")
+    axes.plot(
+        [0, counts[-1]], [0, walls[0] / counts[0] * counts[-1]], "--", label=f"linear from {counts[0]} trials"
+    )
+    axes.set(xlabel=f"trials of {DURATION_S:g} s", ylabel="wall time (s)", xlim=(0, None), ylim=(0, None))
+    axes.legend()
+    figure.savefig(path)
+
+
 def main() -> None:
-    counts = [int(word) for word in sys.argv[1:]] or list(COUNTS)
-    first = 0.0
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("trials", nargs="*", type=int, default=list(COUNTS))
+    parser.add_argument("--plot", type=Path)
+    options = parser.parse_args()
+    counts = sorted(options.trials)
+    first, walls = 0.0, []
     print(f"{'trials':>6}{'wall s':>9}{'cpu s':>9}{'over linear':>13}{'MB':>7}  answer")
-    for count in sorted(counts):
+    for count in counts:
         wall, cpu, memory, found = measured(count)
         first = first or wall / count
         answer = f"{found.verdict}: {', '.join(c.effect for c in found.causes) or '-'}"
         over = wall / count / first
         print(f"{count:>6}{wall:>9.1f}{cpu:>9.1f}{over:>13.2f}{memory:>7.0f}  {answer}", flush=True)
+        walls.append(wall)
+    if options.plot:
+        plot(options.plot, counts, walls)
 
 
 if __name__ == "__main__":
