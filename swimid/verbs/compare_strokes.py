@@ -14,7 +14,7 @@ from swimid.formats.comparison import CycleComparison, ProfileComparison
 from swimid.models.base import Array
 from swimid.models.multibody.model import MultibodyModel
 from swimid.signals.derivative import slope
-from swimid.verbs.compare_series import Compared, Pair
+from swimid.verbs.compare_series import Compared
 
 #: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
@@ -22,6 +22,13 @@ WINDOW_STROKE, WINDOW_S = 0.1, 0.15
 BUOYANCY_SHARE = 0.02
 SIDES = ("measured", "simulated")
 POSITION = ("x_m", "y_m", "z_m")
+#: What is derived where it is not logged: unit and meaning.
+DERIVED = {
+    "pitch_rate_rad_s": ("rad/s", "pitch rate"),
+    "vx_m_s": ("m/s", "speed along x"),
+    "vz_m_s": ("m/s", "speed along z"),
+    "speed_m_s": ("m/s", "speed in the vertical plane"),
+}
 ORIENTATION = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -79,115 +86,108 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
     if not isinstance(model, MultibodyModel):
         return []
     names = experiment.facts["profiles"]
-    bands = {d.trial.id: _banded(model, d, buoyancy) for d in done}
+    others = [model.with_buoyancy(1.0 + k * buoyancy) for k in (-1, 1)] if buoyancy and model.buoyant else []
+    seen = {d.trial.id: _Seen.of(d, others) for d in done if d.pairs}
     found = []
-    for name in dict.fromkeys(names[d.trial.id] for d in done):
-        members = [d for d in done if names[d.trial.id] == name and d.pairs]
-        if members:
-            means = _means([_with_speeds(d.pairs, d) for d in members], members, bands)
-            found.append(Profile(name, members, means, _record(name, members, means)))
+    for name in dict.fromkeys(names[trial] for trial in seen):
+        members = [one for trial, one in seen.items() if names[trial] == name]
+        means = _means(members)
+        found.append(Profile(name, [m.done for m in members], means, _record(name, members, means)))
     return found
 
 
 # ---------------------------------------------------------------- series
 
 
-def _banded(model: MultibodyModel, done: Compared, share: float) -> list[dict[str, Pair]]:
-    """The trial's pairs with less and with more buoyancy in place of the simulation."""
-    if not share or not model.buoyant:
-        return []
-    found = []
-    for factor in (1.0 - share, 1.0 + share):
-        other = model.with_buoyancy(factor)
-        with np.errstate(over="ignore", invalid="ignore"):
-            simulated = other.simulate(done.values, done.trial)
-        pairs = {
-            n: Pair(n, p.unit, p.meaning, p.source, p.time_s, p.measured, simulated[n])
-            for n, p in done.pairs.items()
-            if n in simulated
-        }
-        found.append(_with_speeds(pairs, done))
-    return found
+@dataclass(frozen=True)
+class _Seen:
+    """One trial's columns, speeds in the vertical plane and the pitch rate among them.
 
+    ``sides`` are those of :data:`SIDES`, ``band`` the simulations with less and with more buoyancy.
+    """
 
-def _with_speeds(pairs: Mapping[str, Pair], done: Compared) -> dict[str, Pair]:
-    """With the speed in the vertical plane and the pitch rate, as logged or derived from the pose alike."""
-    stroke = done.trial.settings.get("stroke")
-    half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
-    found = dict(pairs)
+    done: Compared
+    sides: dict[str, dict[str, Array]]
+    band: list[dict[str, Array]]
 
-    def add(name: str, unit: str, meaning: str, values: Sequence[Array]) -> None:
-        found[name] = Pair(name, unit, meaning, "pose", done.trial.time_s, values[0], values[1])
-
-    def rates(name: str) -> list[Array]:
-        return [slope(pairs[name].time_s, getattr(pairs[name], side), half) for side in SIDES]
-
-    if "pitch_rad" in pairs and "pitch_rate_rad_s" not in pairs:
-        add("pitch_rate_rad_s", "rad/s", "pitch rate", rates("pitch_rad"))
-    if "x_m" in pairs and "z_m" in pairs:
-        if {"u_m_s", "w_m_s", "pitch_rad"} <= pairs.keys():
-            both = [stroke_cycles.velocity(done.trial.time_s, _side(pairs, side)) for side in SIDES]
-            x, z = ([v[axis] for v in both if v is not None] for axis in (0, 1))
-        else:
-            x, z = rates("x_m"), rates("z_m")
-        add("vx_m_s", "m/s", "speed along x", x)
-        add("vz_m_s", "m/s", "speed along z", z)
-        add("speed_m_s", "m/s", "speed in the vertical plane", [np.hypot(*v) for v in zip(x, z, strict=True)])
-    return found
-
-
-def _side(pairs: Mapping[str, Pair], side: str) -> dict[str, Array]:
-    return {name: getattr(p, side) for name, p in pairs.items()}
-
-
-def _means(
-    each: Sequence[Mapping[str, Pair]],
-    members: Sequence[Compared],
-    bands: Mapping[str, list[dict[str, Pair]]],
-) -> dict[str, Mean]:
-    """Means of every channel all repeats have, on the first one's clock."""
-    begin = max(float(d.trial.time_s[0]) for d in members)
-    end = min(float(d.trial.time_s[-1]) for d in members)
-    clock = members[0].trial.time_s
-    clock = clock[(clock >= begin - 1e-9) & (clock <= end + 1e-9)]
-    found: dict[str, Mean] = {}
-    for name, first in each[0].items():
-        if any(name not in pairs for pairs in each) or not len(clock):
-            continue
-        measured = np.array([_on(clock, pairs[name], "measured") for pairs in each])
-        simulated = np.array([_on(clock, pairs[name], "simulated") for pairs in each])
-        spread = np.std(measured, axis=0, ddof=1) if len(each) > 1 else np.full(len(clock), math.nan)
-        sides = [bands[d.trial.id] for d in members]
-        band = None
-        if all(len(side) == 2 and name in side[0] for side in sides):
-            low, high = (
-                np.mean([_on(clock, side[k][name], "simulated") for side in sides], axis=0) for k in (0, 1)
-            )
-            between = (low, simulated.mean(axis=0), high)
-            band = (np.min(between, axis=0), np.max(between, axis=0))
-        found[name] = Mean(
-            first.unit, first.meaning, clock, measured.mean(axis=0), spread, simulated.mean(axis=0), band
+    @classmethod
+    def of(cls, done: Compared, others: Sequence[MultibodyModel]) -> _Seen:
+        """As logged, or derived from the pose on every side alike."""
+        sides = {side: {n: getattr(p, side) for n, p in done.pairs.items()} for side in SIDES}
+        band = []
+        for other in others:
+            with np.errstate(over="ignore", invalid="ignore"):
+                simulated = other.simulate(done.values, done.trial)
+            band.append({n: simulated[n] for n in done.pairs})
+        return cls(
+            done,
+            {side: _with_speeds(columns, done) for side, columns in sides.items()},
+            [_with_speeds(columns, done) for columns in band],
         )
+
+    def told(self, name: str) -> tuple[str, str]:
+        """Unit and meaning of a column."""
+        pair = self.done.pairs.get(name)
+        return DERIVED[name] if pair is None else (pair.unit, pair.meaning)
+
+
+def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
+    """With the speed in the vertical plane and the pitch rate."""
+    stroke, time = done.trial.settings.get("stroke"), done.trial.time_s
+    half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
+    found = dict(columns)
+    if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
+        found["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
+    if "x_m" in columns and "z_m" in columns:
+        own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
+        moving = stroke_cycles.velocity(time, columns) if own else None
+        if moving is None:
+            moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
+        found["vx_m_s"], found["vz_m_s"] = moving
+        found["speed_m_s"] = np.hypot(*moving)
     return found
 
 
-def _on(clock: Array, pair: Pair, side: str) -> Array:
-    values = getattr(pair, side)
+def _means(members: Sequence[_Seen]) -> dict[str, Mean]:
+    """Means of every channel all repeats have, on the first one's clock."""
+    times = [m.done.trial.time_s for m in members]
+    begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
+    clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
+    found: dict[str, Mean] = {}
+    for name in members[0].sides["measured"]:
+        if any(name not in m.sides["measured"] for m in members) or not len(clock):
+            continue
+
+        def on_clock(columns: Sequence[Mapping[str, Array]], name: str = name) -> Array:
+            return np.array([_on(clock, t, c[name]) for t, c in zip(times, columns, strict=True)])
+
+        measured, simulated = (on_clock([m.sides[side] for m in members]) for side in SIDES)
+        spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
+        middle = simulated.mean(axis=0)
+        band = None
+        if members[0].band:
+            low, high = (on_clock([m.band[k] for m in members]).mean(axis=0) for k in (0, 1))
+            band = (np.min((low, middle, high), axis=0), np.max((low, middle, high), axis=0))
+        unit, meaning = members[0].told(name)
+        found[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, middle, band)
+    return found
+
+
+def _on(clock: Array, time: Array, values: Array) -> Array:
     there = np.isfinite(values)
     if there.sum() < 2:
         return np.full(len(clock), math.nan)
-    time = pair.time_s[there]
-    found: Array = np.interp(clock, time, values[there], left=math.nan, right=math.nan)
+    found: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
     return found
 
 
 # ---------------------------------------------------------------- numbers
 
 
-def _record(name: str, members: Sequence[Compared], means: Mapping[str, Mean]) -> ProfileComparison:
+def _record(name: str, members: Sequence[_Seen], means: Mapping[str, Mean]) -> ProfileComparison:
     return ProfileComparison(
         name=name,
-        trials=[d.trial.id for d in members],
+        trials=[m.done.trial.id for m in members],
         cycles=_cycles(members),
         position_rmse_m=_rmse(means, POSITION),
         orientation_rmse_rad=_rmse(means, ORIENTATION),
@@ -217,9 +217,9 @@ def _way(mean: Mean | None) -> dict[str, float]:
     return {side: float(values[-1] - values[0]) for side, values in ends.items()}
 
 
-def _cycles(members: Sequence[Compared]) -> list[CycleComparison]:
+def _cycles(members: Sequence[_Seen]) -> list[CycleComparison]:
     """Every whole stroke: each trial's quantities, then their means."""
-    each = [_quantities(d) for d in members]
+    each = [_quantities(m) for m in members]
     found = []
     for k in range(min(len(e) for e in each)):
         measured, spread, simulated = {}, {}, {}
@@ -236,13 +236,12 @@ def _cycles(members: Sequence[Compared]) -> list[CycleComparison]:
     return found
 
 
-def _quantities(done: Compared) -> list[dict[str, dict[str, float]]]:
-    stroke = done.trial.settings.get("stroke")
+def _quantities(seen: _Seen) -> list[dict[str, dict[str, float]]]:
+    trial = seen.done.trial
+    stroke = trial.settings.get("stroke")
     if stroke is None:
         return []
-    pairs = _with_speeds(done.pairs, done)
-    windows = stroke_cycles.windows(done.trial.time_s, stroke.frequency_hz)
     return [
-        {side: stroke_cycles.quantities(done.trial.time_s, _side(pairs, side), window) for side in SIDES}
-        for window in windows
+        {side: stroke_cycles.quantities(trial.time_s, seen.sides[side], window) for side in SIDES}
+        for window in stroke_cycles.windows(trial.time_s, stroke.frequency_hz)
     ]
