@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError, nearest
 from swimid.formats.multilink import Coefficient, Driven
 from swimid.models.base import Parameter
-from swimid.models.polynomial import Polynomial
+from swimid.models.polynomial import Polynomial, Table
 
 
 class Moving(Protocol):
@@ -158,6 +161,30 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
             column=f"{part}.joints.{joint_of[left[0]].name}",
         )
     return [by_name[name] for name in order], joints
+
+
+def element_tables(
+    rows: Any, columns: Sequence[tuple[str, Sequence[str]]], names: Sequence[str]
+) -> list[tuple[str, NDArray[np.int64], Table]]:
+    """The rows of elements as tables, each with the links they act on.
+
+    Parameters
+    ----------
+    rows : object
+        A list of (link, row) for each table, under its name.
+    columns : sequence of (str, sequence of str)
+        Each table's name and columns, in the order the engine takes them.
+    names : sequence of str
+        Coefficients, in the order of their values.
+    """
+    return [
+        (
+            name,
+            np.array([link for link, _ in getattr(rows, name)], dtype=np.int64),
+            Table([row for _, row in getattr(rows, name)], len(heads), list(names)),
+        )
+        for name, heads in columns
+    ]
 
 
 def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:

@@ -110,11 +110,7 @@ class Assembly:
         self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
         laws = {j.name: j for j in moving}
         self._passive = Table([_law(laws[a.name]) for a in self.passive], len(PASSIVE), self.names)
-        self._elements = []
-        for name, columns in ELEMENTS:
-            rows = getattr(tables, name)
-            owners = np.array([i for i, _ in rows], dtype=np.int64)
-            self._elements.append((name, owners, Table([r for _, r in rows], len(columns), self.names)))
+        self._elements = tree.element_tables(tables, ELEMENTS, self.names)
         self._surface = NOWHERE if body.surface_z_m is None else body.surface_z_m
         self.check(np.array([c.value for c in body.coefficients.values()]))
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from swimid.formats.multilink import Multilink
 from swimid.formats.robot import Fluid
 from swimid.models.base import Array
-from swimid.models.multibody import engine
-from swimid.models.multibody.assembly import NOWHERE, Axis, hinge_row
+from swimid.models.multibody.assembly import ELEMENTS, NOWHERE, Axis, hinge_row
 from swimid.models.multilink.assembly import Assembly as PlanarAssembly
 
 
@@ -64,11 +63,10 @@ class Lifted:
             "force": (flat["force_link"], [self._force(row) for row in flat["force"]]),
             "wake": (flat["wake_link"], [self._wake(row) for row in flat["wake"]]),
         }
-        widths = {"drag": engine.DRAG, "damping": engine.DAMPING, "foil": engine.FOIL}
-        widths |= {"force": engine.FORCE, "wake": engine.WAKE}
+        columns = dict(ELEMENTS)
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
-            found[name] = np.array(table).reshape(len(table), len(widths[name]))
+            found[name] = np.array(table).reshape(len(table), len(columns[name]))
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
 

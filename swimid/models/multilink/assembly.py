@@ -36,6 +36,13 @@ ONE_SIGN = {
     "tendon.spring_N_m": 5,
     "friction_N_m": 9,
 }
+#: The element tables, in the order of :func:`engine.integrate`.
+ELEMENTS = (
+    ("drag", engine.DRAG),
+    ("foil", engine.FOIL),
+    ("force", engine.FORCE),
+    ("wake", engine.WAKE),
+)
 #: A number beyond this is a slip of the pen.
 HUGE = 1e15
 
@@ -122,18 +129,7 @@ class Assembly:
         self._rigid = Table(rigid, len(engine.INERTIA), self.names)
         self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
         self._passive = Table([_law(a.joint) for a in self.passive], len(engine.PASSIVE), self.names)
-        self._elements = [
-            (
-                np.array([i for i, _ in rows], dtype=np.int64),
-                Table([r for _, r in rows], len(columns), self.names),
-            )
-            for rows, columns in (
-                (tables.drag, engine.DRAG),
-                (tables.foil, engine.FOIL),
-                (tables.force, engine.FORCE),
-                (tables.wake, engine.WAKE),
-            )
-        ]
+        self._elements = tree.element_tables(tables, ELEMENTS, self.names)
         self.check(np.array([c.value for c in body.coefficients.values()]))
 
     @property
@@ -154,7 +150,7 @@ class Assembly:
             "inertia": self._inertia(values),
             "passive": self._passive(values),
         }
-        for name, (owner, table) in zip(("drag", "foil", "force", "wake"), self._elements, strict=True):
+        for name, owner, table in self._elements:
             found[f"{name}_link"], found[name] = owner, table(values)
         found["free_base"] = self.free_base
         return found
