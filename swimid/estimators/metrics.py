@@ -102,8 +102,8 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
 
     Parameters
     ----------
-    measured, simulated : ndarray, shape (n,)
-        On one clock of even steps. Samples missing in either are left out.
+    measured, simulated : ndarray, shape (n,) or (n, d)
+        On one clock of even steps; d series are warped as one. Samples missing in either are left out.
     band : int
         By how many samples the two may be shifted at most (Sakoe and Chiba, 1978). With 0 the
         distance is the RMSE; it never exceeds it.
@@ -119,13 +119,14 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
     >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
     0.707
     """
-    from dtaidistance import dtw  # type: ignore[import-untyped]
+    from dtaidistance import dtw, dtw_ndim  # type: ignore[import-untyped]
 
     y, z = _both(measured, simulated)
     if len(y) == 0:
         return np.nan
+    distance = dtw.distance_fast if y.ndim == 1 else dtw_ndim.distance_fast
     # its window counts the diagonal
-    return float(dtw.distance_fast(y, z, window=int(band) + 1)) / math.sqrt(len(y))
+    return float(distance(y, z, window=int(band) + 1)) / math.sqrt(len(y))
 
 
 def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
@@ -166,4 +167,6 @@ def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_h
 
 def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
     there = np.isfinite(measured) & np.isfinite(simulated)
+    if there.ndim > 1:
+        there = np.asarray(there.all(axis=1))
     return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]

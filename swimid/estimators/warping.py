@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from swimid.estimators.metrics import dtw_distance
 from swimid.models.base import Array
 
 #: Which channels make up a distance together.
@@ -66,14 +67,10 @@ def distance(
     >>> distance({"x_m": np.array([0.0, 1.0, 2.0, 2.0, 2.0])}, late, ["x_m"], [0.05], band=0.2)
     0.0
     """
-    from dtaidistance import dtw_ndim  # type: ignore[import-untyped]
-
     first = np.column_stack([measured[n] for n in channels])
     second = np.column_stack([simulated[n] for n in channels])
     there = np.isfinite(first).all(axis=1)
     if not there.any() or not np.isfinite(second[there]).all():
         return math.nan
-    y, z = (np.ascontiguousarray(v[there] / np.asarray(scales)) for v in (first, second))
-    # its window counts the diagonal
-    window = max(round(band * len(y)), 1) + 1
-    return float(dtw_ndim.distance_fast(y, z, window=window)) / math.sqrt(len(y))
+    y, z = (v[there] / np.asarray(scales) for v in (first, second))
+    return dtw_distance(y, z, band=max(round(band * len(y)), 1))

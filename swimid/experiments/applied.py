@@ -123,6 +123,15 @@ class Applied:
         """Names of parameters the file holds for some trial."""
         return {n.split("[")[0] for n in self.file.parameters if "[" in n} if self.file else set()
 
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the noise of each channel the parameters were fitted to."""
+        fit = self.file.fit if self.file is not None else None
+        return {
+            name: float(known["value_sd"])
+            for name, known in (fit.noise if fit is not None else {}).items()
+            if isinstance(known, dict) and known.get("value_sd")
+        }
+
     # -------------------------------------------------------- uncertainty
 
     def uncertain(self) -> tuple[list[str], Array]:

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 import swimid
 
 
+def place(output: Path) -> Path:
+    """Where what was found on the way to a result is kept."""
+    return output.with_name(f"{output.name}.partial")
+
+
 class Checkpoint:
     """A file of named numbers, one JSON line each, under a first line that says what they belong to.
 
@@ -46,7 +51,7 @@ class Checkpoint:
     def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
         """One beside a result, of this version of the program and of what JSON says it belongs to."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
-        path = None if output is None else output.with_name(f"{output.name}.partial")
+        path = None if output is None else place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     @property

@@ -191,6 +191,20 @@ def write(path: str | Path, evidence: Evidence) -> None:
     atomic.write_text(path, text + "\n")
 
 
+def write_beside(result: Path, evidence: Evidence) -> list[Path]:
+    """Write the evidence of a result that was just written; a device takes the result alone.
+
+    Returns
+    -------
+    list of Path
+        The result, and its evidence where there is any.
+    """
+    if not result.is_file():
+        return [result]
+    write(sidecar(result), evidence)
+    return [result, sidecar(result)]
+
+
 def read(path: str | Path) -> Evidence:
     """Read evidence written by :func:`write`.
 

@@ -135,10 +135,7 @@ def compare(
     outputs: list[Path] = []
     if output is not None:
         comparison_format.write(output, file)
-        outputs.append(output)
-        if output.is_file():
-            ev.write(ev.sidecar(output), evidence)
-            outputs.append(ev.sidecar(output))
+        outputs = ev.write_beside(output, evidence)
     return Outcome("compare", _summary(file, evidence), file.model_dump(mode="json"), outputs)
 
 

@@ -222,13 +222,8 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
 
     Where none of them was, every measured channel, each with a hundredth of its range.
     """
-    fit = applied.file.fit if applied.file is not None else None
-    known = fit.noise if fit is not None else {}
-    found = {
-        name: float(known[name]["value_sd"])
-        for name in trial.measured
-        if isinstance(known.get(name), dict) and known[name].get("value_sd")
-    }
+    known = applied.noise()
+    found = {name: known[name] for name in trial.measured if name in known}
     if found:
         return found
     for name, values in trial.measured.items():

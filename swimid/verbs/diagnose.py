@@ -138,8 +138,7 @@ def diagnose(
     outputs: list[Path] = []
     if output is not None:
         gap_format.write(output, file)
-        ev.write(ev.sidecar(output), evidence)
-        outputs = [output, ev.sidecar(output)]
+        outputs = ev.write_beside(output, evidence)
         keep.done()
     return Outcome("diagnose", diagnose_summary.summary(file), file.model_dump(mode="json"), outputs)
 

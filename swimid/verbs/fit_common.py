@@ -525,10 +525,7 @@ def save(output: Path | None, file: ParameterFile, evidence: ev.Evidence) -> lis
     if output is None:
         return []
     parameters_format.write(output, file)
-    if output.exists() and not output.is_file():
-        return [output]
-    ev.write(ev.sidecar(output), evidence)
-    return [output, ev.sidecar(output)]
+    return ev.write_beside(output, evidence)
 
 
 def judgement(evidence: ev.Evidence) -> str:

@@ -14,6 +14,7 @@ from swimid.estimators import genetic, warping
 from swimid.estimators.fit_result import FitResult
 from swimid.estimators.genetic import Front
 from swimid.estimators.profiles import Profiles
+from swimid.formats import checkpoint as checkpoint_format
 from swimid.formats import evidence as ev
 from swimid.formats import front as front_format
 from swimid.formats.checkpoint import Checkpoint
@@ -133,8 +134,8 @@ def kept(output: Path | None, belongs_to: Any, options: Genetic) -> Checkpoint:
     if options.resume and output is None:
         raise UsageError("--resume needs -o: an unfinished search is kept beside the output")
     if options.resume is False and output is not None:
-        output.with_name(f"{output.name}.partial").unlink(missing_ok=True)
-    before = output is not None and output.with_name(f"{output.name}.partial").is_file()
+        checkpoint_format.place(output).unlink(missing_ok=True)
+    before = output is not None and checkpoint_format.place(output).is_file()
     keep = Checkpoint.beside(output, belongs_to)
     if options.resume and not keep.begun:
         keep.done()

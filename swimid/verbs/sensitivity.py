@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
+import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-import swimid
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.estimators import sensitivity as indices
 from swimid.estimators.sensitivity import Morris, Sobol
@@ -178,9 +176,7 @@ def sensitivity(
                 "dt": dt,
             },
         )
-        key = json.dumps([origin["inputs"], origin["settings"], swimid.__version__], sort_keys=True)
-        partial = output.with_name(f"{output.name}.partial") if output is not None else None
-        keep = Checkpoint(partial, hashlib.sha256(key.encode()).hexdigest())
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         workers = jobs or os.cpu_count() or 1
         file = SensitivityFile(
             verdict="caution",
@@ -237,10 +233,7 @@ def sensitivity(
     outputs: list[Path] = []
     if output is not None:
         sensitivity_format.write(output, file)
-        outputs.append(output)
-        if output.is_file():
-            ev.write(ev.sidecar(output), evidence)
-            outputs.append(ev.sidecar(output))
+        outputs = ev.write_beside(output, evidence)
         keep.done()
     summary = sensitivity_evidence.summary(file, evidence)
     return Outcome("sensitivity", summary, file.model_dump(mode="json"), outputs)
@@ -396,16 +389,10 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     """
     model = experiment.model
     assert isinstance(model, MultilinkModel | MultibodyModel)
-    fit = applied.file.fit if applied.file is not None else None
-    noise = {
-        name: float(known["value_sd"])
-        for name, known in (fit.noise if fit is not None else {}).items()
-        if isinstance(known, dict) and known.get("value_sd")
-    }
     runs, starts, columns, centre = [], [], [], []
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
-        run = sensitivity_outputs.run_of(model, trial, noise)
+        run = sensitivity_outputs.run_of(model, trial, applied.noise())
         told = sensitivity_outputs.outputs(model, values, run)
         broken = [name for name, q in told.items() if not math.isfinite(q.value)]
         if broken or not sensitivity_outputs.possible(model, values):
@@ -553,11 +540,7 @@ def _sweep(
     model = applied.model
     assert isinstance(model, MultilinkModel | MultibodyModel)
     axes = [Axis(name=name, values=[float(v) for v in np.linspace(*axis)]) for name, axis in sweep.items()]
-    second = axes[1].values if len(axes) > 1 else [math.nan]
-    names = list(sweep)
-    grid = [
-        dict(zip(names, point, strict=False)) for a in axes[0].values for point in [(a, b) for b in second]
-    ]
+    grid = [dict(zip(sweep, point, strict=True)) for point in itertools.product(*(a.values for a in axes))]
     values = applied.values()
     known = bool(applied.uncertain()[0])
     if known and (untold := applied.without_error()):
@@ -597,7 +580,7 @@ def _sweep(
                 step()
         finally:
             pool.shutdown(cancel_futures=True)
-    table = np.array(found).reshape(len(axes[0].values), len(second), len(units), 2)
+    table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
     lost = ~np.isfinite(table[..., 0]).all(axis=-1)
     table[lost] = np.nan
     outputs = [
