@@ -77,7 +77,9 @@ class TimeOffset(Effect):
 
             def late(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
                 then = np.maximum(time_s - offset, time_s[0])
-                return {**channels, **{c: _at(time_s, channels[c], then) for c in POSES if c in channels}}
+                poses = [c for c in POSES if c in channels]
+                seen = _at(time_s, np.column_stack([channels[c] for c in poses]), then)
+                return {**channels, **dict(zip(poses, seen.T, strict=True))}
 
             return Hooks(output=(late,) if offset != 0.0 and len(trial.time_s) > 3 else ())
         if not isinstance(model, RecoilModel):
@@ -95,7 +97,8 @@ class TimeOffset(Effect):
 
 
 def _at(time_s: Array, values: Array, then: Array) -> Array:
-    """A channel at other times; missing altogether where its simulation broke down."""
-    if not np.isfinite(values).all():
-        return np.full(len(then), np.nan)
-    return np.asarray(CubicSpline(time_s, values)(then))
+    """Channels at other times, shape (n, channels); one whose simulation broke down is missing altogether."""
+    sound = np.isfinite(values).all(axis=0)
+    found = np.full((len(then), values.shape[1]), np.nan)
+    found[:, sound] = CubicSpline(time_s, values[:, sound])(then)
+    return found

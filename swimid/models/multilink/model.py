@@ -25,6 +25,8 @@ from swimid.progress import Progress
 DEFAULT_STEP = 0.005
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
 KEPT = 4
+#: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
+TABLES = 12
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class MultilinkModel(Model):
         self.channels = self._channels()
         self._kept: dict[str, OrderedDict[bytes, Trajectory]] = {}
         self._tables: dict[tuple[Any, ...], Array] = {}
+        self._motions: dict[tuple[Any, ...], list[drive.Motion]] = {}
         self._lock = threading.Lock()
 
     # -------------------------------------------------------- what it offers
@@ -376,29 +379,42 @@ class MultilinkModel(Model):
             for s in self._servos
         )
         key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
-        if key in self._tables:
-            return self._tables[key]
+        kept = self._tables.get(key)
+        if kept is not None:
+            return kept
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
+        told = self._told(trial, begin, step, steps, phase)
         motions = []
-        for k, (axis, servo) in enumerate(zip(self.assembly.driven, servos, strict=True)):
+        for k, (motion, servo) in enumerate(zip(told, servos, strict=True)):
             if servo is None:
-                motion = joint_motion(axis, k, trial.settings, half, phase)
                 if hooks.command:
                     motion = drive.deviated(motion, hooks.actuated(half, motion[0], k), 0.5 * step)
                 motions.append(motion)
                 continue
             fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
-            command = hooks.actuated(fine, joint_motion(axis, k, trial.settings, fine, phase)[0], k)
+            command = hooks.actuated(fine, motion[0], k)
             omega, damping = 2 * math.pi * servo[0], servo[1]
             answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
             motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
         mounts = [math.radians(a.joint.mount_deg) for a in self.assembly.driven]
         found = drive.table(len(half), motions, mounts)
         with self._lock:
-            # a table of the trial as recorded is asked for again and again, others hardly ever
-            for old in [k for k in self._tables if k[0] == trial.id][: 1 - KEPT or None]:
-                self._tables.pop(old, None)
-            self._tables[key] = found
+            _keep(self._tables, key, found, TABLES)
+        return found
+
+    def _told(self, trial: Trial, begin: float, step: float, steps: int, phase: float) -> list[drive.Motion]:
+        """What each driven joint is told to do, at every half step; where a servo follows, every quarter."""
+        key = (trial.id, begin, step, steps, phase)
+        kept = self._motions.get(key)
+        if kept is not None:
+            return kept
+        found = []
+        for k, (axis, servo) in enumerate(zip(self.assembly.driven, self._servos, strict=True)):
+            part = 0.5 if servo is None else 0.25
+            time = begin + part * step * np.arange(steps / part + 1.0)
+            found.append(joint_motion(axis, k, trial.settings, time, phase))
+        with self._lock:
+            _keep(self._motions, key, found, KEPT)
         return found
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -485,6 +501,13 @@ def _turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
 
 #: Parameters that change how a run is seen, not the run itself; so do the offsets of the start pose.
 VIEW = ("clock_offset", "camera_rotation")
+
+
+def _keep(kept: dict[tuple[Any, ...], Any], key: tuple[Any, ...], found: Any, most: int) -> None:
+    """Keep something of a trial, whose id begins the key, and the latest others of that trial."""
+    for old in [k for k in kept if k[0] == key[0]][: 1 - most or None]:
+        kept.pop(old, None)
+    kept[key] = found
 
 
 def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
