@@ -113,3 +113,14 @@ def check_null(model: Model, trial: Trial, effect: Effect) -> None:
         moved = affected.simulate(np.concatenate([values, tries[-1]]), trial)
         assert all(np.isfinite(moved[name]).all() for name in moved)
         assert any(np.abs(moved[name] - plain[name]).max() > 1e-7 for name in trial.measured)
+
+
+def dry_fish() -> MultilinkModel:
+    """The tendon fish without water."""
+    names = ("c_ma", "c_Ia", "c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
+    return swimmer("tfish", **dict.fromkeys(names, 0.0))
+
+
+def coasting(model: MultilinkModel) -> Trial:
+    """A straight run without a beat."""
+    return swim(model, amplitude_rad=0.0, pose=(0.0, 0.0, 0.0))

@@ -28,6 +28,8 @@ from tests.effect_cases import (
     acted,
     changed,
     check_null,
+    coasting,
+    dry_fish,
     start,
     swim,
     swimmer,
@@ -160,6 +162,16 @@ def test_a_tether_pulls_home_whatever_the_heading() -> None:
     c, s = np.cos(0.5), np.sin(0.5)
     world = np.array([c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]])
     np.testing.assert_allclose(world, -2.0 * (0.5 - 0.1) * np.array([0.6, 0.8]), rtol=1e-12)
+
+
+def test_a_line_from_behind_the_start_pulls_from_the_beginning() -> None:
+    """A robot that coasts along its heading swings about the anchor."""
+    model = dry_fish()
+    mass, k, behind = 2.133 + 3 * 0.081 + 0.096, 30.0, 0.4
+    seen = acted(model, coasting(model), [(Tether(), (k, 0.0, 0.0, behind))], initial_surge=0.3)
+    rate, time = np.sqrt(k / mass), coasting(model).time_s
+    swing = behind * (np.cos(rate * time) - 1.0) + 0.3 / rate * np.sin(rate * time)
+    np.testing.assert_allclose(seen["x_m"], swing, atol=1e-7)
 
 
 def test_a_line_paid_out_drags() -> None:

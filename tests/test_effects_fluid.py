@@ -21,7 +21,6 @@ from swimid.formats.multilink import AddedMass as AddedMassElement
 from swimid.formats.multilink import TrailingEdge
 from swimid.models import rig
 from swimid.models.base import Trial
-from swimid.models.multilink.model import MultilinkModel
 from swimid.models.propulsion import RecoilModel, SurgeModel
 from tests.effect_cases import (
     INERTIA,
@@ -29,6 +28,8 @@ from tests.effect_cases import (
     acted,
     changed,
     check_null,
+    coasting,
+    dry_fish,
     start,
     swim,
     swimmer,
@@ -37,17 +38,6 @@ from tests.effect_cases import (
 )
 
 ALL = [AddedMass(), DragReynolds(), LinearDrag(), WakeLift()]
-
-
-def dry_fish() -> MultilinkModel:
-    """The tendon fish without water."""
-    names = ("c_ma", "c_Ia", "c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
-    return swimmer("tfish", **dict.fromkeys(names, 0.0))
-
-
-def coasting(model: MultilinkModel) -> Trial:
-    """A straight run without a beat."""
-    return swim(model, amplitude_rad=0.0, pose=(0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("robot", ["tfish", "dolphin"])
@@ -148,7 +138,7 @@ def test_added_mass_slows_a_swing_on_a_tether() -> None:
     mass, k, extra = 2.133 + 3 * 0.081 + 0.096, 30.0, 1.1
     trial = coasting(model)
     seen = acted(
-        model, trial, [(Tether(), (k, 0.0, 0.0)), (AddedMass(), (extra, 0.0, 0.0))], initial_surge=0.3
+        model, trial, [(Tether(), (k, 0.0, 0.0, 0.0)), (AddedMass(), (extra, 0.0, 0.0))], initial_surge=0.3
     )
     rate = np.sqrt(k / (mass + extra))
     np.testing.assert_allclose(seen["x_m"], 0.3 / rate * np.sin(rate * trial.time_s), atol=1e-7)

@@ -34,9 +34,10 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
 
 
 class Tether(Effect):
-    """``-k (d - slack)`` towards the start, d the distance from it, once d exceeds the slack.
+    """``-k (d - slack)`` towards its anchor, d the distance from it, once d exceeds the slack.
 
-    The line paid out drags behind it, ``-c d v |v|``. A cruise feels the mean of the pull over the run.
+    The anchor is where the run starts; that of a swimmer may lie behind it, so that the line pulls from the
+    beginning. The line paid out drags, ``-c d v |v|``. A cruise feels the mean of the pull over the run.
     """
 
     name = "tether"
@@ -51,7 +52,9 @@ class Tether(Effect):
         return [self] if rig or isinstance(model, RecoilModel) or common.swims_freely(model) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Stiffness, N/m, slack, m, and for what moves in time the drag of the line, N s2/m3."""
+        """Stiffness, N/m, slack, m; drag of the line, N s2/m3, for what moves in time; for a swimmer the
+        distance of the anchor behind the start, m.
+        """
         size = _reach(model, trials)
         pull = (
             Parameter(
@@ -71,16 +74,20 @@ class Tether(Effect):
         line = Parameter(
             "line_drag_N_s2_m3", "N s^2/m^3", 0.0, math.inf, 0.0, drag, meaning="drag of the line per length"
         )
-        return (*pull, line)
+        if not isinstance(model, MultilinkModel):
+            return (*pull, line)
+        behind = Parameter(
+            "behind_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="distance of the anchor behind the start"
+        )
+        return (*pull, line, behind)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Sizes of the stiffness, without slack and with some."""
-        stiffness, slack, *line = parameters
-        size = SIZES[1]
-        pulls = [
-            np.array([size * stiffness.scale, n * slack.scale, *(0.0 for _ in line)]) for n in (0.0, 2.0)
+        """A stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
+        scale = np.array([p.scale for p in parameters])
+        steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
+        return [
+            scale * np.pad(step, (0, len(scale) - len(step))) for step in steps if len(step) <= len(scale)
         ]
-        return pulls + [np.array([0.0, 0.0, size * p.scale]) for p in line]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the base, or on the mean of a run."""
@@ -93,9 +100,11 @@ class Tether(Effect):
 
             return Hooks(coefficients=(change,))
         if isinstance(model, MultilinkModel):
-            pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+            *line, behind = values
+            start_x, start_y, heading = trial.settings.get("pose", (0.0, 0.0, 0.0))[:3]
+            anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = common.reference(model)
-            return Hooks(force=(Force(pull_back, np.array([*values, *pose[:2]]), x=x, y=y),))
+            return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
         origin = float(trial.settings.get("x0", 0.0))
         return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
 
