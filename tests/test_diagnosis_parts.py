@@ -12,11 +12,12 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from swimid.diagnosis import chain, conclusion, dropouts, folds, gram, places, shrinkage
-from swimid.diagnosis.bench import Bench, errors
+from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
-from swimid.diagnosis.floor import floors, quiet, scatter, split
-from swimid.diagnosis.gram import START_PRIOR, Drawn, Folded
-from swimid.diagnosis.lens import CHANCE, Lens, brief, coloured, spread
+from swimid.diagnosis.chance import kinds, spread
+from swimid.diagnosis.floor import floors, quiet, split
+from swimid.diagnosis.gram import Drawn, Folded
+from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
 from swimid.estimators.problem import Problem
@@ -138,38 +139,25 @@ def test_the_colour_is_found(rng: np.random.Generator) -> None:
         assert abs(np.corrcoef(seen[lag:], seen[:-lag])[0, 1]) < 4.0 / np.sqrt(len(seen))
 
 
-def test_chance_differences_are_whitened(rng: np.random.Generator) -> None:
-    """The map of a trial turns the covariance of noise plus chance into the unit matrix."""
+def test_chance_differences_are_sized(rng: np.random.Generator) -> None:
     n, count, true = 40, 60, np.array([0.5, 0.0])
-    chance, residuals, trials = [], [], []
-    for k in range(count):
-        columns = rng.normal(size=(n, 2))
-        chance.append(columns)
-        residuals.append(columns @ (true * rng.normal(size=2)) + rng.normal(size=n))
-        trials.append(Trial(f"t{k}", "fit", np.arange(float(n)), {"y": residuals[-1]}))
-    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
-    lens, sd = spread(Lens(problem.sd), problem, residuals, [np.empty((n, 0))] * count, chance)
+    chance = [rng.normal(size=(n, 2)) for _ in range(count)]
+    residuals = [c @ (true * rng.normal(size=2)) + rng.normal(size=n) for c in chance]
+    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * count, chance)
     assert sd[0] == pytest.approx(0.5, rel=0.35)
     assert sd[1] < 0.1
-    sd = np.minimum(sd, CHANCE)
-    for k in (0, 7):
-        covariance = np.eye(n) + (chance[k] * sd) @ (chance[k] * sd).T
-        white = lens.through(problem, k, np.eye(n))
-        np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
 
 
-def test_differences_beyond_chance_are_told_and_not_whitened(rng: np.random.Generator) -> None:
-    n, count = 40, 60
-    chance = [rng.normal(size=(n, 1)) for _ in range(count)]
-    residuals = [3.0 * rng.normal() * c[:, 0] + rng.normal(size=n) for c in chance]
-    trials = [Trial(f"t{k}", "fit", np.arange(float(n)), {"y": r}) for k, r in enumerate(residuals)]
-    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
-    lens, sd = spread(Lens(problem.sd), problem, residuals, [np.empty((n, 0))] * count, chance)
-    # the error of a median absolute deviation of 60 values is 15 %
-    assert sd[0] == pytest.approx(3.0, rel=0.45)
-    covariance = np.eye(n) + CHANCE**2 * chance[0] @ chance[0].T
-    white = lens.through(problem, 0, np.eye(n))
-    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
+def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.Generator) -> None:
+    """What a start state and a kind already known take is not seen again in a kind like them."""
+    n, count = 60, 60
+    time = np.linspace(0.0, 1.0, n)
+    chance = [np.column_stack((5.0 * time, 5.0 * time + 0.5 * np.sin(9.0 * time)))] * count
+    own = [np.ones((n, 1))] * count
+    residuals = [0.4 * rng.normal() * c[:, 0] + 3.0 * rng.normal() + rng.normal(size=n) for c in chance]
+    sd = spread(lambda k, rows: rows, residuals, own, chance)
+    assert sd[0] == pytest.approx(0.4, rel=0.4)
+    assert sd[1] == 0.0
 
 
 def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
@@ -185,22 +173,23 @@ def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(pole[1:] + toeplitz(pole[:6]) @ lens.colour["y"], 0.0, atol=1e-12)
 
 
-def test_what_single_trials_may_have_is_taken_out(rng: np.random.Generator) -> None:
-    """A trim and the noise around it; what it adds to the floor is its own size."""
+def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Generator) -> None:
+    """A trim and the noise around it: within the trials the noise alone, for a further one both."""
     n, count, size = 400, 30, 0.7
     time = np.linspace(0.0, 1.0, n)
     trims = [size * rng.normal() * time + 0.1 * rng.normal(size=n) for _ in range(count)]
     trials = [Trial(f"t{k}", "fit", time, {"y": y}) for k, y in enumerate(trims)]
-    bench = Bench(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
-    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    chance = [time[:, None]] * count
-    left = quiet(fit, fit.residuals, chance)
-    assert np.std(np.concatenate(left)) == pytest.approx(0.1, rel=0.05)
-    found = scatter(fit, chance, np.array([size]))
-    assert found["y"] == pytest.approx(size**2 * np.mean(time**2), rel=1e-9)
-    floor, _ = floors(bench, fit, left, found, 0.0)
+    model = Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    bench = Bench(model, (), trials, {})
+    (kind,) = kinds(model, (), trials, [Tilt()], {})
+    lens = Lens([[np.full(n, 0.1)] for _ in trials], chance=(replace(kind, sd=size),))
+    fit = bench.fit((), lens, [bench.problem((), lens.chance).start])
+    left = quiet(fit, [fit.bare(k) for k in range(count)], [time[:, None]] * count)
+    assert np.std(np.concatenate(left)) == pytest.approx(1.0, rel=0.05)
+    floor, _ = floors(bench, fit, left, 0.0)
     # 30 trims tell their size to 13 %
-    assert floor["y"] == pytest.approx(np.sqrt(found["y"] + 0.01), rel=0.3)
+    between = size**2 * np.mean(time**2)
+    assert floor["y"] == pytest.approx(np.sqrt(between + 0.01), rel=0.3)
 
 
 @pytest.mark.parametrize("factor, allowed", [(0.5, 0.5), (3.0, 2.0), (-1.0, 0.0)])
@@ -210,11 +199,9 @@ def test_a_size_out_of_bounds_ends_there(factor: float, allowed: float) -> None:
 
 
 def test_two_trials_show_no_chance(rng: np.random.Generator) -> None:
-    trials = [Trial(f"t{k}", "fit", np.arange(9.0), {"y": rng.normal(size=9)}) for k in range(2)]
-    problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
     columns = [rng.normal(size=(9, 1))] * 2
-    _, sd = spread(Lens(problem.sd), problem, [t.measured["y"] for t in trials], columns, columns)
-    np.testing.assert_array_equal(sd, 0.0)
+    residuals = [rng.normal(size=9) for _ in range(2)]
+    np.testing.assert_array_equal(spread(lambda k, rows: rows, residuals, columns, columns), 0.0)
 
 
 # ---------------------------------------------------------------- held-out comparisons
@@ -323,11 +310,68 @@ def test_each_trials_own_start_is_projected_out(bench: Bench) -> None:
         # a start known beforehand to START_PRIOR is one more row
         rows = np.vstack([np.column_stack([shared, left]), np.zeros(3)])
         own = np.append(one, 1.0 / START_PRIOR)
-        left_over = (rows - np.outer(own, own @ rows) / (own @ own))[:-1]
+        left_over = rows - np.outer(own, own @ rows) / (own @ own)
         expected[max(k - 1, 0)] += left_over.T @ left_over
     np.testing.assert_allclose(found.products, expected, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(found.prior, [25.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.pull, [0.3, 0.0], rtol=1e-12)
+
+
+class Tilt(Effect):
+    """A slope that differs between trials."""
+
+    name, stage, meaning, sources, needs = "tilt", "sensing", "a slope", (), frozenset[str]()
+    scatters = True
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        return (parameter("slope", 0.0),)
+
+    def hooks(self, values: np.ndarray, trial: Trial, model: Model) -> Hooks:
+        def more(found: dict[str, np.ndarray], time: np.ndarray) -> dict[str, np.ndarray]:
+            return {**found, "y": found["y"] + values[0] * time}
+
+        return Hooks(output=(more,))
+
+
+def test_chance_differences_are_numbers_with_their_spread_as_prior(bench: Bench) -> None:
+    """Products, fit and errors are those of residuals whose noise has the covariance the differences add."""
+    model = Hooked(line, LINE, ("y", "v"))
+    mixed = Bench(model, LINE, bench.trials, {"a": (0.8, 0.2)})
+    (kind,) = kinds(model, LINE, bench.trials, [Tilt()], {})
+    assert (kind.name, kind.size) == ("tilt", 1.0)
+    sd = 0.3
+    lens = Lens([[np.full(len(t.time_s), 0.5)] * 2 for t in bench.trials], chance=(replace(kind, sd=sd),))
+    fit = mixed.fit((), lens, [mixed.problem((), lens.chance).start])
+    folded = gram.folded(mixed, fit, lens)
+    theta = np.array([fit.value("a"), fit.value("b")])
+    normal, right = np.diag([25.0, 0.0]), np.array([25.0 * 0.8, 0.0])
+    for k, trial in enumerate(bench.trials):
+        t, n = trial.time_s, len(trial.time_s)
+        nil = np.zeros(n)
+        shared = np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones(n)]])
+        one, slope = np.r_[np.ones(n), nil], np.r_[t, nil]
+        covariance = 0.25 * np.eye(2 * n) + sd**2 * np.outer(slope, slope)
+        covariance += START_PRIOR**2 * np.outer(one, one)
+        inverse = np.linalg.inv(covariance)
+        y = np.r_[trial.measured["y"], trial.measured["v"]]
+        normal = normal + shared.T @ inverse @ shared
+        right = right + shared.T @ inverse @ y
+        if k > 1:
+            both = np.column_stack((shared, y - shared @ theta))
+            np.testing.assert_allclose(folded.products[k - 1], both.T @ inverse @ both, rtol=1e-3, atol=1e-3)
+    exact = np.linalg.solve(normal, right)
+    # the conditional optimum of a linear mixed model is the marginal one
+    np.testing.assert_allclose(theta, exact, atol=1e-4)
+    at = [fit.labels.index(name) for name in ("a", "b")]
+    stderr = errors(fit, lens, mixed.expected(fit.problem)[1])[at]
+    np.testing.assert_allclose(stderr, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-3)
+    # without the differences what is left is what the start state alone leaves
+    for k, trial in enumerate(bench.trials):
+        t, n = trial.time_s, len(trial.time_s)
+        modelled = line(np.array([*theta, 0.0]), t)
+        y = (trial.measured["y"] - modelled["y"]) / 0.5
+        unaided = fit.unaided(["tilt"])[k]
+        np.testing.assert_allclose(unaided[:n], y - y.mean(), atol=1e-4)
 
 
 def test_a_linear_fit_is_least_squares(bench: Bench) -> None:
@@ -430,8 +474,8 @@ def _residual_map(series: list[np.ndarray], floor: float, **settings: list) -> p
         for k, s in enumerate(series)
     ]
     problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
-    fit = SimpleNamespace(problem=problem, residuals=series)
-    return places.Map(SimpleNamespace(trials=trials), fit, {"y": floor})  # type: ignore[arg-type]
+    fit = SimpleNamespace(problem=problem)
+    return places.Map(SimpleNamespace(trials=trials), fit, series, {"y": floor})  # type: ignore[arg-type]
 
 
 def test_a_cell_is_residual_over_floor() -> None:
@@ -487,7 +531,7 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
     bench = Bench(model, (), trials, {})
     fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    floor, how = floors(bench, fit, fit.residuals, {}, 0.0)
+    floor, how = floors(bench, fit, fit.residuals, 0.0)
     assert floor["y"] == pytest.approx(0.1, rel=0.1)
     assert how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])

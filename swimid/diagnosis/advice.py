@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from swimid.diagnosis import gram
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.lens import Lens
 from swimid.diagnosis.places import knobs
@@ -94,7 +95,7 @@ def advise(
     """
     found = []
     names = tuple(f.effects[-1].name for f in rivals)
-    known = information(rivals[0], lens)
+    known = information(bench, rivals[0], lens)
     for words, trial in proposals(bench.model, bench.trials):
         difference = min(
             apart(bench, rivals[0], other, trial, floors, known, sorted(_channels(bench)))
@@ -136,19 +137,15 @@ def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
     return None
 
 
-def information(fit: Fit, lens: Lens) -> dict[str, Array | list[str]]:
+def information(bench: Bench, fit: Fit, lens: Lens) -> dict[str, Array | list[str]]:
     """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
     for k, rows in enumerate(fit.rows):
-        mine = fit.problem.own(k)
-        seen = lens.through(fit.problem, k, rows[:, shared + mine])
-        inner = seen.T @ seen
-        s = len(shared)
-        if mine:
-            own = inner[s:, s:] + 1e-9 * np.trace(inner[s:, s:]) * np.eye(len(mine))
-            inner = inner[:s, :s] - inner[:s, s:] @ np.linalg.solve(own, inner[s:, :s])
-        normal += inner[:s, :s]
+        # the last column is that of residuals, of which nothing is asked
+        block = np.column_stack((rows[:, shared], fit.residuals[k]))
+        seen = gram.apart(bench, fit, lens, k, block)[:, :-1]
+        normal += seen.T @ seen
     return {"labels": [fit.labels[j] for j in shared], "normal": normal}
 
 

@@ -61,9 +61,7 @@ def answer(
     bench = state.bench
     nominal = state.rounds[0].base if state.rounds else state.base
     unknown = conclusion.unknown_share(state)
-    floor, how = noise_floors(
-        bench, state.base, state.quiet, state.scatter, conclusion.structured_share(state)
-    )
+    floor, how = noise_floors(bench, state.base, state.quiet, conclusion.structured_share(state))
     for channel in remainder.moves(state.slow):
         floor[channel] *= math.sqrt(1.0 - state.slow[channel].share)
     found = [r for r in state.rounds if r.ranked and passes(state, r)]
@@ -82,25 +80,29 @@ def answer(
     if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
         # simulated from their own start states, held-out trials are no better with it
         names = ", ".join(c.best.tried.effect.name for c in chosen)
-        if all(c.steady for c in chosen):
+        if all(c.steady for c in chosen) or shrinkage.hidden(
+            bench, nominal, state.base, state.lens, validation
+        ):
             reasons.append(
-                f"{names}: it gains in every held-out fold, but held-out trials, simulated anew, are no "
-                "better with it: what differs between trials by chance hides it"
+                f"{names}: it gains on held-out data, but held-out trials, simulated anew, are no better "
+                "with it: what differs between trials by chance hides it"
             )
             word = "ambiguous"
         else:
             reasons.append(f"{names}: held-out trials, simulated anew, are no better with it")
             chosen = []
             word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+    # what a cause accounts for is none of the chance differences of the model without it
+    gap_left = nominal.unaided([e.name for e in state.base.effects])
     if word == "none":
         # nothing it leaves can be told from noise and from what differs between trials by chance
-        left_over = by_channel(nominal, nominal.residuals)
+        left_over = by_channel(nominal, gap_left)
         floor = {c: max(v, float(np.sqrt(np.mean(left_over[c] ** 2)))) for c, v in floor.items()}
         how = "all that the model leaves: noise, and what differs between trials by chance"
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
         causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
-    where = places.Map(bench, nominal, floor)
+    where = places.Map(bench, nominal, gap_left, floor)
     gap = word != "none"
     stages = conclusion.stages(rows, bool(chosen), {s.stage for s in rows})
     if failed and causes and causes[0].effect == MarkerDropout.name:
@@ -109,13 +111,13 @@ def answer(
     left = state.left
     return Gap(
         verdict=word,
-        channels=_channels(bench, nominal, floor, shipped, units, held),
+        channels=_channels(bench, nominal, gap_left, floor, shipped, units, held),
         stages=stages,
         phase=places.phases(where) if gap else (),
         regime=places.regimes(where),
         time=places.times(where),
         causes=tuple(causes) if gap else (),
-        remaining=_remaining(state, unknown, nominal, floor),
+        remaining=_remaining(state, unknown, nominal, gap_left, floor),
         advice=_advice(state, found, chosen, word, floor),
         scores=rows,
         threshold=state.rounds[0].threshold if state.rounds else math.nan,
@@ -151,17 +153,18 @@ def _reasons(state: State) -> tuple[str, ...]:
         said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]
     if state.out_of_time:
         said.append("the time budget ran out before every effect was refitted")
-    for name, sd in zip(state.chance, state.chance_sd, strict=True):
-        if sd > 0.02:
-            said.append(
-                f"trials differ by chance in {name}: {sd:.2g} of its typical size; that is in the noise"
-            )
+    said += [
+        f"trials differ by chance in {kind.name}: {kind.sd:.2g} of its typical size; that is in the noise"
+        for kind in state.chance
+        if kind.sd > 0.02
+    ]
     return tuple(said)
 
 
 def _channels(
     bench: Bench,
     nominal: Fit,
+    residuals: Sequence[Array],
     floor: Mapping[str, float],
     shipped: Mapping[str, float],
     units: Mapping[str, str],
@@ -170,7 +173,7 @@ def _channels(
     squares: dict[str, list[Array]] = {}
     spans: dict[str, list[Array]] = {}
     for k, trial in enumerate(bench.trials):
-        for channel, series in split(nominal, k, nominal.residuals[k]).items():
+        for channel, series in split(nominal, k, residuals[k]).items():
             there = np.isfinite(series)
             squares.setdefault(channel, []).append(series[there] ** 2)
             spans.setdefault(channel, []).append(trial.measured[channel][there])
@@ -178,7 +181,7 @@ def _channels(
     for p in held:
         error = (p.measured - p.shipped)[np.isfinite(p.measured)]
         as_given.setdefault(p.channel, []).append(error**2)
-    excess = _excess(nominal, nominal.residuals, floor)
+    excess = _excess(nominal, residuals, floor)
     total = sum(excess.values()) or 1.0
     found = []
     for channel, parts in squares.items():
@@ -299,7 +302,9 @@ def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) ->
     return {c: b if b > 1e-9 * len(found[c]) else 0.0 for c, b in beyond.items()}
 
 
-def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, float]) -> Remaining:
+def _remaining(
+    state: State, unknown: float, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
+) -> Remaining:
     left = state.left
     if left is None:
         return Remaining(0.0, "", True, 0.0)
@@ -307,7 +312,7 @@ def _remaining(state: State, unknown: float, nominal: Fit, floor: Mapping[str, f
     if not left.found:
         moving = remainder.moves(state.slow)
         if moving:
-            gap, still = _excess(nominal, nominal.residuals, floor), _excess(state.base, state.quiet, floor)
+            gap, still = _excess(nominal, residuals, floor), _excess(state.base, state.quiet, floor)
             share = sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300)
             return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
         apart = bool(conclusion.differs(state))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.diagnosis.chance import Kind
 from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.lens import Lens
 from swimid.effects.affected import Affected
@@ -31,6 +32,53 @@ LOOSE = 0.3
 NEAR = 0.3
 
 
+class Mixed(Problem):
+    """Residuals of a model on trials that differ by chance.
+
+    Parameters
+    ----------
+    chance : sequence of Kind
+        What differs: a number of each trial.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        parameters: Sequence[Parameter],
+        trials: Sequence[Trial],
+        *,
+        chance: Sequence[Kind] = (),
+        jobs: int = 1,
+    ) -> None:
+        known = {kind.label: kind for kind in chance}
+        parameters = [
+            _differing(p, known[p.name]) if p.name in known and known[p.name].effect is None else p
+            for p in parameters
+        ]
+        super().__init__(model, parameters, trials, jobs=jobs)
+        self.chance = tuple(chance)
+        self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
+
+    def differs(self, j: int) -> bool:
+        """Whether an estimated number is what differs by chance in a trial."""
+        return self.slots[j][0] in self._differ
+
+    def begun(self, trial: int) -> list[int]:
+        """Places of a trial's start state."""
+        return [j for j in self.own(trial) if not self.differs(j)]
+
+    def differing(self, trial: int) -> list[int]:
+        """Places of what differs by chance in a trial."""
+        return [j for j in self.own(trial) if self.differs(j)]
+
+
+def _differing(parameter: Parameter, kind: Kind) -> Parameter:
+    """A number that each trial has for itself, and that the model holds, as one that differs by chance."""
+    start, far = parameter.start, kind.farthest
+    lower, upper = max(parameter.lower, start - far), min(parameter.upper, start + far)
+    return replace(parameter, free=True, scale=kind.width, lower=lower, upper=upper)
+
+
 @dataclass(frozen=True)
 class Fit:
     """An optimum.
@@ -38,6 +86,9 @@ class Fit:
     Attributes
     ----------
     effects : tuple of Effect
+        Chosen ones.
+    acting : tuple of Effect
+        Those before, after what differs between trials by chance.
     labels : list of str
     theta : ndarray, shape (p,)
     cost : float
@@ -50,18 +101,72 @@ class Fit:
     """
 
     effects: tuple[Effect, ...]
+    acting: tuple[Effect, ...]
     labels: list[str]
     theta: Array
     cost: float
     residuals: list[Array]
     rows: list[Array]
     scale: Array
-    problem: Problem
+    problem: Mixed
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which numbers are not at a bound, shape (p,)."""
+        return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
+
+    def loose(self, k: int) -> NDArray[np.intp]:
+        """Places of what trial ``k`` has for itself and is not at the end of its range."""
+        inside = self.inside
+        return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
 
     def own(self, k: int) -> Array:
-        """Derivatives to what trial ``k`` has for itself, per typical size, shape (n_k, m)."""
-        mine = self.problem.own(k)
+        """Derivatives to the start state of trial ``k``, per typical size, shape (n_k, m)."""
+        mine = self.problem.begun(k)
         return np.asarray(self.rows[k][:, mine] * self.scale[mine])
+
+    def centre(self, without: Collection[str] = ()) -> dict[str, float]:
+        """What differs by chance as it is on average, by the name of its number.
+
+        Parameters
+        ----------
+        without : collection of str
+            Effects with which it shares a number and that are none here: then it is none, too.
+        """
+        null = {p.name: p.start for p in self.problem.parameters}
+        apart = {kind.label for kind in self.problem.chance if kind.name.replace("_", "-") in without}
+        values: dict[str, list[float]] = {}
+        for j, (index, _) in enumerate(self.problem.slots):
+            if self.problem.differs(j):
+                values.setdefault(self.problem.parameters[index].name, []).append(float(self.theta[j]))
+        return {name: null[name] if name in apart else float(np.mean(v)) for name, v in values.items()}
+
+    def bare(self, k: int, without: Collection[str] = ()) -> Array:
+        """Residuals of trial ``k`` were it like the average trial, to first order, shape (n_k,).
+
+        Parameters
+        ----------
+        without : collection of str
+            As in :meth:`centre`.
+        """
+        mine = self.problem.differing(k)
+        centre = self.centre(without)
+        names = [self.problem.parameters[self.problem.slots[j][0]].name for j in mine]
+        away = np.array([self.theta[j] - centre[name] for j, name in zip(mine, names, strict=True)])
+        return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
+
+    def unaided(self, without: Collection[str] = ()) -> list[Array]:
+        """Residuals of each trial had nobody known what differs in it by chance, its start state refitted.
+
+        Parameters
+        ----------
+        without : collection of str
+            As in :meth:`centre`.
+        """
+        return [
+            beyond(self.own(k), self.bare(k, without)) if self.problem.differing(k) else r
+            for k, r in enumerate(self.residuals)
+        ]
 
     def value(self, label: str) -> float:
         """An estimate by its label."""
@@ -102,6 +207,7 @@ class Bench:
         self.jobs = jobs
         self.quick = quick
         self._known: dict[tuple[int, ...], Affected] = {}
+        self._differing: dict[Kind, Effect | None] = {}
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -128,17 +234,50 @@ class Bench:
             self._known[key] = Affected(model, effects, self.trials)
         return self._known[key]
 
-    def problem(self, effects: Sequence[Effect], *, jobs: int | None = None) -> Problem:
-        """Residuals of the model with effects, nominal coefficients as here."""
-        model = self.affected(effects)
+    def problem(
+        self,
+        effects: Sequence[Effect],
+        chance: Sequence[Kind] = (),
+        *,
+        jobs: int | None = None,
+        trials: Sequence[Trial] | None = None,
+        known: Mapping[str, float] | None = None,
+    ) -> Mixed:
+        """Residuals of the model with effects, on trials that differ by chance, coefficients as here.
+
+        Parameters
+        ----------
+        trials : sequence of Trial, optional
+            Others than those of the bench.
+        known : mapping of label to float, optional
+            Shared numbers that are not to be estimated.
+        """
+        acting = self.acting(effects, chance)
+        model = self.affected(acting)
         own = model.parameters[len(self.parameters) :]
-        problem = Problem(
-            model, (*self.parameters, *own), self.trials, jobs=self.jobs if jobs is None else jobs
+        known = known or {}
+        problem = Mixed(
+            model,
+            [
+                replace(p, free=False, start=known[p.name]) if p.name in known else p
+                for p in (*self.parameters, *own)
+            ],
+            self.trials if trials is None else trials,
+            chance=chance,
+            jobs=self.jobs if jobs is None else jobs,
         )
         problem.near = NEAR
         if self.quick is not None:
-            problem.quick = self._affected(self.quick, effects)
+            problem.quick = self._affected(self.quick, acting)
         return problem
+
+    def acting(self, effects: Sequence[Effect], chance: Sequence[Kind]) -> tuple[Effect, ...]:
+        """Everything that acts on the model: what differs by chance, then effects."""
+        for kind in chance:
+            # one object each, so that what depends on it is found again
+            self._differing.setdefault(kind, kind.acting())
+        differing = [self._differing[kind] for kind in chance]
+        return (*(e for e in differing if e is not None), *effects)
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
         """Numbers that are a trial's own business in a comparison of folds, shape (p,).
@@ -153,12 +292,18 @@ class Bench:
             dtype=bool,
         )
 
-    def expected(self, problem: Problem) -> tuple[Array, Array]:
+    def shared(self, fit: Fit) -> NDArray[np.intp]:
+        """Places of the numbers that folds share, without those at their bounds: these stay there."""
+        return np.flatnonzero(~self.single(fit.problem) & fit.inside)
+
+    def expected(self, problem: Mixed) -> tuple[Array, Array]:
         """Prior mean and inverse standard deviation of each number; 0 where there is none."""
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
-            if "/" in p.name:
+            if problem.differs(j):
+                mean[j], weight[j] = p.start, 1.0 / p.scale
+            elif "/" in p.name:
                 mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
             elif owner is not None:
                 weight[j] = 1.0 / (START_PRIOR * p.scale)
@@ -167,7 +312,7 @@ class Bench:
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
         return mean, weight
 
-    def begins(self, problem: Problem, theta: Array) -> list[Array]:
+    def begins(self, problem: Mixed, theta: Array) -> list[Array]:
         """Numbers to fit from: given ones and, where their coefficients are far from what is known of them,
         the known ones with all else as it is.
 
@@ -206,61 +351,94 @@ class Bench:
         chord : Fit, optional
             Take the derivatives to the numbers of this fit from it: an optimum nearby costs a fifth.
         """
-        problem = self.problem(effects, jobs=jobs)
+        problem = self.problem(effects, lens.chance, jobs=jobs)
         lens.install(problem)
+        if chord is not None:
+            problem.lend(chord.labels, chord.rows)
+        try:
+            best = self._search(problem, lens, starts, tolerance, iterations)
+            return self._at(problem, effects, best.x, best.cost)
+        finally:
+            problem.close()
+
+    def outside(self, fit: Fit, lens: Lens, trial: Trial, shared: Mapping[str, float]) -> float:
+        """Squared residuals of a trial with shared numbers given and its own fitted to it, prior included.
+
+        Parameters
+        ----------
+        fit : Fit
+            Of the model.
+        lens : Lens
+        shared : mapping of label to float
+        """
+        problem = self.problem(fit.effects, lens.chance, jobs=1, trials=[trial], known=shared)
+        problem.sd = [[self._typical_sd(lens, c) * np.ones(len(trial.time_s)) for c in problem.channels[0]]]
+        return self._search(problem, lens, [problem.start], TOLERANCE, 30).cost
+
+    def _typical_sd(self, lens: Lens, channel: str) -> float:
+        """Standard deviation that the lens gives a sample of a channel in the trials at hand."""
+        found = [
+            np.median(sds[names.index(channel)])
+            for sds, names in zip(lens.sd, self.shape.channels, strict=True)
+            if channel in names
+        ]
+        return float(np.median(found)) if found else math.inf
+
+    def _search(
+        self, problem: Mixed, lens: Lens, starts: Sequence[Array], tolerance: float, iterations: int
+    ) -> levenberg.Solution:
+        """The best optimum of a problem from several starts."""
         mean, weight = self.expected(problem)
         held = weight > 0
 
         def residuals(theta: Array) -> Array:
             parts = [
-                lens.through(problem, k, problem.trial_residuals(theta, k)) for k in range(len(self.trials))
+                lens.through(problem, k, problem.trial_residuals(theta, k))
+                for k in range(len(problem.trials))
             ]
             return np.concatenate([*parts, ((theta - mean) * weight)[held]])
-
-        if chord is not None:
-            problem.lend(chord.labels, chord.rows)
 
         def jacobian(theta: Array) -> Array:
             parts = [lens.through(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
             return np.concatenate([*parts, np.diag(weight)[held]])
 
-        best: levenberg.Solution | None = None
-        try:
-            for start in starts:
-                found = levenberg.minimise(
-                    residuals,
-                    jacobian,
-                    np.clip(start, problem.lower, problem.upper),
-                    lower=problem.lower,
-                    upper=problem.upper,
-                    scale=problem.scale,
-                    tolerance=tolerance,
-                    max_iterations=iterations,
-                )
-                if best is None or found.cost < best.cost:
-                    best = found
-            assert best is not None
-            return self._at(problem, effects, best.x, best.cost)
-        finally:
-            problem.close()
+        solutions = (
+            levenberg.minimise(
+                residuals,
+                jacobian,
+                np.clip(start, problem.lower, problem.upper),
+                lower=problem.lower,
+                upper=problem.upper,
+                scale=problem.scale,
+                tolerance=tolerance,
+                max_iterations=iterations,
+            )
+            for start in starts
+        )
+        return min(solutions, key=lambda found: found.cost)
 
     def at(self, effects: Sequence[Effect], lens: Lens, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""
-        problem = self.problem(effects)
+        problem = self.problem(effects, lens.chance)
         lens.install(problem)
         try:
             return self._at(problem, effects, theta, math.nan)
         finally:
             problem.close()
 
-    def _at(self, problem: Problem, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
+    def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return Fit(tuple(effects), problem.labels, theta, cost, residuals, rows, problem.scale, problem)
+        acting = self.acting(effects, problem.chance)
+        return Fit(
+            tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
+        )
 
-    def start(self, effects: Sequence[Effect], fit: Fit, own: Mapping[str, float] | None = None) -> Array:
-        """Numbers for a fit with other effects: those of an earlier fit, and given or null ones."""
-        problem = self.problem(effects)
+    def start(
+        self, effects: Sequence[Effect], lens: Lens, fit: Fit, own: Mapping[str, float] | None = None
+    ) -> Array:
+        """Numbers for a fit with other effects or noise: those of an earlier fit, and given or null ones."""
+        problem = self.problem(effects, lens.chance)
         known = dict(zip(fit.labels, fit.theta, strict=True))
         own = own or {}
         return np.array(
@@ -280,7 +458,7 @@ class Bench:
         point : ndarray
             Values of all the effect's parameters.
         """
-        model = self._affected(self.quick or self.model, (*base.effects, effect))
+        model = self._affected(self.quick or self.model, (*base.acting, effect))
         size = len(model.own[-1])
         null = np.array([p.start for p in model.own[-1]])
         found = []
@@ -298,7 +476,7 @@ class Bench:
 
     def moved(self, base: Fit, index: int, step: float) -> list[Array]:
         """What a step of one of the model's own parameters changes in each trial, weighted, shape (n_k,)."""
-        model = self.affected(base.effects)
+        model = self.affected(base.acting)
         found = []
         for k, trial in enumerate(self.trials):
             own = base.problem.vector(base.theta, k)
@@ -307,6 +485,12 @@ class Bench:
             plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
             found.append((stacked - plain) * base.problem.sample_weights(k))
         return found
+
+
+def beyond(columns: Array, values: Array) -> Array:
+    """What least squares on some columns leaves of some values, shape (n,)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
 def errors(fit: Fit, lens: Lens, weight: Array) -> Array:

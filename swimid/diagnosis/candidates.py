@@ -28,8 +28,10 @@ DRAWS, QUANTILE = 400, 0.975
 LEAST_GAIN = 30.0
 #: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
 STARTS = 2
+#: Relative tolerance of a first refit, and of the last.
+ROUGH, FINE = 5e-4, 1e-4
 #: Steps after which the best of several starts goes on alone.
-HEAT = 4
+HEAT = 3
 #: Shares of a predicted size to begin at where the prediction was no start.
 NEARER = (0.5, 0.2, 0.0)
 #: Parts of a trial that are judged in turn where each trial has a size for itself.
@@ -362,10 +364,12 @@ def refit(
     effects = (*base.effects, tried.effect)
     own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
     points = [tried.point, *tried.starts]
-    starts = [bench.start(effects, base, {**own, **dict(zip(own, point, strict=True))}) for point in points]
+    starts = [
+        bench.start(effects, lens, base, {**own, **dict(zip(own, point, strict=True))}) for point in points
+    ]
     chord = base if begin is None else None
     if begin is not None:
-        starts = bench.begins(bench.problem(effects), bench.start(effects, begin))
+        starts = bench.begins(bench.problem(effects, lens.chance), bench.start(effects, lens, begin))
     checkpoint = checkpoint or Checkpoint()
     name = "+".join(
         [
@@ -378,14 +382,17 @@ def refit(
     if kept is not None and len(kept) == len(starts[0]):
         starts = [kept]
 
+    # a first refit need not be exact: what comes near the best is fitted again
+    tolerance = ROUGH if begin is None else FINE
+
     def fitted(begins: list[Array], most: int = iterations) -> Fit:
-        return bench.fit(effects, lens, begins, iterations=most, tolerance=1e-4, jobs=1, chord=chord)
+        return bench.fit(effects, lens, begins, iterations=most, tolerance=tolerance, jobs=1, chord=chord)
 
     def raced(begins: list[Array]) -> Fit:
         # of several starts the one that is ahead after a few steps
         return fitted([fitted(begins, HEAT).theta] if len(begins) > 1 else begins)
 
-    fit = raced(starts) if begin is None else fitted(starts)
+    fit = raced(starts)
     if begin is None and not fit.cost <= base.cost:
         # far from null a linear guess may be no start: towards the model that has it not
         towards = [
@@ -395,7 +402,9 @@ def refit(
             }
             for share in NEARER
         ]
-        fit = min(fit, raced([bench.start(effects, base, near) for near in towards]), key=lambda f: f.cost)
+        fit = min(
+            fit, raced([bench.start(effects, lens, base, near) for near in towards]), key=lambda f: f.cost
+        )
     checkpoint.put(name, fit.theta)
     gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
     single = [p for p in tried.parameters if p.per_trial]
@@ -440,15 +449,8 @@ def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]
     gains = np.zeros(bench.folds.count)
     q = len(own)
     for k, trial in enumerate(bench.trials):
-        mine = problem.own(k)
-        block = np.column_stack([*(c[k] for c in own), base.residuals[k], base.rows[k][:, mine]])
-        seen = lens.through(problem, k, block)
-        if mine:
-            starts = seen[:, q + 1 :]
-            normal = starts.T @ starts
-            # a start that changes nothing here is left alone
-            normal += 1e-9 * (np.trace(normal) or 1.0) * np.eye(len(mine))
-            seen = seen[:, : q + 1] - starts @ np.linalg.solve(normal, starts.T @ seen[:, : q + 1])
+        block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
+        seen = gram.apart(bench, base, lens, k, block)[: len(block)]
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
         )

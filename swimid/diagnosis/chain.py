@@ -8,17 +8,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, gram, remainder
+from swimid.diagnosis import candidates, chance, gram, remainder
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
+from swimid.diagnosis.chance import CHANCE, FEWEST, Kind
 from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.floor import quiet, scatter
-from swimid.diagnosis.lens import CHANCE, FEWEST, Lens, brief, coloured, spread
+from swimid.diagnosis.floor import quiet
+from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
@@ -30,11 +32,15 @@ from swimid.progress import Progress, show, silent
 WEIGHTINGS = 2
 #: Relative tolerance of the cost meanwhile.
 COARSE = 1e-3
-#: For differences, in which its error cancels, a longer step may change a sample by this share of the range.
+#: A longer step of integration may change a sample by this share of the range: far below any noise.
+SMALL_CHANGE = 1e-4
+#: For differences, in which its error cancels, so much.
 COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
+#: Beside an effect that was found, at most so many.
+FURTHER_MOST = 6
 #: Of one effect, so many forms.
 FORMS = 2
 #: Of those, so many are refitted to the end.
@@ -45,19 +51,14 @@ CLOSE = 0.6
 LOST = 0.25
 #: Of the folds, this share may be worse with it, by more misfit than chance makes of nothing.
 LOSING, WORSE = 0.3, 2.0
-#: So many effects take part before chance differences between trials are looked for.
-LIKELIEST = 2
+#: Of so many the one that fits best is in the model meanwhile.
+LEADERS = 3
+#: Steps that suffice to tell which.
+FEW = 8
 #: Trials shorter than so many samples do not tell how noise is coloured.
 SHORT = 20
 #: An effect this small, in typical sizes, is none.
 NONE = 1e-3
-#: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
-#: their scale, or by a share of a common number.
-OWN: dict[str, tuple[str, float] | None] = {
-    "friction_deviation": ("pulley_friction", 0.1),
-    "start_offset": None,
-    "initial_speed": None,
-}
 #: A further effect must gain this share of what the first one did.
 FURTHER = 0.03
 #: One chosen earlier must still gain this share of what the one chosen last does, or it stood in for it.
@@ -100,15 +101,13 @@ class State:
     dropouts: Dropouts
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
-    chance: list[str] = field(default_factory=list)
-    chance_sd: Array = field(default_factory=lambda: np.empty(0))
+    chance: list[Kind] = field(default_factory=list)
     out_of_time: bool = False
     slow: dict[str, Slow] = field(default_factory=dict)
     generic: Generic | None = None
     #: Effects chosen first and found needless beside another, by name.
     taken_back: dict[str, str] = field(default_factory=dict)
     quiet: list[Array] = field(default_factory=list)
-    scatter: dict[str, float] = field(default_factory=dict)
 
 
 def weigh(bench: Bench) -> tuple[Lens, Fit]:
@@ -126,13 +125,17 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     return lens, fit
 
 
-def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
+def coarser(
+    model: Model, vectors: Sequence[Array], trials: Sequence[Trial], change: float = COARSE_CHANGE
+) -> Model | None:
     """The model with twice the integration step, where that changes samples little.
 
     Parameters
     ----------
     vectors : sequence of ndarray
         Parameters of each trial.
+    change : float
+        Of a sample, as a share of its channel's range, that is little.
     """
     quick = model.coarser()
     if quick is None:
@@ -141,43 +144,39 @@ def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> 
         fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(fine[channel]))
-            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= COARSE_CHANGE * span:
+            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= change * span:
                 return None
     return quick
 
 
-def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[str]]:
-    """Changes of each trial by what may differ from trial to trial by chance, shape (n_k, q)."""
-    columns: list[list[Array]] = []
-    names: list[str] = []
-    value = {p.name: p.start for p in bench.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[list[Array], list[Kind]]:
+    """Changes of each trial, per typical size, by what may differ from trial to trial by chance.
 
-    def keep(name: str, half: list[Array]) -> None:
+    Returns
+    -------
+    columns : list of ndarray, shape (n_k, q)
+    kinds : list of Kind, length q
+    """
+    columns: list[list[Array]] = []
+    found: list[Kind] = []
+    value = {p.name: p.start for p in bench.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
+    for kind in chance.kinds(bench.model, bench.parameters, bench.trials, effects, value):
+        if kind.effect is None:
+            half = bench.moved(fit, kind.place, 0.5 * kind.size)
+        else:
+            point = np.array(kind.null)
+            upper = kind.effect.parameters(bench.model, bench.trials)[kind.place].upper
+            sign = 1.0 if point[kind.place] + 0.5 * kind.size <= upper else -1.0
+            point[kind.place] += sign * 0.5 * kind.size
+            half = [sign * c for c in bench.change(fit, kind.effect, point)]
         if all(np.isfinite(c).all() for c in half) and sum(float(c @ c) for c in half) > 0:
             columns.append([2.0 * c for c in half])
-            names.append(name)
-
-    for effect in effects:
-        if not effect.scatters:
-            continue
-        parameters = effect.parameters(bench.model, bench.trials)
-        for j, p in enumerate(parameters):
-            if p.per_trial:
-                continue
-            point = np.array([q.start for q in parameters])
-            sign = 1.0 if p.start + 0.5 * p.scale <= p.upper else -1.0
-            point[j] = p.start + sign * 0.5 * p.scale
-            keep(effect.name, bench.change(fit, effect, point))
-    for index, p in enumerate(bench.parameters):
-        if p.per_trial and not p.free and p.name in OWN:
-            share = OWN[p.name]
-            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
-            keep(p.name, bench.moved(fit, index, 0.5 * (size or p.scale)))
+            found.append(kind)
     stacked = [
         np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
         for k in range(len(bench.trials))
     ]
-    return stacked, names
+    return stacked, found
 
 
 def see(
@@ -189,32 +188,40 @@ def see(
     unknowns: int,
     *,
     common: int | None = None,
-) -> tuple[Lens, Array, list[str]]:
+) -> tuple[Lens, list[Kind]]:
     """The lens as some residuals show the noise: colour first, then chance differences between trials.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted.
+        Weighted, with all that differs between trials by chance still in them.
     unknowns : int
         Numbers fitted to them.
     common : int, optional
         Of these, effects that all trials share; without it chance differences are left out, as they would
         hide what no effect has yet been tried on.
+
+    Returns
+    -------
+    lens : Lens
+    kinds : list of Kind
+        What may differ, with the spread the trials show: the lens has at most `CHANCE` of it.
     """
     apart = _apart(bench)
-    chance, names = chance_columns(bench, fit, effects) if apart else ([], [])
+    columns, kinds = chance_columns(bench, fit, effects) if apart else ([], [])
     # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
-    still = quiet(fit, residuals, chance) if apart else residuals
-    unknowns += len(names) * len(residuals) if apart else 0
+    still = quiet(fit, residuals, columns) if apart else residuals
+    unknowns += len(kinds) * len(residuals) if apart else 0
     lens = coloured(fit.problem, still, Lens(lens.sd), unknowns=unknowns)
     if apart:
         lens = brief(lens, fit.problem, still, remainder.moves(remainder.slow(fit, still)))
     if common is None or not apart:
-        return lens, np.empty(0), []
+        return lens, []
     own = [fit.own(k) for k in range(len(bench.trials))]
-    lens, sd = spread(lens, fit.problem, residuals, own, chance, used=common)
-    return lens, sd, names
+    sd = chance.spread(partial(lens.through, fit.problem), residuals, own, columns, used=common)
+    kinds = [replace(kind, sd=float(s)) for kind, s in zip(kinds, sd, strict=True)]
+    differing = tuple(replace(kind, sd=min(kind.sd, CHANCE)) for kind in kinds if kind.sd > 0)
+    return replace(lens, chance=differing), kinds
 
 
 def _apart(bench: Bench) -> bool:
@@ -241,24 +248,23 @@ def rank(
     generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
     apart = _apart(bench)
     # the likeliest effects first, chance differences only in what they leave; then everything together
-    for first in (True, False):
+    for first in (False,) if apart and base.effects else (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
-        if not apart:
-            likely = [t for t in screened.tried if t.gain > 0][:MOST]
-        else:
-            likely = _likeliest(screened) if first else _certain(screened)
+        leading, likely = base, [t for t in screened.tried if t.gain > 0][:MOST]
+        if apart:
+            leading, likely = _leading(bench, base, lens, screened, jobs), []
         columns, prior = [t.signature for t in likely], [1.0] * len(likely)
         if not (first and apart):
             left = remainder.find(bench, base, lens, generic, rng=rng)
             if left.found or not apart:
                 columns, prior = columns + left.columns, prior + left.prior
-        bare = remainder.saturated(bench, base, lens, columns, prior)
-        unknowns, common = len(columns) + len(base.labels), min(len(likely), LIKELIEST)
-        lens, sd, names = see(bench, base, lens, bare, scattering, unknowns, common=common)
-        state.chance_sd, state.chance = sd, names
-        base = bench.fit(base.effects, lens, [base.theta], chord=base)
+        bare = remainder.saturated(bench, leading, lens, columns, prior)
+        unknowns = len(columns) + len(leading.labels)
+        common = int(leading is not base)
+        lens, state.chance = see(bench, leading, lens, bare, scattering, unknowns, common=common)
+        base = bench.fit(base.effects, lens, [bench.start(base.effects, lens, base)])
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens
     plain = gram.folded(bench, base, lens)
@@ -268,11 +274,11 @@ def rank(
         if sum(other.effect.name == t.effect.name for other in each) < FORMS:
             each.append(t)
     # beside what was found already, an effect is worth a refit where the screen sees something of it
-    least = 0.5 * candidates.LEAST_GAIN if base.effects else 0.0
+    least, most = (0.5 * candidates.LEAST_GAIN, FURTHER_MOST) if base.effects else (0.0, MOST)
     promising = [
         t
         for i, t in enumerate(each)
-        if t.gain > least and (i < LEAST or (i < MOST and t.gain > SHARE * best))
+        if t.gain > least and (i < LEAST or (i < most and t.gain > SHARE * best))
     ]
 
     def one(tried: Tried) -> Refitted | None:
@@ -298,19 +304,27 @@ def rank(
     return Round(base, screened, ranked, lens, threshold)
 
 
-def _likeliest(screened: Screen) -> list[Tried]:
-    """The best effects that all trials share: what each trial has for itself may be chance."""
-    found: dict[str, Tried] = {}
+def _leading(bench: Bench, base: Fit, lens: Lens, screened: Screen, jobs: int) -> Fit:
+    """The model with whichever of the likeliest effects fits best: what it leaves is nearer to noise.
+
+    Far from null an effect's change is not the screen's. Without one that counts, the base itself.
+    """
+    likely: dict[str, Tried] = {}
     for t in screened.tried:
+        # what each trial has for itself may be chance
         if t.gain > 0 and not any(p.per_trial for p in t.parameters):
-            found.setdefault(t.effect.name, t)
-    return list(found.values())[:LIKELIEST]
+            likely.setdefault(t.effect.name, t)
+    plain = gram.folded(bench, base, lens)
 
+    def one(tried: Tried) -> Refitted:
+        return candidates.refit(bench, base, plain, lens, replace(tried, starts=[]), iterations=FEW)
 
-def _certain(screened: Screen) -> list[Tried]:
-    """Effects that gain more than noise would: more of them would take chance differences for their own."""
-    enough = max(screened.threshold, candidates.LEAST_GAIN)
-    return [t for t in screened.tried if t.gain > enough][:MOST]
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        found = list(pool.map(one, list(likely.values())[:LEADERS]))
+    best = max(found, key=lambda r: r.merit, default=None)
+    if best is None or best.merit <= max(screened.threshold, candidates.LEAST_GAIN):
+        return base
+    return candidates.refit(bench, base, plain, lens, best.tried, begin=best.fit).fit
 
 
 def _hopeful(
@@ -330,6 +344,7 @@ def run(
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
     *,
+    scattering: Sequence[Effect] | None = None,
     seed: int = 0,
     jobs: int = 1,
     most: int = COMBINED,
@@ -337,7 +352,16 @@ def run(
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
-    """Everything up to the choice of causes, on the trials that take part in fits."""
+    """Everything up to the choice of causes, on the trials that take part in fits.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        To try.
+    scattering : sequence of Effect, optional
+        Of which those that scatter may differ between trials; default the same.
+    """
+    scattering = effects if scattering is None else scattering
     keep = checkpoint or Checkpoint()
     begun = time.monotonic()
     rng = np.random.default_rng(seed)
@@ -346,20 +370,27 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        quick = coarser(model, [np.array([p.start for p in parameters])] * len(trials), trials)
-        bench = Bench(model, parameters, trials, prior, jobs=jobs, quick=quick)
-        lens, fit = weigh(bench)
+        start = [np.array([p.start for p in parameters])] * len(trials)
+        fine, model = model, coarser(model, start, trials, SMALL_CHANGE) or model
+
+        def weighed(sound: Sequence[Trial]) -> tuple[Bench, Lens, Fit]:
+            found = Bench(model, parameters, sound, prior, jobs=jobs, quick=coarser(model, start, trials))
+            return (found, *weigh(found))
+
+        bench, lens, fit = weighed(trials)
         dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
         if dropouts.count:
-            bench = Bench(model, parameters, dropouts.without(trials), prior, jobs=jobs, quick=quick)
-            lens, fit = weigh(bench)
+            bench, lens, fit = weighed(dropouts.without(trials))
         # a coarse step may do at the start values, and not from where trials were found to begin
+        own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
+        if model is not fine and coarser(fine, own, bench.trials, SMALL_CHANGE) is None:
+            model = fine
+            bench, lens, fit = weighed(bench.trials)
         if bench.quick is not None:
-            own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
             bench.quick = coarser(model, own, bench.trials)
-        lens, sd, names = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
+        lens, kinds = see(bench, fit, lens, fit.residuals, scattering, len(fit.labels))
         fit = bench.fit((), lens, [fit.theta])
-        state = State(bench, lens, fit, dropouts, chance=names, chance_sd=sd)
+        state = State(bench, lens, fit, dropouts, chance=kinds)
         while len(state.rounds) < max(most, 1):
             chosen = {e.name for e in state.base.effects}
             rest = [e for e in effects if e.name not in chosen]
@@ -369,7 +400,7 @@ def run(
                     show(step, name)
 
                 found = rank(
-                    state, rest, effects, rng=rng, jobs=jobs, step=advance, late=late, checkpoint=keep
+                    state, rest, scattering, rng=rng, jobs=jobs, step=advance, late=late, checkpoint=keep
                 )
             state.rounds.append(found)
             lead(state, found)
@@ -379,25 +410,21 @@ def run(
                 break
             # candidates are fitted only as far as their order needs
             best = state.rounds[-1].ranked[0].fit
-            state.base = bench.fit(best.effects, state.lens, [best.theta], iterations=12, tolerance=1e-4)
+            begin = bench.start(best.effects, state.lens, best)
+            state.base = bench.fit(best.effects, state.lens, [begin], iterations=12, tolerance=1e-4)
             if late():
                 state.out_of_time = True
                 break
         if dropouts.count:
-            simulated = [
-                bench.affected(state.base.effects).simulate(state.base.problem.vector(state.base.theta, k), t)
-                for k, t in enumerate(trials)
-            ]
+            simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(trials, simulated))
         generic = state.generic
         if generic is None or state.rounds[-1].base.effects != state.base.effects:
             generic = remainder.simulate(bench, state.base, jobs=jobs)
         state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
-        chance, _ = chance_columns(bench, state.base, effects)
-        state.quiet = quiet(state.base, state.base.residuals, chance)
+        columns, _ = chance_columns(bench, state.base, scattering)
+        state.quiet = quiet(state.base, state.base.residuals, columns)
         state.slow = remainder.slow(state.base, state.quiet)
-        if len(state.chance_sd):
-            state.scatter = scatter(state.base, chance, np.minimum(state.chance_sd, CHANCE))
     return state
 
 
@@ -413,10 +440,9 @@ def without_the_needless(state: State, checkpoint: Checkpoint) -> bool:
         if stood_in.effect.name in state.taken_back:
             continue
         others = [e for e in last.fit.effects if e is not stood_in.effect]
-        begin = bench.start(others, last.fit)
-        without = bench.fit(
-            others, found.lens, bench.begins(bench.problem(others), begin), iterations=12, tolerance=1e-4
-        )
+        begin = bench.start(others, found.lens, last.fit)
+        begins = bench.begins(bench.problem(others, found.lens.chance), begin)
+        without = bench.fit(others, found.lens, begins, iterations=12, tolerance=1e-4)
         plain = gram.folded(bench, without, found.lens)
         again = candidates.refit(
             bench, without, plain, found.lens, stood_in, begin=last.fit, checkpoint=checkpoint

@@ -11,8 +11,8 @@ from swimid.diagnosis import candidates, remainder
 from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chain import FORM, Round, State, passes
+from swimid.diagnosis.chance import CHANCE
 from swimid.diagnosis.floor import split
-from swimid.diagnosis.lens import CHANCE
 from swimid.diagnosis.result import Score, Verdict
 from swimid.effects.base import STAGES
 
@@ -202,7 +202,7 @@ def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: boo
 
 def differs(state: State) -> list[str]:
     """In what the trials differ by more than chance would make them."""
-    return [n for n, sd in zip(state.chance, state.chance_sd, strict=True) if sd > DIFFERS * CHANCE]
+    return [kind.name for kind in state.chance if kind.sd > DIFFERS * CHANCE]
 
 
 def parameter_errors(state: State) -> Mapping[str, float]:

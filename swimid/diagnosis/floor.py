@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.bench import Bench, Fit, beyond
 from swimid.diagnosis.folds import setting
 from swimid.models.base import Array
 
@@ -51,14 +51,8 @@ def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list
     found = []
     for k, r in enumerate(residuals):
         columns = np.column_stack((fit.own(k), chance[k]))
-        found.append(_beyond(columns, r) if len(r) >= 4 * columns.shape[1] + 20 else r)
+        found.append(beyond(columns, r) if len(r) >= 4 * columns.shape[1] + 20 else r)
     return found
-
-
-def _beyond(columns: Array, values: Array) -> Array:
-    """What least squares on some columns leaves of some values, shape (n,)."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
 def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
@@ -70,27 +64,7 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 
-def scatter(fit: Fit, chance: Sequence[Array], sd: Array) -> dict[str, float]:
-    """Variance of each channel that chance differences between trials cause, beyond each one's start state.
-
-    Parameters
-    ----------
-    chance : sequence of ndarray, shape (n_k, q)
-        Weighted changes by what differs from trial to trial, of typical size.
-    sd : ndarray, shape (q,)
-        How much it differs, in typical sizes.
-    """
-    found: dict[str, float] = {}
-    for j in np.flatnonzero(sd):
-        changes = [_beyond(fit.own(k), columns[:, j] * sd[j]) for k, columns in enumerate(chance)]
-        for channel, values in by_channel(fit, changes).items():
-            found[channel] = found.get(channel, 0.0) + float(np.mean(values**2))
-    return found
-
-
-def floors(
-    bench: Bench, last: Fit, residuals: Sequence[Array], between: Mapping[str, float], share: float
-) -> tuple[dict[str, float], str]:
+def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) -> tuple[dict[str, float], str]:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
@@ -99,8 +73,6 @@ def floors(
         The model with all that was found.
     residuals : sequence of ndarray, shape (n_k,)
         What it leaves, weighted, without what differs between trials by chance.
-    between : mapping of channel to float
-        Variance of what differs between trials by chance.
     share : float
         Of its squared residuals through the lens, what a generic description still finds.
 
@@ -113,17 +85,19 @@ def floors(
     how : str
     """
     rest = max(1.0 - share, 0.05)
-    noise, whole = (
-        {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()} for r in (residuals, last.residuals)
+    unaided = last.unaided()
+    noise, known, whole = (
+        {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()}
+        for r in (residuals, last.residuals, unaided)
     )
-    floor = {c: float(np.sqrt(min(rest * noise[c] + between.get(c, 0.0), whole[c]))) for c in noise}
+    floor = {c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c]))) for c in noise}
     how = "the noise that the model with all that was found leaves, and what differs between trials by chance"
     groups = [g for g in repeats(bench) if len({bench.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
         return floor, how
     parts: dict[str, list[Array]] = {}
     for group in groups:
-        split_up = [split(last, k, last.residuals[k]) for k in group]
+        split_up = [split(last, k, unaided[k]) for k in group]
         for channel in split_up[0]:
             stack = np.array([p[channel] for p in split_up if channel in p])
             if len(stack) > 1:

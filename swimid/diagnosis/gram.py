@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
+from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.lens import Lens
 from swimid.models.base import Array
 
@@ -63,50 +63,66 @@ class Drawn:
     pull: Array
 
 
-def folded(
-    bench: Bench,
-    fit: Fit,
-    lens: Lens,
-    columns: Sequence[Sequence[Array]] = (),
-    *,
-    own: Sequence[Sequence[Array]] = (),
-) -> Folded:
+def apart(bench: Bench, fit: Fit, lens: Lens, k: int, block: Array, *, to: Array | None = None) -> Array:
+    """Columns of a trial through the lens, what its own numbers imitate taken out of them.
+
+    Parameters
+    ----------
+    block : ndarray, shape (n_k, c)
+        Weighted; the last column is the residual.
+    to : ndarray of int, optional
+        Own numbers that are taken out; default all of this trial that are free to move.
+
+    Returns
+    -------
+    ndarray, shape (n_k + m, c)
+        The trial's samples, then the prior of its own numbers: all inner products are those of columns in the
+        noise that the numbers, unknown, add to.
+    """
+    problem = fit.problem
+    mine = fit.loose(k) if to is None else to
+    if not len(mine):
+        return lens.through(problem, k, block)
+    mean, weight = bench.expected(problem)
+    n, scale = len(block), problem.scale[mine]
+    seen = lens.through(problem, k, np.column_stack((fit.rows[k][:, mine] * scale, block)))
+    own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
+    wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
+    wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
+    normal = own.T @ own
+    return np.asarray(wanted - own @ solved(normal, own.T @ wanted))
+
+
+def folded(bench: Bench, fit: Fit, lens: Lens, columns: Sequence[Sequence[Array]] = ()) -> Folded:
     """Inner products of a fit's derivatives, further columns and its residuals, fold by fold.
 
     Parameters
     ----------
     columns : sequence of lists of ndarray
         Each a change of all trials, weighted, shape (n_k,) each.
-    own : sequence of lists of ndarray
-        Changes whose size each trial has for itself.
     """
     problem = fit.problem
     whole = bench.folds.whole
     mean, weight = bench.expected(problem)
     single = bench.single(problem)
-    shared = np.flatnonzero(~single)
+    shared = bench.shared(fit)
     count = bench.folds.count
     width = len(shared) + len(columns) + 1
     products = np.zeros((count, width, width))
     samples = np.zeros(count)
     for k in range(len(bench.trials)):
-        extra = [c[k] for c in columns]
-        mine = [j for j in np.flatnonzero(single) if problem.slots[j][1] == k]
-        apart = [fit.rows[k][:, j] * problem.scale[j] for j in mine] + [c[k] for c in own]
-        block = np.column_stack([fit.rows[k][:, shared], *extra, fit.residuals[k], *apart])
-        seen = lens.through(problem, k, block)
-        if apart:
-            nuisance = seen[:, width:]
-            normal = nuisance.T @ nuisance + np.eye(len(apart)) / START_PRIOR**2
-            seen = seen[:, :width] - nuisance @ np.linalg.solve(normal, nuisance.T @ seen[:, :width])
+        mine = np.array([j for j in fit.loose(k) if single[j]], dtype=int)
+        block = np.column_stack([fit.rows[k][:, shared], *(c[k] for c in columns), fit.residuals[k]])
+        seen = apart(bench, fit, lens, k, block, to=mine)
         owner = bench.folds.owner[k]
         if whole:
             f = int(owner[0]) if len(owner) else 0
             products[f] += seen.T @ seen
-            samples[f] += len(seen)
+            samples[f] += len(block)
         else:
+            # of a start state the trials tell so much that what was known of it before is nothing
             for f in np.unique(owner):
-                part = seen[owner == f]
+                part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
                 samples[f] += len(part)
     return Folded(products, weight[shared] ** 2, (mean - fit.theta)[shared], samples)

@@ -30,15 +30,19 @@ class Map:
 
     Parameters
     ----------
+    residuals : sequence of ndarray, shape (n_k,)
+        Of each trial, weighted.
     floors : mapping of channel to float
         In the channels' units.
     """
 
-    def __init__(self, bench: Bench, fit: Fit, floors: Mapping[str, float]) -> None:
+    def __init__(
+        self, bench: Bench, fit: Fit, residuals: Sequence[Array], floors: Mapping[str, float]
+    ) -> None:
         self.trials = bench.trials
         self.excess: list[dict[str, Array]] = []
-        for k in range(len(bench.trials)):
-            series = split(fit, k, fit.residuals[k])
+        for k, residual in enumerate(residuals):
+            series = split(fit, k, residual)
             self.excess.append({c: (r / max(floors.get(c, 1.0), 1e-300)) ** 2 for c, r in series.items()})
         self.channels = sorted({c for by in self.excess for c in by})
         values = [v[np.isfinite(v)] - 1.0 for by in self.excess for v in by.values()]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.diagnosis import gram
-from swimid.diagnosis.bench import START_PRIOR, Bench, Fit
+from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import DRAWS, LEAST_GAIN, PER_SAMPLE, QUANTILE, within
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
@@ -135,7 +135,8 @@ def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.rando
 def saturated(
     bench: Bench, base: Fit, lens: Lens, columns: Sequence[Sequence[Array]], prior: Sequence[float]
 ) -> list[Array]:
-    """Weighted residuals with every number and column fitted to all trials: what is noise, if anything.
+    """Weighted residuals with every number and column fitted to all trials: what is noise, if anything, and
+    what differs between trials by chance.
 
     Returns
     -------
@@ -143,23 +144,30 @@ def saturated(
     """
     inner = gram.folded(bench, base, lens, columns)
     problem = base.problem
+    mean, weight = bench.expected(problem)
     single = bench.single(problem)
-    shared = np.flatnonzero(~single)
+    shared = bench.shared(base)
     factors = gram.together(inner, range(len(columns)), prior)
     found = []
     for k in range(len(bench.trials)):
         r = base.residuals[k] - base.rows[k][:, shared] @ factors[: len(shared)]
         for factor, column in zip(factors[len(shared) :], columns, strict=True):
             r = r - factor * column[k]
-        mine = [j for j in np.flatnonzero(single) if problem.slots[j][1] == k]
-        if mine:
-            own = base.rows[k][:, mine] * problem.scale[mine]
+        mine = np.array([j for j in base.loose(k) if single[j]], dtype=int)
+        rest, bare = r, base.bare(k)
+        if len(mine):
+            scale = problem.scale[mine]
+            own = base.rows[k][:, mine] * scale
             seen = lens.through(problem, k, np.column_stack((own, r)))
-            normal = seen[:, :-1].T @ seen[:, :-1] + np.eye(len(mine)) / START_PRIOR**2
-            r = r - own @ np.linalg.solve(normal, seen[:, :-1].T @ seen[:, -1])
+            known = weight[mine] * scale
+            right = seen[:, :-1].T @ seen[:, -1] + known**2 * (mean - base.theta)[mine] / scale
+            step = gram.solved(seen[:, :-1].T @ seen[:, :-1] + np.diag(known**2), right[:, None])[:, 0]
+            rest = r - own @ step
+            begun = np.array([not problem.differs(j) for j in mine])
+            r = r - own[:, begun] @ step[begun] + (bare - base.residuals[k])
         # far from the base the changes no longer add up: what does not get smaller is no fit
-        better = float(r @ r) < float(base.residuals[k] @ base.residuals[k])
-        found.append(r if better else base.residuals[k])
+        better = float(rest @ rest) < float(base.residuals[k] @ base.residuals[k])
+        found.append(r if better else bare)
     return found
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.candidates import LEAST_GAIN
 from swimid.diagnosis.lens import Lens
 from swimid.diagnosis.result import Overlay, Shrinkage
 from swimid.estimators import start_states
@@ -87,15 +89,13 @@ def pieces(
         Coefficients as given.
     """
     found: list[Piece] = []
-    models = [bench.affected(f.effects) for f in (before, after)]
-    for m in models:
-        own = m.parameters[len(bench.parameters) :]
-        m.parameters = (*bench.parameters, *own)
-    nominal = models[0]
+    causes = {e.name for e in after.effects}
+    plain = bench.affected(())
+    nominal, model = (_average(bench, f, causes if f is before else ()) for f in (before, after))
     if validation:
         shared = [_shared(bench, f, f.theta) for f in (before, after)]
         for trial in validation:
-            found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd)
+            found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
     thetas = [_without(bench, f, lens) for f in (before, after)]
@@ -107,18 +107,28 @@ def pieces(
                 continue
             if bench.folds.whole:
                 near = [_near(trial, k, fit) for fit in (before, after)]
-                found += _whole(trial, nominal, models[1], shipped, shared[0], shared[1], sd, near)
+                found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
             else:
-                found += _stretch(bench, k, inside, nominal, models[1], (before, after), thetas, f, shipped)
+                found += _stretch(bench, k, inside, nominal, model, (before, after), thetas, f, shipped)
             step()
     return found
+
+
+def _average(bench: Bench, fit: Fit, without: Collection[str]) -> Model:
+    """The model of a fit for a trial of which nothing is known but that it is like the others."""
+    model = copy.copy(bench.affected(fit.acting))
+    centre = fit.centre(without)
+    model.parameters = tuple(
+        replace(p, free=False, start=centre[p.name]) if p.name in centre else p
+        for p in (*bench.parameters, *model.parameters[len(bench.parameters) :])
+    )
+    return model
 
 
 def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
     """Numbers of a fit with each fold left out, by one Gauss-Newton step; within bounds."""
     inner = gram.folded(bench, fit, lens)
-    single = bench.single(fit.problem)
-    shared = np.flatnonzero(~single)
+    shared = bench.shared(fit)
     found = []
     for f in range(bench.folds.count):
         rest = replace(inner, products=np.delete(inner.products, f, axis=0))
@@ -130,18 +140,16 @@ def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
 
 def _whole(
     trial: Trial,
-    nominal: Model,
-    model: Model,
-    shipped: Mapping[str, float],
-    before: Mapping[str, float],
-    after: Mapping[str, float],
+    models: Sequence[Model],
+    shared: Sequence[Mapping[str, float]],
     sd: Mapping[str, float],
     near: Sequence[Trial] = (),
 ) -> list[Piece]:
+    """As given, before and after, each from the start state that fits the trial best."""
     first, last = near or (trial, trial)
     runs = [
         m.simulate(_own_start(m, values, begun, sd), trial)
-        for m, values, begun in ((nominal, shipped, first), (nominal, before, first), (model, after, last))
+        for m, values, begun in zip(models, shared, (first, first, last), strict=True)
     ]
     return [
         Piece(trial, c, trial.time_s, y, runs[0][c], runs[1][c], runs[2][c])
@@ -195,6 +203,38 @@ def _stretch(
                       runs[0][channel][rows], runs[1][channel][rows], runs[2][channel][rows])
             )  # fmt: skip
     return found
+
+
+def misfits(bench: Bench, fits: Sequence[Fit], lens: Lens, validation: Sequence[Trial]) -> tuple[Array, int]:
+    """Squared residuals, in units of the noise, of data that took no part in the fits, once what differs by
+    chance in each trial is estimated from it.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        Of models to compare.
+    validation : sequence of Trial
+        Without any, each fold of whole trials in turn.
+
+    Returns
+    -------
+    misfit : ndarray, shape (fits,)
+    samples : int
+    """
+    if validation:
+        work = [(trial, 0) for trial in validation]
+        thetas = [[fit.theta] for fit in fits]
+    else:
+        work = [(trial, int(bench.folds.owner[k][0])) for k, trial in enumerate(bench.trials)]
+        thetas = [_without(bench, fit, lens) for fit in fits]
+    found = np.array(
+        [
+            sum(bench.outside(fit, lens, trial, _shared(bench, fit, theta[f])) for trial, f in work)
+            for fit, theta in zip(fits, thetas, strict=True)
+        ]
+    )
+    count = sum(int(np.isfinite(y).sum()) for trial, _ in work for y in trial.measured.values())
+    return found, count
 
 
 def shrinkages(
@@ -255,6 +295,14 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
         gained += float(np.sum(errors[0] - errors[1]))
         gap += float(np.sum(errors[0][np.isfinite(p.measured)] - 1.0))
     return gained > TRACE * max(gap, 0.0) or not found
+
+
+def hidden(bench: Bench, before: Fit, after: Fit, lens: Lens, validation: Sequence[Trial]) -> bool:
+    """Whether the causes help on held-out trials, and what differs between these by chance hides it."""
+    if not (validation or bench.folds.whole) or not lens.chance:
+        return False
+    misfit, samples = misfits(bench, (before, after), lens, validation)
+    return float(misfit[0] - misfit[1]) > max(TRACE * (misfit[0] - samples), LEAST_GAIN)
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -93,6 +93,8 @@ def diagnose(
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
+        # what differs between trials by chance does so whatever effects are tried
+        every = effect_catalogue.applicable(effect_catalogue.catalogue(), model, fitted) if effects else tried
         same = _own_data(loaded)
         prior = nominal.prior(refitted, given, own_data=same)
         origin = provenance.collect(
@@ -111,7 +113,7 @@ def diagnose(
         workers = jobs or os.cpu_count() or 1
         state = chain.run(
             model, refitted, fitted, prior, tried,
-            seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, checkpoint=keep,
+            scattering=every, seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):

@@ -1,0 +1,245 @@
+"""What differs from trial to trial by chance: a trim, a gain, a clock, the friction of a pulley.
+
+No effect that all trials share can explain it. Each kind is a number of its own in every trial, with the
+spread that the trials show as its prior: a mixed-effects model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.effects.base import Effect, Stage
+from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.models.hooks import Hooks
+
+#: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
+#: their scale, or by a share of a common number.
+OWN: dict[str, tuple[str, float] | None] = {
+    "friction_deviation": ("pulley_friction", 0.1),
+    "start_offset": None,
+    "initial_speed": None,
+}
+#: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
+FEWEST, CLEAR = 3, 2.0
+#: Chance differences are at most this large, in typical sizes: beyond, they are an effect.
+CHANCE = 0.5
+#: No trial is farther off than so many spreads; a spread that few trials tell may be this much larger, in
+#: typical sizes. Without an end chance differences would take up any gap.
+FARTHEST, UNSURE = 3.0, 0.1
+
+
+class Differing(Effect):
+    """One parameter of an effect, with a value for each trial.
+
+    Parameters
+    ----------
+    effect : Effect
+    place : int
+        Of the parameter.
+    null : tuple of float
+        Parameters at which the effect vanishes.
+    width, farthest : float
+        Standard deviation of its values and the largest one, in the parameter's unit.
+    """
+
+    name: ClassVar[str] = "chance"
+    stage: ClassVar[Stage] = "sensing"
+    meaning: ClassVar[str] = "It differs from trial to trial by chance."
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(
+        self, effect: Effect, place: int, null: tuple[float, ...], width: float, farthest: float
+    ) -> None:
+        self.effect, self.place, self.null = effect, place, null
+        self.width, self.farthest = width, farthest
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The value of each trial."""
+        p = self.effect.parameters(model, trials)[self.place]
+        lower, upper = max(p.lower, p.start - self.farthest), min(p.upper, p.start + self.farthest)
+        name = f"{self.effect.name} {p.name}"
+        return (replace(p, name=name, scale=self.width, per_trial=True, lower=lower, upper=upper),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The effect with this value."""
+        point = np.array(self.null)
+        point[self.place] = values[0]
+        return self.effect.hooks(point, trial, model)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of chance difference.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    label : str
+        Of its number among the parameters of a model on which it acts.
+    size : float
+        Typical size, in its unit.
+    effect : Effect or None
+        Whose parameter it is; None of a number of the model itself.
+    place : int
+        Of the parameter in the effect, or in the model.
+    null : tuple of float
+        Parameters of the effect at which it vanishes.
+    sd : float
+        Standard deviation between trials, in typical sizes.
+    """
+
+    name: str
+    label: str
+    size: float
+    effect: Effect | None
+    place: int
+    null: tuple[float, ...] = ()
+    sd: float = 0.0
+
+    @property
+    def width(self) -> float:
+        """Standard deviation between trials, in its unit."""
+        return self.sd * self.size
+
+    @property
+    def farthest(self) -> float:
+        """The largest difference that is chance, in its unit."""
+        return FARTHEST * math.hypot(self.sd, UNSURE) * self.size
+
+    def acting(self) -> Effect | None:
+        """The effect with a value for each trial."""
+        return (
+            None
+            if self.effect is None
+            else Differing(self.effect, self.place, self.null, self.width, self.farthest)
+        )
+
+
+def kinds(
+    model: Model,
+    parameters: Sequence[Parameter],
+    trials: Sequence[Trial],
+    effects: Sequence[Effect],
+    value: Mapping[str, float],
+) -> list[Kind]:
+    """What may differ between trials: what scatters of the effects, and numbers of trials the model holds.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        Of the model.
+    value : mapping of name to float
+        Common numbers as they are now.
+    """
+    found = []
+    for effect in effects:
+        if not effect.scatters:
+            continue
+        own = effect.parameters(model, trials)
+        null = tuple(p.start for p in own)
+        for j, p in enumerate(own):
+            if not p.per_trial:
+                label = f"{Differing.name}/{effect.name} {p.name}"
+                found.append(Kind(effect.name, label, p.scale, effect, j, null))
+    for index, p in enumerate(parameters):
+        if p.per_trial and not p.free and p.name in OWN:
+            share = OWN[p.name]
+            size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
+            found.append(Kind(p.name, p.name, size or p.scale, None, index))
+    return found
+
+
+def spread(
+    through: Callable[[int, Array], Array],
+    residuals: Sequence[Array],
+    own: Sequence[Array],
+    chance: Sequence[Array],
+    *,
+    used: int = 0,
+) -> Array:
+    """How much trials differ by chance, as they show it.
+
+    Parameters
+    ----------
+    through : callable
+        Weighted columns of a trial, shape (n_k, m), in units of the noise.
+    residuals : sequence of ndarray, shape (n_k,)
+        Weighted, without any chance difference in the simulation.
+    own : sequence of ndarray, shape (n_k, m)
+        Weighted derivatives to the trial's own start state, which is estimated.
+    chance : sequence of ndarray, shape (n_k, q)
+        Weighted derivatives to what may differ by chance, each per its typical size.
+    used : int
+        Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
+
+    Returns
+    -------
+    ndarray, shape (q,)
+        Standard deviation of each kind of difference, in its typical size: the variance of the trials' own
+        least-squares estimates, robustly, less its sampling variance.
+    """
+    q = chance[0].shape[1] if len(chance) else 0
+    sd = np.zeros(q)
+    if len(residuals) < FEWEST or not q:
+        return sd
+    seen = [through(k, np.column_stack((chance[k], r, own[k]))) for k, r in enumerate(residuals)]
+    inner = [block.T @ block for block in seen]
+    left = list(range(q))
+    while left:
+        # one kind at a time, the clearest first: together they are too much alike to be told apart
+        known = np.flatnonzero(sd)
+        found = [_variance(inner, i, known, np.minimum(sd[known], CHANCE), q, used) for i in left]
+        i = int(np.argmax([clear for _, clear in found]))
+        variance, clear = found[i]
+        if variance <= 0.0 or clear <= CLEAR:
+            break
+        sd[left.pop(i)] = float(np.sqrt(variance))
+    return sd
+
+
+def _variance(
+    inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int, used: int
+) -> tuple[float, float]:
+    """Variance of one kind of difference between trials, and how clear it is: its ratio to the sampling's.
+
+    Parameters
+    ----------
+    inner : sequence of ndarray
+        Of each trial, inner products of the kinds, the residual and derivatives to the start state.
+    known, sd : ndarray
+        Kinds whose spread is known, and it.
+    """
+    estimates, errors = [], []
+    for products in inner:
+        starts = np.arange(kinds + 1, len(products))
+        apart = np.concatenate((known, starts)).astype(int)
+        ridge = np.concatenate((sd**-2.0, np.zeros(len(starts))))
+        wanted = np.array([i, kinds])
+        block = products[np.ix_(wanted, wanted)]
+        if len(apart):
+            normal = products[np.ix_(apart, apart)] + np.diag(ridge)
+            own = normal.diagonal()[len(known) :]
+            normal[np.diag_indices(len(normal))] += 1e-10 * float(own.sum()) + 1e-300
+            mixed = products[np.ix_(apart, wanted)]
+            block = block - mixed.T @ np.linalg.solve(normal, mixed)
+        size = float(block[0, 0])
+        if size > 1e-9:
+            estimates.append(float(block[0, 1]) / size)
+            errors.append(1.0 / size)
+    n = len(estimates)
+    if n < FEWEST:
+        return 0.0, 0.0
+    b, c = np.array(estimates), np.array(errors)
+    # median absolute deviation against the standard deviation: one odd trial is not the rule. Of few trials
+    # the smaller one is too small rather than too large: too large a spread hides effects
+    robust = (1.4826 * float(np.median(np.abs(b - np.median(b)))) * (1.0 + 0.8 / n)) ** 2
+    spread = min(robust, float(np.var(b, ddof=1))) * (n - 1) / max(n - 1 - used, 1)
+    typical = float(np.median(c))
+    return spread - typical, spread / typical
