@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from swimid.diagnosis import chain, conclusion, dropouts, folds, gram, places, shrinkage
 from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
-from swimid.diagnosis.chance import kinds, spread
+from swimid.diagnosis.chance import CHANCE, kinds, spread
 from swimid.diagnosis.floor import floors, quiet, split
 from swimid.diagnosis.gram import Drawn, Folded
 from swimid.diagnosis.lens import Lens, brief, coloured
@@ -146,6 +146,26 @@ def test_chance_differences_are_sized(rng: np.random.Generator) -> None:
     sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * count, chance)
     assert sd[0] == pytest.approx(0.5, rel=0.35)
     assert sd[1] < 0.1
+
+
+def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generator) -> None:
+    """The noise has no more of them than chance may make."""
+    count, time = 60, np.linspace(0.0, 1.0, 200)
+    noises = [0.2 * rng.normal(size=len(time)) for _ in range(count)]
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": 3.0 * rng.normal() * time + noise}, settings={"force": 1.0 + k})
+        for k, noise in enumerate(noises)
+    ]
+    bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
+    lens, (kind,) = chain.see(bench, fit, Lens(bench.shape.sd), fit.residuals, [Tilt()], 0, common=0)
+    # the error of a median absolute deviation of 60 values is 15 %
+    assert kind.sd == pytest.approx(3.0, rel=0.45)
+    assert [k.sd for k in lens.chance] == [CHANCE]
+    (number,) = lens.chance[0].acting.parameters(bench.model, trials)
+    assert number.per_trial
+    assert number.scale == CHANCE
+    assert number.upper == -number.lower == pytest.approx(3.0 * np.hypot(CHANCE, 0.1))
 
 
 def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.Generator) -> None:

@@ -52,7 +52,7 @@ class Mixed(Problem):
     ) -> None:
         known = {kind.label: kind for kind in chance}
         parameters = [
-            _differing(p, known[p.name]) if p.name in known and known[p.name].effect is None else p
+            known[p.name].number(p) if p.name in known and known[p.name].effect is None else p
             for p in parameters
         ]
         super().__init__(model, parameters, trials, jobs=jobs)
@@ -70,13 +70,6 @@ class Mixed(Problem):
     def differing(self, trial: int) -> list[int]:
         """Places of what differs by chance in a trial."""
         return [j for j in self.own(trial) if self.differs(j)]
-
-
-def _differing(parameter: Parameter, kind: Kind) -> Parameter:
-    """A number that each trial has for itself, and that the model holds, as one that differs by chance."""
-    start, far = parameter.start, kind.farthest
-    lower, upper = max(parameter.lower, start - far), min(parameter.upper, start + far)
-    return replace(parameter, free=True, scale=kind.width, lower=lower, upper=upper)
 
 
 @dataclass(frozen=True)
@@ -207,7 +200,6 @@ class Bench:
         self.jobs = jobs
         self.quick = quick
         self._known: dict[tuple[int, ...], Affected] = {}
-        self._differing: dict[Kind, Effect | None] = {}
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -252,7 +244,7 @@ class Bench:
         known : mapping of label to float, optional
             Shared numbers that are not to be estimated.
         """
-        acting = self.acting(effects, chance)
+        acting = _acting(effects, chance)
         model = self.affected(acting)
         own = model.parameters[len(self.parameters) :]
         known = known or {}
@@ -270,14 +262,6 @@ class Bench:
         if self.quick is not None:
             problem.quick = self._affected(self.quick, acting)
         return problem
-
-    def acting(self, effects: Sequence[Effect], chance: Sequence[Kind]) -> tuple[Effect, ...]:
-        """Everything that acts on the model: what differs by chance, then effects."""
-        for kind in chance:
-            # one object each, so that what depends on it is found again
-            self._differing.setdefault(kind, kind.acting())
-        differing = [self._differing[kind] for kind in chance]
-        return (*(e for e in differing if e is not None), *effects)
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
         """Numbers that are a trial's own business in a comparison of folds, shape (p,).
@@ -429,7 +413,7 @@ class Bench:
     def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        acting = self.acting(effects, problem.chance)
+        acting = _acting(effects, problem.chance)
         return Fit(
             tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
         )
@@ -485,6 +469,11 @@ class Bench:
             plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
             found.append((stacked - plain) * base.problem.sample_weights(k))
         return found
+
+
+def _acting(effects: Sequence[Effect], chance: Sequence[Kind]) -> tuple[Effect, ...]:
+    """Everything that acts on the model: what differs by chance, then effects."""
+    return (*(kind.acting for kind in chance if kind.acting is not None), *effects)
 
 
 def beyond(columns: Array, values: Array) -> Array:

@@ -252,9 +252,10 @@ def rank(
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
-        leading, likely = base, [t for t in screened.tried if t.gain > 0][:MOST]
         if apart:
             leading, likely = _leading(bench, base, lens, screened, jobs), []
+        else:
+            leading, likely = base, [t for t in screened.tried if t.gain > 0][:MOST]
         columns, prior = [t.signature for t in likely], [1.0] * len(likely)
         if not (first and apart):
             left = remainder.find(bench, base, lens, generic, rng=rng)

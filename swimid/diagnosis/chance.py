@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -32,45 +33,6 @@ CHANCE = 0.5
 #: No trial is farther off than so many spreads; a spread that few trials tell may be this much larger, in
 #: typical sizes. Without an end chance differences would take up any gap.
 FARTHEST, UNSURE = 3.0, 0.1
-
-
-class Differing(Effect):
-    """One parameter of an effect, with a value for each trial.
-
-    Parameters
-    ----------
-    effect : Effect
-    place : int
-        Of the parameter.
-    null : tuple of float
-        Parameters at which the effect vanishes.
-    width, farthest : float
-        Standard deviation of its values and the largest one, in the parameter's unit.
-    """
-
-    name: ClassVar[str] = "chance"
-    stage: ClassVar[Stage] = "sensing"
-    meaning: ClassVar[str] = "It differs from trial to trial by chance."
-    needs: ClassVar[frozenset[str]] = frozenset()
-
-    def __init__(
-        self, effect: Effect, place: int, null: tuple[float, ...], width: float, farthest: float
-    ) -> None:
-        self.effect, self.place, self.null = effect, place, null
-        self.width, self.farthest = width, farthest
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """The value of each trial."""
-        p = self.effect.parameters(model, trials)[self.place]
-        lower, upper = max(p.lower, p.start - self.farthest), min(p.upper, p.start + self.farthest)
-        name = f"{self.effect.name} {p.name}"
-        return (replace(p, name=name, scale=self.width, per_trial=True, lower=lower, upper=upper),)
-
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The effect with this value."""
-        point = np.array(self.null)
-        point[self.place] = values[0]
-        return self.effect.hooks(point, trial, model)
 
 
 @dataclass(frozen=True)
@@ -108,18 +70,47 @@ class Kind:
         """Standard deviation between trials, in its unit."""
         return self.sd * self.size
 
-    @property
-    def farthest(self) -> float:
-        """The largest difference that is chance, in its unit."""
-        return FARTHEST * math.hypot(self.sd, UNSURE) * self.size
+    def number(self, parameter: Parameter) -> Parameter:
+        """A parameter as what each trial has for itself, no farther from its start than chance is."""
+        farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
+        lower = max(parameter.lower, parameter.start - farthest)
+        upper = min(parameter.upper, parameter.start + farthest)
+        return replace(parameter, scale=self.width, lower=lower, upper=upper, free=True, per_trial=True)
 
+    @cached_property
     def acting(self) -> Effect | None:
-        """The effect with a value for each trial."""
-        return (
-            None
-            if self.effect is None
-            else Differing(self.effect, self.place, self.null, self.width, self.farthest)
-        )
+        """The effect with a value for each trial; one object, so that what depends on it is found again."""
+        return None if self.effect is None else Differing(self, self.effect)
+
+
+class Differing(Effect):
+    """One parameter of an effect, with a value for each trial.
+
+    Parameters
+    ----------
+    kind : Kind
+        Which parameter, and how much it differs.
+    effect : Effect
+    """
+
+    name: ClassVar[str] = "chance"
+    stage: ClassVar[Stage] = "sensing"
+    meaning: ClassVar[str] = "It differs from trial to trial by chance."
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, kind: Kind, effect: Effect) -> None:
+        self.kind, self.effect = kind, effect
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """The value of each trial."""
+        p = self.effect.parameters(model, trials)[self.kind.place]
+        return (replace(self.kind.number(p), name=f"{self.effect.name} {p.name}"),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The effect with this value."""
+        point = np.array(self.kind.null)
+        point[self.kind.place] = values[0]
+        return self.effect.hooks(point, trial, model)
 
 
 def kinds(
@@ -171,7 +162,7 @@ def spread(
     through : callable
         Weighted columns of a trial, shape (n_k, m), in units of the noise.
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, without any chance difference in the simulation.
+        Weighted, of simulations in which what may differ by chance is alike in all trials.
     own : sequence of ndarray, shape (n_k, m)
         Weighted derivatives to the trial's own start state, which is estimated.
     chance : sequence of ndarray, shape (n_k, q)
