@@ -180,6 +180,41 @@ def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.G
     assert sd[1] == 0.0
 
 
+@pytest.mark.parametrize("cautious", [True, False])
+def test_of_few_trials_the_one_that_differs_counts_once_a_cause_is_found(
+    cautious: bool, rng: np.random.Generator
+) -> None:
+    """Four trims alike within a tenth and one far off: an odd trial, or how far trims may go."""
+    trims, n = (-0.1, -0.05, 0.05, 0.1, 7.0), 60
+    chance = [rng.normal(size=(n, 1)) for _ in trims]
+    residuals = [2.0 * trim * c[:, 0] for trim, c in zip(trims, chance, strict=True)]
+    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * 5, chance, cautious=cautious)
+    # far off: at most three of the median absolute deviations, which the four tell
+    robust = 1.4826 * 0.2 * (1.0 + 0.8 / 5)
+    clipped = np.std([2.0 * t for t in trims[:4]] + [0.1 + 3.0 * robust], ddof=1)
+    found = np.sqrt(max((robust if cautious else clipped) ** 2 - 1.0 / n, 0.0))
+    assert sd[0] == pytest.approx(found, rel=0.05)
+
+
+def test_a_spread_grows_until_trials_agree_with_it(rng: np.random.Generator) -> None:
+    """Ten times too small a spread pulls slopes of trials to zero; a right one stays."""
+    size, time = 0.4, np.linspace(0.0, 1.0, 100)
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": size * rng.normal() * time + 0.02 * rng.normal(size=100)})
+        for k in range(30)
+    ]
+    model = Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    bench = Bench(model, (), trials, {})
+    (kind,) = kinds(model, (), trials, [Tilt()], {})
+    lens = Lens([[np.full(100, 0.02)] for _ in trials])
+    for begun in (0.1 * size, size):
+        lens = replace(lens, chance=(replace(kind, sd=begun),))
+        fit = bench.fit((), lens, [bench.problem((), lens.chance).start])
+        (settled,) = chain.settled(bench, fit, lens).chance
+        # 30 trials tell their spread to 13 %, and it stops within a factor of two below
+        assert settled.sd == begun if begun == size else 0.37 * size < settled.sd < 1.4 * size
+
+
 def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
     """White noise under a large slow wave: the wave stands out of noise of short memory."""
     n, sd = 2000, 0.2

@@ -35,6 +35,11 @@ from swimid.progress import Progress, silent
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.
 FAILED, FAILED_MISFIT = 4, 50.0
+#: A gap stands above the noise where it is this many times as large: twice the error of a floor read off some
+#: hundred independent samples.
+STANDS = 1.15
+#: Where it does not, a cause must gain so many times the standard error of its gain.
+SURE = 3.0
 
 
 def answer(
@@ -94,6 +99,12 @@ def answer(
             word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     # what a cause accounts for is none of the chance differences of the model without it
     gap_left = nominal.unaided([e.name for e in state.base.effects])
+    doubtful = not any(c.best.gain > SURE * c.best.stderr for c in chosen)
+    if not (failed or conclusion.structured(state) or _stands(nominal, gap_left, floor)) and doubtful:
+        names = ", ".join(c.best.tried.effect.name for c in chosen) or "what differs between trials"
+        if word != "none":
+            reasons.append(f"{names}: the gap is no larger than the noise, as well as that is known")
+        chosen, word = [], "none"
     if word == "none":
         # nothing it leaves can be told from noise and from what differs between trials by chance
         left_over = by_channel(nominal, gap_left)
@@ -128,6 +139,13 @@ def answer(
         forces=dict(left.places) if left is not None else {},
         rounds=tuple(_told(r, state) for r in state.rounds),
         reasons=(*reasons, *_reasons(state)),
+    )
+
+
+def _stands(nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> bool:
+    """Whether there is a gap above the noise in any channel."""
+    return any(
+        float(np.sqrt(np.mean(v**2))) > STANDS * floor[c] for c, v in by_channel(nominal, residuals).items()
     )
 
 

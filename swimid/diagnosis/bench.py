@@ -128,11 +128,29 @@ class Fit:
         """
         null = {p.name: p.start for p in self.problem.parameters}
         apart = {kind.label for kind in self.problem.chance if kind.name.replace("_", "-") in without}
+        return {
+            name: null[name] if name in apart else float(np.mean(values))
+            for name, values in self._differing().items()
+        }
+
+    def scatter(self) -> dict[str, float]:
+        """How far trials are from where what differs by chance is none, by the name of its number.
+
+        Root mean square over trials, in its unit.
+        """
+        null = {p.name: p.start for p in self.problem.parameters}
+        return {
+            name: float(np.sqrt(np.mean((np.array(values) - null[name]) ** 2)))
+            for name, values in self._differing().items()
+        }
+
+    def _differing(self) -> dict[str, list[float]]:
+        """What differs by chance in each trial, by the name of its number."""
         values: dict[str, list[float]] = {}
         for j, (index, _) in enumerate(self.problem.slots):
             if self.problem.differs(j):
                 values.setdefault(self.problem.parameters[index].name, []).append(float(self.theta[j]))
-        return {name: null[name] if name in apart else float(np.mean(v)) for name, v in values.items()}
+        return values
 
     def bare(self, k: int, without: Collection[str] = ()) -> Array:
         """Residuals of trial ``k`` were it like the average trial, to first order, shape (n_k,).

@@ -25,7 +25,7 @@ PER_SAMPLE = 0.002
 #: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
 DRAWS, QUANTILE = 400, 0.975
 #: No effect counts for less.
-LEAST_GAIN = 30.0
+LEAST_GAIN = 50.0
 #: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
 STARTS = 2
 #: Relative tolerance of a first refit, and of the last.

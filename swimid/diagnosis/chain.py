@@ -55,6 +55,8 @@ LOSING, WORSE = 0.3, 2.0
 LEADERS = 3
 #: Steps that suffice to tell which.
 FEW = 8
+#: Trials that differ by this many times their spread show that it is larger; so often it is read anew.
+STRAINED, SETTLINGS = 2.0, 3
 #: Trials shorter than so many samples do not tell how noise is coloured.
 SHORT = 20
 #: An effect this small, in typical sizes, is none.
@@ -188,6 +190,7 @@ def see(
     unknowns: int,
     *,
     common: int | None = None,
+    cautious: bool = False,
 ) -> tuple[Lens, list[Kind]]:
     """The lens as some residuals show the noise: colour first, then chance differences between trials.
 
@@ -200,6 +203,8 @@ def see(
     common : int, optional
         Of these, effects that all trials share; without it chance differences are left out, as they would
         hide what no effect has yet been tried on.
+    cautious : bool
+        As in :func:`swimid.diagnosis.chance.spread`.
 
     Returns
     -------
@@ -218,10 +223,40 @@ def see(
     if common is None or not apart:
         return lens, []
     own = [fit.own(k) for k in range(len(bench.trials))]
-    sd = chance.spread(partial(lens.through, fit.problem), residuals, own, columns, used=common)
+    sd = chance.spread(
+        partial(lens.through, fit.problem), residuals, own, columns, used=common, cautious=cautious
+    )
     kinds = [replace(kind, sd=float(s)) for kind, s in zip(kinds, sd, strict=True)]
     differing = tuple(replace(kind, sd=min(kind.sd, CHANCE)) for kind in kinds if kind.sd > 0)
     return replace(lens, chance=differing), kinds
+
+
+def settled(bench: Bench, leading: Fit, lens: Lens) -> Lens:
+    """The lens with spreads that hold once the model is fitted with them.
+
+    A spread read off residuals, to first order, may be far too small: what differs between trials then goes
+    into the coefficients, and effects seem to bring them back.
+
+    Parameters
+    ----------
+    leading : Fit
+        The model with the likeliest effect.
+    """
+    for _ in range(SETTLINGS):
+        if not lens.chance:
+            break
+        begin = bench.start(leading.effects, lens, leading)
+        leading = bench.fit(leading.effects, lens, [begin], iterations=FEW, tolerance=COARSE)
+        scatter = leading.scatter()
+        shown = [scatter.get(kind.label, 0.0) / kind.size for kind in lens.chance]
+        if all(size <= STRAINED * kind.sd for size, kind in zip(shown, lens.chance, strict=True)):
+            break
+        wider = [
+            replace(kind, sd=min(size, CHANCE)) if size > STRAINED * kind.sd else kind
+            for size, kind in zip(shown, lens.chance, strict=True)
+        ]
+        lens = replace(lens, chance=tuple(wider))
+    return lens
 
 
 def _apart(bench: Bench) -> bool:
@@ -264,7 +299,13 @@ def rank(
         bare = remainder.saturated(bench, leading, lens, columns, prior)
         unknowns = len(columns) + len(leading.labels)
         common = int(leading is not base)
-        lens, state.chance = see(bench, leading, lens, bare, scattering, unknowns, common=common)
+        lens, state.chance = see(
+            bench, leading, lens, bare, scattering, unknowns, common=common, cautious=not base.effects
+        )
+        if not first:
+            lens = settled(bench, leading, lens)
+            held = {kind.label: kind.sd for kind in lens.chance}
+            state.chance = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in state.chance]
         base = bench.fit(base.effects, lens, [bench.start(base.effects, lens, base)])
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens

@@ -154,6 +154,7 @@ def spread(
     chance: Sequence[Array],
     *,
     used: int = 0,
+    cautious: bool = False,
 ) -> Array:
     """How much trials differ by chance, as they show it.
 
@@ -169,6 +170,8 @@ def spread(
         Weighted derivatives to what may differ by chance, each per its typical size.
     used : int
         Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
+    cautious : bool
+        Of a model that may still lack much: rather too small than too large, which would hide what it lacks.
 
     Returns
     -------
@@ -186,7 +189,7 @@ def spread(
     while left:
         # one kind at a time, the clearest first: together they are too much alike to be told apart
         known = np.flatnonzero(sd)
-        found = [_variance(inner, i, known, np.minimum(sd[known], CHANCE), q, used) for i in left]
+        found = [_variance(inner, i, known, np.minimum(sd[known], CHANCE), q, used, cautious) for i in left]
         i = int(np.argmax([clear for _, clear in found]))
         variance, clear = found[i]
         if variance <= 0.0 or clear <= CLEAR:
@@ -196,7 +199,13 @@ def spread(
 
 
 def _variance(
-    inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int, used: int
+    inner: Sequence[Array],
+    i: int,
+    known: NDArray[np.intp],
+    sd: Array,
+    kinds: int,
+    used: int,
+    cautious: bool,
 ) -> tuple[float, float]:
     """Variance of one kind of difference between trials, and how clear it is: its ratio to the sampling's.
 
@@ -228,9 +237,14 @@ def _variance(
     if n < FEWEST:
         return 0.0, 0.0
     b, c = np.array(estimates), np.array(errors)
-    # median absolute deviation against the standard deviation: one odd trial is not the rule. Of few trials
-    # the smaller one is too small rather than too large: too large a spread hides effects
-    robust = (1.4826 * float(np.median(np.abs(b - np.median(b)))) * (1.0 + 0.8 / n)) ** 2
-    spread = min(robust, float(np.var(b, ddof=1))) * (n - 1) / max(n - 1 - used, 1)
+    # median absolute deviation against the standard deviation: one odd trial is not the rule
+    middle = float(np.median(b))
+    robust = 1.4826 * float(np.median(np.abs(b - middle))) * (1.0 + 0.8 / n)
+    if cautious:
+        spread = min(robust**2, float(np.var(b, ddof=1)))
+    else:
+        near = np.clip(b, middle - FARTHEST * robust, middle + FARTHEST * robust)
+        spread = float(np.var(near, ddof=1))
+    spread *= (n - 1) / max(n - 1 - used, 1)
     typical = float(np.median(c))
     return spread - typical, spread / typical

@@ -182,15 +182,20 @@ def stays(state: State, channel: str) -> float:
     return sums[1] / max(sums[0], 1e-300)
 
 
+def structured(state: State) -> bool:
+    """Whether what is left in the end is more than noise."""
+    return bool((state.left is not None and state.left.found) or remainder.moves(state.slow))
+
+
 def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: bool) -> Verdict:
     """The verdict in one word."""
-    structured = state.left is not None and state.left.found
+    found = state.left is not None and state.left.found
     moving = remainder.moves(state.slow)
     if not chosen:
         if dropout:
             return "explained"
-        return "unexplained" if structured or moving or differs(state) else "none"
-    if (structured and share > REMAINDER) or any(
+        return "unexplained" if structured(state) or differs(state) else "none"
+    if (found and share > REMAINDER) or any(
         state.slow[c].ratio > STRONG and stays(state, c) > REMAINDER for c in moving
     ):
         return "unexplained"
