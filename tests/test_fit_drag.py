@@ -119,8 +119,10 @@ class TestModel:
 
 
 class TestLevenberg:
+    @pytest.mark.parametrize("carried", [False, True])
     @pytest.mark.parametrize("seed", range(8))
-    def test_same_optimum_as_scipy(self, seed: int) -> None:
+    def test_same_optimum_as_scipy(self, seed: int, carried: bool) -> None:
+        """Also with derivatives carried from step to step by Broyden's update, of which fewer are taken."""
         rng = np.random.default_rng(seed)
         t = np.linspace(0, 4, 60)
         y = 2.0 * np.exp(-0.7 * t) + 0.5 + rng.normal(0, 0.05, 60)
@@ -134,7 +136,23 @@ class TestLevenberg:
         # in half of the cases the last parameter's optimum lies outside its bound
         upper = np.array([10.0, 10.0, 0.3 if seed % 2 else 5.0])
         start = rng.uniform([0.1, 0.1, 0.0], [5.0, 3.0, 0.3])
-        ours = minimise(residuals, jacobian, start, lower=np.zeros(3), upper=upper, scale=np.ones(3))
+        taken = [0, 0]
+
+        def counted(p: np.ndarray) -> np.ndarray:
+            taken[0] += 1
+            return jacobian(p)
+
+        def broyden(rows: np.ndarray, off: np.ndarray, step: np.ndarray, weights: np.ndarray) -> np.ndarray:
+            taken[1] += 1
+            return rows + np.outer(off, step * weights) / (step * weights @ step)
+
+        ours = minimise(
+            residuals, counted, start, lower=np.zeros(3), upper=upper, scale=np.ones(3),
+            secant=broyden if carried else None,
+        )  # fmt: skip
+        assert (taken[1] > 0) is carried
+        if carried:
+            assert taken[0] <= ours.iterations < taken[0] + taken[1]
         scipys = optimize.least_squares(
             residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14
         )

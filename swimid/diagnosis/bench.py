@@ -404,8 +404,23 @@ class Bench:
             parts = [lens.through(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
             return np.concatenate([*parts, np.diag(weight)[held]])
 
-        solutions = (
-            levenberg.minimise(
+        own: list[tuple[slice, NDArray[np.intp]]] = []
+        for k, masks in enumerate(problem.masks):
+            begin = own[-1][0].stop if own else 0
+            columns = [j for j, (_, owner) in enumerate(problem.slots) if owner in (None, k)]
+            own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), np.array(columns, dtype=int)))
+
+        def secant(rows: Array, off: Array, step: Array, weights: Array) -> Array:
+            # no trial's rows depend on what another has for itself
+            for part, columns in own:
+                along = step[columns] * weights[columns]
+                length = float(along @ step[columns])
+                if length > 0:
+                    rows[part, columns] += np.outer(off[part], along / length)
+            return rows
+
+        def search(start: Array) -> levenberg.Solution:
+            return levenberg.minimise(
                 residuals,
                 jacobian,
                 np.clip(start, problem.lower, problem.upper),
@@ -414,10 +429,10 @@ class Bench:
                 scale=problem.scale,
                 tolerance=tolerance,
                 max_iterations=iterations,
+                secant=secant,
             )
-            for start in starts
-        )
-        return min(solutions, key=lambda found: found.cost)
+
+        return min(map(search, starts), key=lambda found: found.cost)
 
     def at(self, effects: Sequence[Effect], lens: Lens, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""

@@ -20,6 +20,10 @@ PATIENCE = 12
 #: A search creeps that has taken so many steps, of which the last `STRIDE` together hardly lowered the cost.
 CREEPING, STRIDE = 40, 10
 
+#: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
+#: and over so many steps at most.
+FAITHFUL, LONGEST = 0.75, 5
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -60,6 +64,7 @@ def minimise(
     little: float = 0.0,
     max_iterations: int = 200,
     watch: Callable[[Array, float, int], None] | None = None,
+    secant: Callable[[Array, Array, Array, Array], Array] | None = None,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -80,6 +85,11 @@ def minimise(
     watch : callable, optional
         Called with the parameters, their cost and the iteration at the start and after every
         step that lowers the cost.
+    secant : callable, (n, p), (n,), (p,), (p,) -> (n, p)
+        Derivatives after a step, from those before, what the residuals there differ by from what those
+        predicted, the step and the weight of each parameter in its length; parameters in typical sizes. With
+        it derivatives are taken anew only where a step fell short (Broyden, Math. Comp. 19, 1965; Nielsen's
+        "secant version"). Iterations are counted by derivatives taken.
 
     Returns
     -------
@@ -99,57 +109,68 @@ def minimise(
     cost = float(r @ r)
     if not np.isfinite(cost):
         return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
-    if watch is not None:
-        watch(x, cost, 0)
-    damping, growth = -1.0, 2.0
+    told = watch or _untold
+    told(x, cost, 0)
+    damping, growth = 1e-3, 2.0
     costs = [cost]
     for iteration in range(1, max_iterations + 1):
-        rows = jacobian(x) * scale
-        # einsum: waking BLAS threads for a handful of columns costs more than the sums
-        gradient, normal = np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
-        blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = ~blocked
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        # cosine between the residuals and each column
-        slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
-        if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
-            return Solution(x, cost, True, "the gradient vanishes", iteration)
-        if damping < 0:
-            damping = 1e-3
-        for _ in range(40):
-            taken = _step(
-                normal, gradient, damping * size**2, (lower - x) / scale, (upper - x) / scale, blocked
-            )
-            moved = np.clip(x + taken * scale, lower, upper)
-            candidate = residuals(moved)
-            new_cost = float(candidate @ candidate)
-            predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
-            small = np.all(np.abs(taken) <= tolerance * (np.abs(x / scale) + tolerance))
-            if np.isfinite(new_cost) and new_cost < cost:
-                gain = (cost - new_cost) / predicted if predicted > 0 else 0.0
-                damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
-                damping = max(damping, 1e-12)
-                growth = 2.0
-                done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
-                done |= iteration > PATIENCE and max(cost - new_cost, predicted) < enough
-                x, r, cost = moved, candidate, new_cost
-                if watch is not None:
-                    watch(x, cost, iteration)
-                if done or small:
-                    return Solution(x, cost, True, "cost and parameters no longer change", iteration)
-                costs.append(cost)
-                if iteration > CREEPING and costs[-1 - STRIDE] - cost < little * cost:
-                    return Solution(x, cost, True, "the search creeps", iteration, crept=True)
+        rows, age = jacobian(x) * scale, 0
+        while True:
+            # einsum: waking BLAS threads for a handful of columns costs more than the sums
+            gradient, normal = np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
+            blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+            free = ~blocked
+            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+            # cosine between the residuals and each column
+            slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
+            if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
+                return Solution(x, cost, True, "the gradient vanishes", iteration)
+            renew = True
+            for _ in range(40):
+                taken = _step(
+                    normal, gradient, damping * size**2, (lower - x) / scale, (upper - x) / scale, blocked
+                )
+                moved = np.clip(x + taken * scale, lower, upper)
+                candidate = residuals(moved)
+                new_cost = float(candidate @ candidate)
+                predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
+                small = np.all(np.abs(taken) <= tolerance * (np.abs(x / scale) + tolerance))
+                if np.isfinite(new_cost) and new_cost < cost:
+                    gain = (cost - new_cost) / predicted if predicted > 0 else 0.0
+                    damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+                    damping = max(damping, 1e-12)
+                    growth = 2.0
+                    done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
+                    done |= iteration > PATIENCE and max(cost - new_cost, predicted) < enough
+                    off = candidate - r - rows @ taken
+                    x, r, cost = moved, candidate, new_cost
+                    told(x, cost, iteration)
+                    if (done or small) and not age:
+                        return Solution(x, cost, True, "cost and parameters no longer change", iteration)
+                    costs.append(cost)
+                    if iteration > CREEPING and costs[-1 - STRIDE] - cost < little * cost:
+                        return Solution(x, cost, True, "the search creeps", iteration, crept=True)
+                    if secant is not None and gain > FAITHFUL and age < LONGEST and not (done or small):
+                        rows, age, renew = secant(rows, off, taken, size**2), age + 1, False
+                    break
+                if age:
+                    # derivatives carried along may be what is wrong
+                    break
+                if small or abs(predicted) <= 1e-3 * tolerance * cost:
+                    return Solution(x, cost, True, "no step lowers the cost", iteration)
+                damping *= growth
+                growth *= 2.0
+            else:
+                return Solution(
+                    x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration
+                )
+            if renew:
                 break
-            if small or abs(predicted) <= 1e-3 * tolerance * cost:
-                return Solution(x, cost, True, "no step lowers the cost", iteration)
-            damping *= growth
-            growth *= 2.0
-        else:
-            return Solution(
-                x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration
-            )
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
+
+
+def _untold(x: Array, cost: float, iteration: int) -> None:
+    """Nobody watches."""
 
 
 def _step(

@@ -22,6 +22,8 @@ BROKEN = 1e6
 IMMATERIAL = 1e-3
 #: Share of the squared residuals that ten steps of a search must lower.
 LITTLE = 2e-4
+#: A coarser model is left where its samples are off by this share of their spread.
+ASTRAY = 0.02
 #: Points whose simulations are kept.
 KEPT = 3
 
@@ -234,11 +236,7 @@ class Problem:
             if (was_central or not central) and self._near(theta, where, known):
                 return known
         size = np.maximum(np.abs(theta), self.scale)
-        if self.quick is None:
-            here = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
-        else:
-            base = self.simulated([(theta, k) for k in range(len(self.trials))], self.quick)
-            here = [self.stacked(k, s) for k, s in enumerate(base)]
+        models, here = self._differenced(theta)
         steps = (1e-5 if central else 1e-6) * size
         # step towards the inside of the bounds
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -257,7 +255,7 @@ class Problem:
                     moved[j] += sign * steps[j]
                     points.append((moved, k))
                 places.append((k, j))
-        moves = iter(zip(points, self.simulated(points, self.quick), strict=True))
+        moves = iter(zip(points, self.simulated(points, models), strict=True))
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
             ahead, back, back_at = self.stacked(k, simulated), here[k], theta
@@ -270,6 +268,22 @@ class Problem:
         self.jacobians += 1
         self._slopes = (theta.copy(), central, slopes)
         return slopes
+
+    def _differenced(self, theta: Array) -> tuple[list[Model], list[Array]]:
+        """The model of each trial of which differences are taken, and what it simulates there."""
+        exact = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
+        if self.quick is None:
+            return [self.model] * len(self.trials), exact
+        quick = self.simulated([(theta, k) for k in range(len(self.trials))], [self.quick] * len(self.trials))
+        models, here = [], []
+        for k, (fine, series) in enumerate(zip(exact, quick, strict=True)):
+            rough = self.stacked(k, series)
+            with np.errstate(over="ignore", invalid="ignore"):
+                astray = np.linalg.norm(rough - fine) > ASTRAY * np.linalg.norm(fine - np.mean(fine))
+            # far from where it was found to do, a coarser step may be unstable
+            models.append(self.model if astray or not np.isfinite(rough).all() else self.quick)
+            here.append(fine if models[-1] is self.model else rough)
+        return models, here
 
     def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
         """Whether the step between two points is small against the noise of the estimates."""
@@ -284,17 +298,19 @@ class Problem:
         return moved * samples <= self.near**2 * left
 
     def simulated(
-        self, points: list[tuple[Array, int]], model: Model | None = None
+        self, points: list[tuple[Array, int]], models: Sequence[Model] | None = None
     ) -> list[dict[str, Array]]:
-        """Simulations of (numbers, trial) pairs, in their order."""
-        model = model or self.model
+        """Simulations of (numbers, trial) pairs, in their order, by the model or that of each trial."""
+        models = models or [self.model] * len(self.trials)
         self.evaluations += len(points)
         if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
-            timed = list(self._pool.map(lambda point: self._simulate_one(point[0], point[1], model), points))
+            timed = list(
+                self._pool.map(lambda point: self._simulate_one(point[0], point[1], models[point[1]]), points)
+            )
         else:
-            timed = [self._simulate_one(theta, k, model) for theta, k in points]
+            timed = [self._simulate_one(theta, k, models[k]) for theta, k in points]
         # the median, since the first may have compiled the model and a broken one ends early
         self._typical_s = float(np.median([seconds for _, seconds in timed])) if timed else 0.0
         return [found for found, _ in timed]
