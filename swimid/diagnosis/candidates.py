@@ -349,7 +349,7 @@ def refit(
     tried: Tried,
     *,
     begin: Fit | None = None,
-    iterations: int = 12,
+    iterations: int = 16,
     checkpoint: Checkpoint | None = None,
 ) -> Refitted:
     """Fit an effect together with everything the base has; its gain fold by fold.

@@ -23,6 +23,8 @@ CREEPING, STRIDE = 40, 10
 #: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
 #: and over so many steps at most.
 FAITHFUL, LONGEST = 0.75, 5
+#: Columns that are a handful.
+FEW = 16
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def minimise(
         Derivatives after a step, from those before, what the residuals there differ by from what those
         predicted, the step and the weight of each parameter in its length; parameters in typical sizes. With
         it derivatives are taken anew only where a step fell short (Broyden, Math. Comp. 19, 1965; Nielsen's
-        "secant version"). Iterations are counted by derivatives taken.
+        "secant version").
 
     Returns
     -------
@@ -113,11 +115,12 @@ def minimise(
     told(x, cost, 0)
     damping, growth = 1e-3, 2.0
     costs = [cost]
-    for iteration in range(1, max_iterations + 1):
-        rows, age = jacobian(x) * scale, 0
-        while True:
-            # einsum: waking BLAS threads for a handful of columns costs more than the sums
-            gradient, normal = np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
+    iteration = 0
+    while iteration < max_iterations:
+        rows, age, renew = jacobian(x) * scale, 0, False
+        while not renew and iteration < max_iterations:
+            iteration += 1
+            gradient, normal = _products(rows, r)
             blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
             free = ~blocked
             size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -164,13 +167,19 @@ def minimise(
                 return Solution(
                     x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration
                 )
-            if renew:
-                break
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
 
 
 def _untold(x: Array, cost: float, iteration: int) -> None:
     """Nobody watches."""
+
+
+def _products(rows: Array, r: Array) -> tuple[Array, Array]:
+    """Products of the columns with residuals and with each other, shapes (p,) and (p, p)."""
+    if rows.shape[1] <= FEW:
+        # waking BLAS threads for a handful of columns costs more than the sums
+        return np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
+    return rows.T @ r, rows.T @ rows
 
 
 def _step(
