@@ -99,16 +99,16 @@ def answer(
             word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     # what a cause accounts for is none of the chance differences of the model without it
     gap_left = nominal.unaided([e.name for e in state.base.effects])
-    doubtful = not any(c.best.gain > SURE * c.best.stderr for c in chosen)
-    if not (failed or conclusion.structured(state) or _stands(nominal, gap_left, floor)) and doubtful:
+    size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
+    stands = any(size[c] > STANDS * floor[c] for c in size)
+    sure = any(c.best.gain > SURE * c.best.stderr for c in chosen)
+    if word != "none" and not (failed or stands or sure or conclusion.structured(state)):
         names = ", ".join(c.best.tried.effect.name for c in chosen) or "what differs between trials"
-        if word != "none":
-            reasons.append(f"{names}: the gap is no larger than the noise, as well as that is known")
+        reasons.append(f"{names}: the gap is no larger than the noise, as well as that is known")
         chosen, word = [], "none"
     if word == "none":
         # nothing it leaves can be told from noise and from what differs between trials by chance
-        left_over = by_channel(nominal, gap_left)
-        floor = {c: max(v, float(np.sqrt(np.mean(left_over[c] ** 2)))) for c, v in floor.items()}
+        floor = {c: max(v, size[c]) for c, v in floor.items()}
         how = "all that the model leaves: noise, and what differs between trials by chance"
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
@@ -139,13 +139,6 @@ def answer(
         forces=dict(left.places) if left is not None else {},
         rounds=tuple(_told(r, state) for r in state.rounds),
         reasons=(*reasons, *_reasons(state)),
-    )
-
-
-def _stands(nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> bool:
-    """Whether there is a gap above the noise in any channel."""
-    return any(
-        float(np.sqrt(np.mean(v**2))) > STANDS * floor[c] for c, v in by_channel(nominal, residuals).items()
     )
 
 

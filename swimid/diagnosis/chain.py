@@ -249,11 +249,12 @@ def settled(bench: Bench, leading: Fit, lens: Lens) -> Lens:
         leading = bench.fit(leading.effects, lens, [begin], iterations=FEW, tolerance=COARSE)
         scatter = leading.scatter()
         shown = [scatter.get(kind.label, 0.0) / kind.size for kind in lens.chance]
-        if all(size <= STRAINED * kind.sd for size, kind in zip(shown, lens.chance, strict=True)):
+        strained = [size > STRAINED * kind.sd for size, kind in zip(shown, lens.chance, strict=True)]
+        if not any(strained):
             break
         wider = [
-            replace(kind, sd=min(size, CHANCE)) if size > STRAINED * kind.sd else kind
-            for size, kind in zip(shown, lens.chance, strict=True)
+            replace(kind, sd=min(size, CHANCE)) if grows else kind
+            for kind, size, grows in zip(lens.chance, shown, strained, strict=True)
         ]
         lens = replace(lens, chance=tuple(wider))
     return lens

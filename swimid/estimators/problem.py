@@ -279,10 +279,11 @@ class Problem:
         for k, (fine, series) in enumerate(zip(exact, quick, strict=True)):
             rough = self.stacked(k, series)
             with np.errstate(over="ignore", invalid="ignore"):
-                astray = np.linalg.norm(rough - fine) > ASTRAY * np.linalg.norm(fine - np.mean(fine))
+                near = np.linalg.norm(rough - fine) <= ASTRAY * np.linalg.norm(fine - np.mean(fine))
             # far from where it was found to do, a coarser step may be unstable
-            models.append(self.model if astray or not np.isfinite(rough).all() else self.quick)
-            here.append(fine if models[-1] is self.model else rough)
+            keeps = near and np.isfinite(rough).all()
+            models.append(self.quick if keeps else self.model)
+            here.append(rough if keeps else fine)
         return models, here
 
     def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
