@@ -20,6 +20,8 @@ from swimid.models.base import Array, Parameter
 NOTHING = 1e-6
 #: One this large, in units of the noise, is a simulation that broke down.
 BROKEN = 3e4
+#: Share of trials that must not break down for an effect to be judged by them.
+SOUND = 0.7
 #: An effect counts when it lowers the held-out misfit by more than this per sample, too.
 PER_SAMPLE = 0.002
 #: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
@@ -169,8 +171,12 @@ def simulate(
         found = []
         for point in effect.tries(parameters):
             changed = bench.change(base, effect, point)
-            if all(within(c) for c in changed):
-                found.append((point, changed))
+            sound = [within(c) for c in changed]
+            # a trial on the verge of breaking down says nothing about the effect, the others do
+            if all(sound) or sum(sound) > SOUND * len(sound):
+                found.append(
+                    (point, [c if ok else np.zeros(len(c)) for c, ok in zip(changed, sound, strict=True)])
+                )
         step(effect.name)
         return Trialled(effect, parameters, found)
 
@@ -206,7 +212,7 @@ def screen(
         if best is None:
             broke = not tried.points
             left_out[effect.name] = (
-                "the model broke down with it"
+                "the model broke down with it: the effect could not be judged"
                 if broke
                 else "it changes nothing that was measured in these trials"
             )

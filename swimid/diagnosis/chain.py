@@ -432,7 +432,7 @@ def run(
         if bench.quick is not None:
             bench.quick = coarser(model, own, bench.trials)
         lens, kinds = see(bench, fit, lens, fit.residuals, scattering, len(fit.labels))
-        fit = bench.fit((), lens, [fit.theta])
+        fit = bench.fit((), lens, bench.begins(fit.problem, fit.theta))
         state = State(bench, lens, fit, dropouts, chance=kinds)
         while len(state.rounds) < max(most, 1):
             chosen = {e.name for e in state.base.effects}
