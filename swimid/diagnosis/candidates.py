@@ -356,6 +356,7 @@ def refit(
     *,
     begin: Fit | None = None,
     iterations: int = 16,
+    jobs: int = 1,
     checkpoint: Checkpoint | None = None,
 ) -> Refitted:
     """Fit an effect together with everything the base has; its gain fold by fold.
@@ -364,6 +365,8 @@ def refit(
     ----------
     begin : Fit, optional
         A first refit to go on from with derivatives of its own; without it those of the base are lent.
+    jobs : int
+        Threads among which simulations are shared.
     checkpoint : Checkpoint, optional
         Where an earlier run left optima; this one's are added.
     """
@@ -392,7 +395,7 @@ def refit(
     tolerance = ROUGH if begin is None else FINE
 
     def fitted(begins: list[Array], most: int = iterations) -> Fit:
-        return bench.fit(effects, lens, begins, iterations=most, tolerance=tolerance, jobs=1, chord=chord)
+        return bench.fit(effects, lens, begins, iterations=most, tolerance=tolerance, jobs=jobs, chord=chord)
 
     def raced(begins: list[Array]) -> Fit:
         # of several starts the one that is ahead after a few steps

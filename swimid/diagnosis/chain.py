@@ -333,13 +333,16 @@ def rank(
         return found
 
     def again(first: Refitted) -> Refitted:
-        return candidates.refit(bench, base, plain, lens, first.tried, begin=first.fit, checkpoint=checkpoint)
+        return candidates.refit(
+            bench, base, plain, lens, first.tried, begin=first.fit, jobs=spare, checkpoint=checkpoint
+        )
 
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         ranked = [r for r in pool.map(one, promising) if r is not None]
         ranked.sort(key=lambda r: -r.merit)
         best = max((r.merit for r in ranked), default=0.0)
         near = [r for r in ranked[:FINISHED] if r is ranked[0] or r.merit > CLOSE * best]
+        spare = max(jobs // max(len(near), 1), 1)
         ranked[: len(near)] = pool.map(again, near)
     ranked.sort(key=lambda r: -r.merit)
     samples = float(sum(len(r) for r in base.residuals))
@@ -367,7 +370,7 @@ def _leading(bench: Bench, base: Fit, lens: Lens, screened: Screen, jobs: int) -
     best = max(found, key=lambda r: r.merit, default=None)
     if best is None or best.merit <= max(screened.threshold, candidates.LEAST_GAIN):
         return base
-    return candidates.refit(bench, base, plain, lens, best.tried, begin=best.fit).fit
+    return candidates.refit(bench, base, plain, lens, best.tried, begin=best.fit, jobs=jobs).fit
 
 
 def _hopeful(
@@ -488,14 +491,28 @@ def without_the_needless(state: State, checkpoint: Checkpoint) -> bool:
         without = bench.fit(others, found.lens, begins, iterations=12, tolerance=1e-4)
         plain = gram.folded(bench, without, found.lens)
         again = candidates.refit(
-            bench, without, plain, found.lens, stood_in, begin=last.fit, checkpoint=checkpoint
+            bench,
+            without,
+            plain,
+            found.lens,
+            stood_in,
+            begin=last.fit,
+            jobs=bench.jobs,
+            checkpoint=checkpoint,
         )
         if again.gain > max(found.threshold, BESIDE * last.gain):
             continue
         plain = gram.folded(bench, earlier.base, earlier.lens)
         kept = [r for r in earlier.ranked if r.tried.effect is not last.tried.effect]
         instead = candidates.refit(
-            bench, earlier.base, plain, earlier.lens, last.tried, begin=without, checkpoint=checkpoint
+            bench,
+            earlier.base,
+            plain,
+            earlier.lens,
+            last.tried,
+            begin=without,
+            jobs=bench.jobs,
+            checkpoint=checkpoint,
         )
         # alone, on what was known of the noise then, it must count as well
         if why_not(state, earlier, instead):

@@ -36,6 +36,7 @@ class Affected(Model):
         self.offers = model.offers
         self._trials = tuple(trials)
         self.own = [effect.parameters(model, trials) for effect in self.effects]
+        self._null = [np.array([p.start for p in parameters]) for parameters in self.own]
         self.parameters = (
             *model.parameters,
             *(
@@ -49,10 +50,9 @@ class Affected(Model):
         """What acts at these values, for one trial."""
         at = len(self.model.parameters)
         found = hook_places.NONE
-        for effect, parameters in zip(self.effects, self.own, strict=True):
-            own = values[at : at + len(parameters)]
-            at += len(parameters)
-            null = np.array([p.start for p in parameters])
+        for effect, null in zip(self.effects, self._null, strict=True):
+            own = values[at : at + len(null)]
+            at += len(null)
             if np.array_equal(own, null):
                 continue
             acting = effect.hooks(own, trial, self.model)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.estimators.levenberg import Solution, minimise
 from swimid.models.base import Array, Model, Parameter, Trial
@@ -81,6 +82,12 @@ class Problem:
                 name = parameter.name
                 self.labels.append(name if owner is None else f"{name}[{self.trials[owner].id}]")
                 self.slots.append((index, owner))
+        # of each trial: the parameters that are estimated, and their places among the numbers
+        self._taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
+        for k in range(len(self.trials)):
+            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner is None or owner == k]
+            taken = [self.slots[j][0] for j in numbers]
+            self._taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
         self.masks = [
             [np.isfinite(t.measured[c]) for c in names]
             for t, names in zip(self.trials, self.channels, strict=True)
@@ -134,9 +141,8 @@ class Problem:
     def vector(self, theta: Array, trial: int) -> Array:
         """Full parameter vector of one trial."""
         values = self.base.copy()
-        for number, (index, owner) in zip(theta, self.slots, strict=True):
-            if owner is None or owner == trial:
-                values[index] = number
+        parameters, numbers = self._taken[trial]
+        values[parameters] = theta[numbers]
         return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:

@@ -89,7 +89,10 @@ class Table:
         entries = [Polynomial.of(entry) for row in rows for entry in row]
         monomials = sorted({m for entry in entries for m in entry.terms if m})
         self.constant = np.array([entry.terms.get((), 0.0) for entry in entries])
-        self.factors = [[names.index(name) for name in m] for m in monomials]
+        # monomials of fewer factors are padded by a one behind the coefficients
+        longest = max((len(m) for m in monomials), default=0)
+        padded = [[names.index(name) for name in m] + [len(names)] * (longest - len(m)) for m in monomials]
+        self.factors = np.array(padded, dtype=int).reshape(len(monomials), longest)
         self.gains = np.array([[entry.terms.get(m, 0.0) for m in monomials] for entry in entries]).reshape(
             len(entries), len(monomials)
         )
@@ -97,6 +100,6 @@ class Table:
     def __call__(self, values: Array) -> Array:
         """The table at the coefficients' values, shape (rows, columns)."""
         flat = self.constant
-        if self.factors:
-            flat = flat + self.gains @ np.array([np.prod(values[f]) for f in self.factors])
+        if len(self.factors):
+            flat = flat + self.gains @ np.append(values, 1.0)[self.factors].prod(axis=1)
         return np.ascontiguousarray(flat.reshape(self.shape))

@@ -59,7 +59,7 @@ class AmplitudeOffset(_commands.Actuation):
                 return angle + offset
             if moved and not moved[joint]:
                 return angle
-            return angle + offset * drive.smoothstep(time_s - begin, EASE_S)[0]
+            return angle + offset * drive.eased(time_s - begin, EASE_S)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))

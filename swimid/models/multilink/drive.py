@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -150,14 +151,20 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
 
 
+def eased(time_s: Array, ramp_s: float) -> Array:
+    """Quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
+    s = np.clip(time_s / ramp_s, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
+
+
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """Quintic ease-in from 0 to 1 over ``ramp_s``, with its derivatives; a step where that is zero."""
+    """The ease-in (:func:`eased`) with its first two derivatives; a step where ``ramp_s`` is zero."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
     s = np.clip(time_s / ramp_s, 0.0, 1.0)
     return (
-        s**3 * (10.0 + s * (6.0 * s - 15.0)),
+        eased(time_s, ramp_s),
         30.0 * s**2 * (1.0 - s) ** 2 / ramp_s,
         60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / ramp_s**2,
     )
@@ -341,20 +348,27 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
     deviation = actual - motion[0]
     if not deviation.any():
         return motion
+    bells = _bells(step_s)
+    padded = np.pad(deviation, len(bells[0]) // 2, mode="edge")
+    parts = [np.convolve(padded, bell, mode="valid") for bell in bells]
+    return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
+
+
+@lru_cache(maxsize=32)
+def _bells(step_s: float) -> list[Array]:
+    """The bell and its first two derivatives on an even grid, each shape (2 reach + 1,)."""
     spacing = max(0.5 * SMOOTH_S, 1.5 * step_s)
     reach = math.ceil(2.0 * spacing / step_s)
     at = np.arange(-reach, reach + 1) * step_s / spacing
     bell = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
-    parts = []
-    padded = np.pad(deviation, reach, mode="edge")
+    found = []
     for order in range(3):
         kernel = np.nan_to_num(bell(at, nu=order)) / spacing**order
         # on a grid its moments are those of the bell only nearly: constants and polynomials come out exactly
         if order:
             kernel -= kernel.mean()
-        kernel /= float(kernel @ ((-at * spacing) ** order / math.factorial(order)))
-        parts.append(np.convolve(padded, kernel, mode="valid"))
-    return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
+        found.append(kernel / float(kernel @ ((-at * spacing) ** order / math.factorial(order))))
+    return found
 
 
 def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:

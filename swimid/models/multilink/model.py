@@ -112,6 +112,7 @@ class MultilinkModel(Model):
         self._kept: dict[str, OrderedDict[bytes, Trajectory]] = {}
         self._tables: dict[tuple[Any, ...], Array] = {}
         self._motions: dict[tuple[Any, ...], list[drive.Motion]] = {}
+        self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
         self._lock = threading.Lock()
 
     # -------------------------------------------------------- what it offers
@@ -320,7 +321,10 @@ class MultilinkModel(Model):
 
     def _grid(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> tuple[float, float, int]:
         """Begin, step and number of steps; a late clock asks for some beyond the last sample."""
-        begin, step, steps = grid(trial.time_s, self.max_step)
+        known = self._grids.get(trial.id)
+        if known is None or known[0] is not trial.time_s:
+            known = self._grids[trial.id] = (trial.time_s, grid(trial.time_s, self.max_step))
+        begin, step, steps = known[1]
         late = min(max(-self._value(values, "clock_offset") - hooks.clock_s, 0.0), step * steps)
         return begin, step, steps + math.ceil(late / step)
 
