@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from swimid.diagnosis import chain, conclusion, dropouts, folds, gram, places, shrinkage
+from swimid.diagnosis import candidates, chain, conclusion, dropouts, folds, gram, places, shrinkage
 from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
 from swimid.diagnosis.chance import CHANCE, kinds, spread
@@ -677,6 +677,43 @@ def test_what_stood_in_for_two_effects_is_taken_back(rng: np.random.Generator) -
     assert [r.ranked[0].tried.effect.name for r in state.rounds[:2]] == [e.name for e in state.base.effects]
 
 
+class Fragile(Seen):
+    """What a curve adds, and a simulation that breaks down in the first trial."""
+
+    def hooks(self, values: np.ndarray, trial: Trial, model: Model) -> Hooks:
+        found = super().hooks(values, trial, model)
+        return (
+            found
+            if trial.id != "t0"
+            else Hooks(output=(lambda seen, t: {c: np.full(len(t), np.nan) for c in seen},))
+        )
+
+
+def test_a_trial_that_breaks_down_leaves_an_effect_to_the_others(rng: np.random.Generator) -> None:
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0, 100)
+        trials.append(Trial(f"t{k}", "fit", t, {"y": np.tanh(t) + 0.02 * rng.normal(size=len(t))}))
+    bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    lens = Lens([[np.full(100, 0.02)] for _ in trials])
+    base = bench.fit((), lens, [bench.shape.start])
+    (found,) = candidates.simulate(bench, base, [Fragile("fragile", np.tanh)])
+    assert found.points
+    for _, changes in found.points:
+        assert not changes[0].any()
+        assert all(np.abs(c).max() > 1.0 for c in changes[1:])
+
+
+def test_the_share_that_stays_in_a_channel_of_some_trials(bench: Bench) -> None:
+    trials = [replace(bench.trials[0], measured={"y": bench.trials[0].measured["y"]}), *bench.trials[1:]]
+    some = Bench(bench.model, bench.parameters, trials, bench.prior)
+    lens = Lens([[np.full(len(t.time_s), 0.05)] * len(t.measured) for t in trials])
+    fit = some.fit((), lens, [some.shape.start])
+    half = replace(fit, residuals=[0.5 * r for r in fit.residuals])
+    state = SimpleNamespace(rounds=[SimpleNamespace(base=fit)], base=half)
+    assert conclusion.stays(state, "v") == pytest.approx(0.25)  # type: ignore[arg-type]
+
+
 def test_a_start_that_changes_nothing_is_no_obstacle(bench: Bench) -> None:
     fit = bench.fit((), Lens([[np.full(len(t.time_s), 0.05)] * 2 for t in bench.trials]), [bench.shape.start])
     without = replace(fit, rows=[np.zeros_like(rows) for rows in fit.rows])
@@ -716,7 +753,8 @@ def piece(before: float, after: float) -> shrinkage.Piece:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "helps"), [(5.0, 0.0, True), (5.0, 4.9, True), (5.0, 4.98, False), (5.0, 6.0, False)]
+    ("before", "after", "helps"),
+    [(5.0, 0.0, True), (5.0, 4.9, True), (5.0, 4.98, False), (5.0, 6.0, False), (5.0, np.nan, False)],
 )
 def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bool) -> None:
     """Of a squared gap of 25 a closed 1 counts, a closed 0.2 (less than 2 %) does not."""

@@ -82,17 +82,16 @@ def answer(
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
-    if word in ("explained", "ambiguous") and chosen and not shrinkage.helps(held, floor):
+    if chosen and not shrinkage.helps(held, floor):
         # simulated from their own start states, held-out trials are no better with it
         names = ", ".join(c.best.tried.effect.name for c in chosen)
-        if all(c.steady for c in chosen) or shrinkage.hidden(
-            bench, nominal, state.base, state.lens, validation
-        ):
+        steady = word != "unexplained" and all(c.steady for c in chosen)
+        if steady or shrinkage.hidden(bench, nominal, state.base, state.lens, validation):
             reasons.append(
                 f"{names}: it gains on held-out data, but held-out trials, simulated anew, are no better "
                 "with it: what differs between trials by chance hides it"
             )
-            word = "ambiguous"
+            word = word if word == "unexplained" else "ambiguous"
         else:
             reasons.append(f"{names}: held-out trials, simulated anew, are no better with it")
             chosen = []

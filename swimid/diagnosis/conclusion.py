@@ -12,7 +12,7 @@ from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chain import FORM, Round, State, passes
 from swimid.diagnosis.chance import CHANCE
-from swimid.diagnosis.floor import split
+from swimid.diagnosis.floor import by_channel
 from swimid.diagnosis.result import Score, Verdict
 from swimid.effects.base import STAGES
 
@@ -175,11 +175,9 @@ def structured_share(state: State) -> float:
 
 def stays(state: State, channel: str) -> float:
     """Share of a channel's squared residuals that stays once the causes are in the model."""
-    sums = [
-        sum(float(np.nansum(split(fit, k, r)[channel] ** 2)) for k, r in enumerate(fit.residuals))
-        for fit in (state.rounds[0].base, state.base)
-    ]
-    return sums[1] / max(sums[0], 1e-300)
+    fits = (state.rounds[0].base, state.base)
+    before, after = (float(np.sum(by_channel(fit, fit.residuals)[channel] ** 2)) for fit in fits)
+    return after / max(before, 1e-300)
 
 
 def structured(state: State) -> bool:

@@ -24,6 +24,8 @@ RESAMPLES = 1000
 
 #: Of the squared errors on held-out data, beyond their noise, a cause closes at least this share.
 TRACE = 0.02
+#: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
+WORST = 1e6
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,7 @@ def shrinkages(
             i = trials.index(p.trial.id)
             for j, y in enumerate((p.shipped, p.before, p.after)):
                 error = (p.measured - y)[np.isfinite(p.measured)]
-                squares[i, j] += float(np.sum(np.minimum(np.nan_to_num(error**2, nan=1e12), 1e12)))
+                squares[i, j] += float(np.sum(np.minimum(np.nan_to_num(error**2, nan=WORST**2), WORST**2)))
             squares[i, 3] += np.isfinite(p.measured).sum()
         values = np.concatenate([p.measured[np.isfinite(p.measured)] for p in mine])
         span = float(np.ptp(values)) or 1.0
@@ -288,12 +290,14 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     gained, gap = 0.0, 0.0
     for p in found:
         floor = max(floors.get(p.channel, 1.0), 1e-300)
+        there = np.isfinite(p.measured)
+        # a simulation that broke down is as wrong as can be
         errors = [
-            np.minimum(np.nan_to_num((p.measured - y) / floor, nan=0.0) ** 2, 1e12)
+            np.minimum(np.nan_to_num((p.measured - y)[there] / floor, nan=WORST) ** 2, WORST**2)
             for y in (p.before, p.after)
         ]
         gained += float(np.sum(errors[0] - errors[1]))
-        gap += float(np.sum(errors[0][np.isfinite(p.measured)] - 1.0))
+        gap += float(np.sum(errors[0] - 1.0))
     return gained > TRACE * max(gap, 0.0) or not found
 
 
