@@ -91,7 +91,8 @@ def answer(
                 f"{names}: it gains on held-out data, but held-out trials, simulated anew, are no better "
                 "with it: what differs between trials by chance hides it"
             )
-            word = word if word == "unexplained" else "ambiguous"
+            if word != "unexplained":
+                word = "ambiguous"
         else:
             reasons.append(f"{names}: held-out trials, simulated anew, are no better with it")
             chosen = []

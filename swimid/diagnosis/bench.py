@@ -407,8 +407,7 @@ class Bench:
         own: list[tuple[slice, NDArray[np.intp]]] = []
         for k, masks in enumerate(problem.masks):
             begin = own[-1][0].stop if own else 0
-            columns = [j for j, (_, owner) in enumerate(problem.slots) if owner in (None, k)]
-            own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), np.array(columns, dtype=int)))
+            own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), problem.taken[k][1]))
 
         def secant(rows: Array, off: Array, step: Array, weights: Array) -> Array:
             # no trial's rows depend on what another has for itself

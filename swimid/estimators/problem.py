@@ -40,6 +40,8 @@ class Problem:
         One per estimated number; a per-trial parameter appears as ``name[trial]``.
     slots : list of (int, int or None), length p
         Parameter of each number, and the trial it belongs to.
+    taken : list of (ndarray, ndarray)
+        Of each trial, the parameters that are estimated and their places among the numbers.
     channels : list of list of str
         Channels of each trial that hold samples.
     masks, sd, damping : list of list of ndarray, each shape (n_k,)
@@ -82,12 +84,11 @@ class Problem:
                 name = parameter.name
                 self.labels.append(name if owner is None else f"{name}[{self.trials[owner].id}]")
                 self.slots.append((index, owner))
-        # of each trial: the parameters that are estimated, and their places among the numbers
-        self._taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
+        self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
         for k in range(len(self.trials)):
             numbers = [j for j, (_, owner) in enumerate(self.slots) if owner is None or owner == k]
             taken = [self.slots[j][0] for j in numbers]
-            self._taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
+            self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
         self.masks = [
             [np.isfinite(t.measured[c]) for c in names]
             for t, names in zip(self.trials, self.channels, strict=True)
@@ -141,7 +142,7 @@ class Problem:
     def vector(self, theta: Array, trial: int) -> Array:
         """Full parameter vector of one trial."""
         values = self.base.copy()
-        parameters, numbers = self._taken[trial]
+        parameters, numbers = self.taken[trial]
         values[parameters] = theta[numbers]
         return values
 
