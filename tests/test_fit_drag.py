@@ -119,10 +119,13 @@ class TestModel:
 
 
 class TestLevenberg:
+    @pytest.mark.parametrize("corrected", [False, True])
     @pytest.mark.parametrize("carried", [False, True])
     @pytest.mark.parametrize("seed", range(8))
-    def test_same_optimum_as_scipy(self, seed: int, carried: bool) -> None:
-        """Also with derivatives carried from step to step by Broyden's update, of which fewer are taken."""
+    def test_same_optimum_as_scipy(self, seed: int, carried: bool, corrected: bool) -> None:
+        """Also with derivatives carried from step to step by Broyden's update, of which fewer are taken, and
+        with steps corrected for curvature.
+        """
         rng = np.random.default_rng(seed)
         t = np.linspace(0, 4, 60)
         y = 2.0 * np.exp(-0.7 * t) + 0.5 + rng.normal(0, 0.05, 60)
@@ -148,7 +151,7 @@ class TestLevenberg:
 
         ours = minimise(
             residuals, counted, start, lower=np.zeros(3), upper=upper, scale=np.ones(3),
-            secant=broyden if carried else None,
+            secant=broyden if carried else None, corrected=corrected,
         )  # fmt: skip
         assert (taken[1] > 0) is carried
         if carried:
@@ -159,6 +162,32 @@ class TestLevenberg:
         assert ours.success
         assert ours.cost <= 2 * scipys.cost * (1 + 1e-9)
         assert ours.x == pytest.approx(scipys.x, abs=1e-5)
+
+    def test_along_a_curved_valley_corrected_steps_need_fewer_derivatives(self) -> None:
+        """Rosenbrock's valley a hundred times as steep (More, Garbow and Hillstrom 1981, problem 1)."""
+
+        def search(corrected: bool) -> tuple[Solution, int]:
+            taken = [0]
+
+            def jacobian(p: np.ndarray) -> np.ndarray:
+                taken[0] += 1
+                return np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]])
+
+            found = minimise(
+                lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
+                jacobian,
+                np.array([-1.2, 1.0]),
+                lower=np.full(2, -10.0),
+                upper=np.full(2, 10.0),
+                scale=np.ones(2),
+                corrected=corrected,
+            )
+            return found, taken[0]
+
+        (found, few), (_, many) = search(corrected=True), search(corrected=False)
+        assert found.success
+        assert found.x == pytest.approx([1.0, 1.0], abs=1e-6)
+        assert few < 0.5 * many
 
     def test_gives_up_honestly(self) -> None:
         never = minimise(

@@ -197,8 +197,6 @@ class Bench:
     prior : mapping of name to (mean, sd)
         Of shared coefficients.
     jobs : int
-    quick : Model, optional
-        A coarser one for differences between simulations.
     """
 
     def __init__(
@@ -209,14 +207,12 @@ class Bench:
         prior: Mapping[str, tuple[float, float]],
         *,
         jobs: int = 1,
-        quick: Model | None = None,
     ) -> None:
         self.model = model
         self.parameters = tuple(parameters)
         self.trials = list(trials)
         self.prior = dict(prior)
         self.jobs = jobs
-        self.quick = quick
         self._known: dict[tuple[int, ...], Affected] = {}
         plain = self.problem(())
         self.shape = plain
@@ -235,13 +231,10 @@ class Bench:
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """The model with effects."""
-        return self._affected(self.model, effects)
-
-    def _affected(self, model: Model, effects: Sequence[Effect]) -> Affected:
         # their scales are read off the trials: once will do
-        key = (id(model), *(id(e) for e in effects))
+        key = tuple(id(e) for e in effects)
         if key not in self._known:
-            self._known[key] = Affected(model, effects, self.trials)
+            self._known[key] = Affected(self.model, effects, self.trials)
         return self._known[key]
 
     def problem(
@@ -277,8 +270,6 @@ class Bench:
             jobs=self.jobs if jobs is None else jobs,
         )
         problem.near = NEAR
-        if self.quick is not None:
-            problem.quick = self._affected(self.quick, acting)
         return problem
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
@@ -429,6 +420,7 @@ class Bench:
                 tolerance=tolerance,
                 max_iterations=iterations,
                 secant=secant,
+                corrected=True,
             )
 
         return min(map(search, starts), key=lambda found: found.cost)
@@ -474,7 +466,7 @@ class Bench:
         point : ndarray
             Values of all the effect's parameters.
         """
-        model = self._affected(self.quick or self.model, (*base.acting, effect))
+        model = self.affected((*base.acting, effect))
         size = len(model.own[-1])
         null = np.array([p.start for p in model.own[-1]])
         found = []

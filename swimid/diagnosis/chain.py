@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, chance, gram, remainder
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.bench import TOLERANCE, Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.chance import CHANCE, FEWEST, Kind
 from swimid.diagnosis.dropouts import Dropouts, look
@@ -34,8 +34,6 @@ WEIGHTINGS = 2
 COARSE = 1e-3
 #: A longer step of integration may change a sample by this share of the range: far below any noise.
 SMALL_CHANGE = 1e-4
-#: For differences, in which its error cancels, so much.
-COARSE_CHANGE = 2e-3
 #: Effects refitted in a round: those whose screened gain is at least this share of the best, so many at
 #: most and at least.
 SHARE, MOST, LEAST = 0.15, 9, 4
@@ -63,6 +61,8 @@ SHORT = 20
 NONE = 1e-3
 #: A further effect must gain this share of what the first one did.
 FURTHER = 0.03
+#: It is refitted where the screen sees this share of that.
+SEEN = 0.2
 #: One chosen earlier must still gain this share of what the one chosen last does, or it stood in for it.
 BESIDE = 0.1
 #: Effects in a combination at most.
@@ -127,17 +127,13 @@ def weigh(bench: Bench) -> tuple[Lens, Fit]:
     return lens, fit
 
 
-def coarser(
-    model: Model, vectors: Sequence[Array], trials: Sequence[Trial], change: float = COARSE_CHANGE
-) -> Model | None:
+def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
     """The model with twice the integration step, where that changes samples little.
 
     Parameters
     ----------
     vectors : sequence of ndarray
         Parameters of each trial.
-    change : float
-        Of a sample, as a share of its channel's range, that is little.
     """
     quick = model.coarser()
     if quick is None:
@@ -146,7 +142,7 @@ def coarser(
         fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(fine[channel]))
-            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= change * span:
+            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= SMALL_CHANGE * span:
                 return None
     return quick
 
@@ -283,13 +279,17 @@ def rank(
     simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
     generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
     apart = _apart(bench)
+    # beside what was found already, an effect is worth a refit where the screen sees something of it
+    least, most = 0.0, MOST
+    if base.effects:
+        least, most = max(0.5 * candidates.LEAST_GAIN, SEEN * FURTHER * _first_gain(state)), FURTHER_MOST
     # the likeliest effects first, chance differences only in what they leave; then everything together
     for first in (False,) if apart and base.effects else (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
             return Round(base, screened, [], lens, candidates.LEAST_GAIN)
         if apart:
-            leading, likely = _leading(bench, base, lens, screened, jobs), []
+            leading, likely = _leading(bench, base, lens, screened, least, jobs), []
         else:
             leading, likely = base, [t for t in screened.tried if t.gain > 0][:MOST]
         columns, prior = [t.signature for t in likely], [1.0] * len(likely)
@@ -307,7 +307,8 @@ def rank(
             lens = settled(bench, leading, lens)
             held = {kind.label: kind.sd for kind in lens.chance}
             state.chance = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in state.chance]
-        base = bench.fit(base.effects, lens, [bench.start(base.effects, lens, base)])
+        exact = TOLERANCE if not first else candidates.FINE
+        base = bench.fit(base.effects, lens, [bench.start(base.effects, lens, base)], tolerance=exact)
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens
     plain = gram.folded(bench, base, lens)
@@ -316,8 +317,6 @@ def rank(
     for t in screened.tried:
         if sum(other.effect.name == t.effect.name for other in each) < FORMS:
             each.append(t)
-    # beside what was found already, an effect is worth a refit where the screen sees something of it
-    least, most = (0.5 * candidates.LEAST_GAIN, FURTHER_MOST) if base.effects else (0.0, MOST)
     promising = [
         t
         for i, t in enumerate(each)
@@ -350,15 +349,25 @@ def rank(
     return Round(base, screened, ranked, lens, threshold)
 
 
-def _leading(bench: Bench, base: Fit, lens: Lens, screened: Screen, jobs: int) -> Fit:
+def _first_gain(state: State) -> float:
+    """What the effect found first gains."""
+    return state.rounds[0].ranked[0].gain
+
+
+def _leading(bench: Bench, base: Fit, lens: Lens, screened: Screen, least: float, jobs: int) -> Fit:
     """The model with whichever of the likeliest effects fits best: what it leaves is nearer to noise.
 
     Far from null an effect's change is not the screen's. Without one that counts, the base itself.
+
+    Parameters
+    ----------
+    least : float
+        Screened gain of an effect that is tried.
     """
     likely: dict[str, Tried] = {}
     for t in screened.tried:
         # what each trial has for itself may be chance
-        if t.gain > 0 and not any(p.per_trial for p in t.parameters):
+        if t.gain > least and not any(p.per_trial for p in t.parameters):
             likely.setdefault(t.effect.name, t)
     plain = gram.folded(bench, base, lens)
 
@@ -417,10 +426,10 @@ def run(
 
     with threadpool_limits(limits=1, user_api="blas"):
         start = [np.array([p.start for p in parameters])] * len(trials)
-        fine, model = model, coarser(model, start, trials, SMALL_CHANGE) or model
+        fine, model = model, coarser(model, start, trials) or model
 
         def weighed(sound: Sequence[Trial]) -> tuple[Bench, Lens, Fit]:
-            found = Bench(model, parameters, sound, prior, jobs=jobs, quick=coarser(model, start, trials))
+            found = Bench(model, parameters, sound, prior, jobs=jobs)
             return (found, *weigh(found))
 
         bench, lens, fit = weighed(trials)
@@ -429,13 +438,11 @@ def run(
             bench, lens, fit = weighed(dropouts.without(trials))
         # a coarse step may do at the start values, and not from where trials were found to begin
         own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
-        if model is not fine and coarser(fine, own, bench.trials, SMALL_CHANGE) is None:
+        if model is not fine and coarser(fine, own, bench.trials) is None:
             model = fine
             bench, lens, fit = weighed(bench.trials)
-        if bench.quick is not None:
-            bench.quick = coarser(model, own, bench.trials)
         lens, kinds = see(bench, fit, lens, fit.residuals, scattering, len(fit.labels))
-        fit = bench.fit((), lens, bench.begins(fit.problem, fit.theta))
+        fit = bench.fit((), lens, bench.begins(fit.problem, fit.theta), tolerance=candidates.FINE)
         state = State(bench, lens, fit, dropouts, chance=kinds)
         while len(state.rounds) < max(most, 1):
             chosen = {e.name for e in state.base.effects}
@@ -556,7 +563,7 @@ def why_not(state: State, found: Round, best: Refitted) -> str:
     # a single fold tells nothing by itself: the effect was then read off it alone
     if len(best.gains) > 2 and best.gain - float(np.max(best.gains)) <= 0.5 * found.threshold:
         return "all it gains is in one held-out fold"
-    first = state.rounds[0].ranked[0].gain if state.rounds and state.rounds[0] is not found else None
-    if first is not None and best.gain <= FURTHER * first:
+    further = bool(state.rounds) and state.rounds[0] is not found
+    if further and best.gain <= FURTHER * _first_gain(state):
         return "beside what was found before it gains too little"
     return ""

@@ -96,8 +96,10 @@ def named(state: State, found: Round, unknown: float) -> Named:
 
 def _by_name(found: Round) -> dict[str, float]:
     """Weight of each effect, its best variant's, against the best of all."""
-    top = found.ranked[0].merit
-    scale = max(2.0, FORM * top)
+    best = found.ranked[0]
+    top = best.merit
+    # an effect of unlike form would not leave many times what another leaves
+    scale = max(2.0, min(FORM * top, best.fit.cost))
     weight: dict[str, float] = {}
     for r in found.ranked:
         w = float(np.exp(min(r.merit - top, 0.0) / scale))

@@ -7,8 +7,11 @@ these well-scaled problems they lose nothing that matters. Both give the same op
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +23,9 @@ PATIENCE = 12
 #: A search creeps that has taken so many steps, of which the last `STRIDE` together hardly lowered the cost.
 CREEPING, STRIDE = 40, 10
 
+#: A step that lowers the cost by less than this share of what it should have is corrected for curvature,
+#: by no more than this share of its length.
+STRAIGHT, BENT = 0.9, 0.75
 #: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
 #: and over so many steps at most.
 FAITHFUL, LONGEST = 0.75, 5
@@ -51,6 +57,15 @@ class Solution:
     crept: bool = False
 
 
+class _Tried(NamedTuple):
+    """A step in typical sizes, where it leads, and the residuals and their squares there; NaN is infinite."""
+
+    step: Array
+    x: Array
+    residuals: Array
+    cost: float
+
+
 # A step so bad that its cost overflows costs infinity, and is not taken.
 @np.errstate(over="ignore", invalid="ignore")
 def minimise(
@@ -67,6 +82,7 @@ def minimise(
     max_iterations: int = 200,
     watch: Callable[[Array, float, int], None] | None = None,
     secant: Callable[[Array, Array, Array, Array], Array] | None = None,
+    corrected: bool = False,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -111,6 +127,7 @@ def minimise(
     cost = float(r @ r)
     if not np.isfinite(cost):
         return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
+    attempt = partial(_attempt, residuals, lower, upper, scale)
     told = watch or _untold
     told(x, cost, 0)
     damping, growth = 1e-3, 2.0
@@ -130,23 +147,25 @@ def minimise(
                 return Solution(x, cost, True, "the gradient vanishes", iteration)
             renew = True
             for _ in range(40):
-                taken = _step(
-                    normal, gradient, damping * size**2, (lower - x) / scale, (upper - x) / scale, blocked
-                )
-                moved = np.clip(x + taken * scale, lower, upper)
-                candidate = residuals(moved)
-                new_cost = float(candidate @ candidate)
+                weight, low, high = damping * size**2, (lower - x) / scale, (upper - x) / scale
+                taken = _step(normal, gradient, weight, low, high, blocked)
                 predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
-                small = np.all(np.abs(taken) <= tolerance * (np.abs(x / scale) + tolerance))
-                if np.isfinite(new_cost) and new_cost < cost:
-                    gain = (cost - new_cost) / predicted if predicted > 0 else 0.0
+                tried = attempt(x, taken)
+                if corrected and cost - tried.cost < STRAIGHT * predicted and np.isfinite(tried.cost):
+                    bent = partial(
+                        _step, normal, damping=weight, low=low - taken, high=high - taken, blocked=blocked
+                    )
+                    tried = _corrected(tried, bent, attempt, x, r, rows, size)
+                small = np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance))
+                if tried.cost < cost:
+                    lowered, off = cost - tried.cost, tried.residuals - r - rows @ tried.step
+                    gain = lowered / predicted if predicted > 0 else 0.0
                     damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
                     damping = max(damping, 1e-12)
                     growth = 2.0
-                    done = cost - new_cost <= tolerance * cost and predicted <= 10 * tolerance * cost
-                    done |= iteration > PATIENCE and max(cost - new_cost, predicted) < enough
-                    off = candidate - r - rows @ taken
-                    x, r, cost = moved, candidate, new_cost
+                    done = lowered <= tolerance * cost and predicted <= 10 * tolerance * cost
+                    done |= iteration > PATIENCE and max(lowered, predicted) < enough
+                    x, r, cost = tried.x, tried.residuals, tried.cost
                     told(x, cost, iteration)
                     if (done or small) and not age:
                         return Solution(x, cost, True, "cost and parameters no longer change", iteration)
@@ -154,7 +173,7 @@ def minimise(
                     if iteration > CREEPING and costs[-1 - STRIDE] - cost < little * cost:
                         return Solution(x, cost, True, "the search creeps", iteration, crept=True)
                     if secant is not None and gain > FAITHFUL and age < LONGEST and not (done or small):
-                        rows, age, renew = secant(rows, off, taken, size**2), age + 1, False
+                        rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
                     break
                 if age:
                     # derivatives carried along may be what is wrong
@@ -168,6 +187,31 @@ def minimise(
                     x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration
                 )
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
+
+
+def _attempt(
+    residuals: Callable[[Array], Array], lower: Array, upper: Array, scale: Array, x: Array, step: Array
+) -> _Tried:
+    there = np.clip(x + step * scale, lower, upper)
+    r = residuals(there)
+    cost = float(r @ r)
+    return _Tried(step, there, r, cost if np.isfinite(cost) else math.inf)
+
+
+def _corrected(
+    tried: _Tried,
+    solve: Callable[[Array], Array],
+    attempt: Callable[[Array, Array], _Tried],
+    x: Array,
+    r: Array,
+    rows: Array,
+    size: Array,
+) -> _Tried:
+    """A step less what its residuals differ from the predicted ones by, where that is short and better."""
+    bent = solve(rows.T @ (tried.residuals - r - rows @ tried.step))
+    if np.linalg.norm(bent * size) > BENT * np.linalg.norm(tried.step * size):
+        return tried
+    return min(tried, attempt(x, tried.step + bent), key=lambda t: t.cost)
 
 
 def _untold(x: Array, cost: float, iteration: int) -> None:

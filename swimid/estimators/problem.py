@@ -23,10 +23,8 @@ BROKEN = 1e6
 IMMATERIAL = 1e-3
 #: Share of the squared residuals that ten steps of a search must lower.
 LITTLE = 2e-4
-#: A coarser model is left where its samples are off by this share of their spread.
-ASTRAY = 0.02
 #: Points whose simulations are kept.
-KEPT = 3
+KEPT = 5
 
 
 class Problem:
@@ -54,8 +52,6 @@ class Problem:
         depend on it. :meth:`close` ends them.
     near : float
         As :data:`NEAR`, of this problem.
-    quick : Model or None
-        In place of the model where derivatives are taken: a coarser one, whose errors cancel in differences.
     """
 
     def __init__(
@@ -66,7 +62,6 @@ class Problem:
         self.trials = list(trials)
         self.jobs = jobs
         self.near = NEAR
-        self.quick: Model | None = None
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
@@ -243,7 +238,7 @@ class Problem:
             if (was_central or not central) and self._near(theta, where, known):
                 return known
         size = np.maximum(np.abs(theta), self.scale)
-        models, here = self._differenced(theta)
+        here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
         steps = (1e-5 if central else 1e-6) * size
         # step towards the inside of the bounds
         steps = np.where(theta + steps > self.upper, -steps, steps)
@@ -262,7 +257,7 @@ class Problem:
                     moved[j] += sign * steps[j]
                     points.append((moved, k))
                 places.append((k, j))
-        moves = iter(zip(points, self.simulated(points, models), strict=True))
+        moves = iter(zip(points, self.simulated(points), strict=True))
         for k, j in places:
             (ahead_at, _), simulated = next(moves)
             ahead, back, back_at = self.stacked(k, simulated), here[k], theta
@@ -276,23 +271,6 @@ class Problem:
         self._slopes = (theta.copy(), central, slopes)
         return slopes
 
-    def _differenced(self, theta: Array) -> tuple[list[Model], list[Array]]:
-        """The model of each trial of which differences are taken, and what it simulates there."""
-        exact = [self.stacked(k, s) for k, s in enumerate(self.simulations(theta))]
-        if self.quick is None:
-            return [self.model] * len(self.trials), exact
-        quick = self.simulated([(theta, k) for k in range(len(self.trials))], [self.quick] * len(self.trials))
-        models, here = [], []
-        for k, (fine, series) in enumerate(zip(exact, quick, strict=True)):
-            rough = self.stacked(k, series)
-            with np.errstate(over="ignore", invalid="ignore"):
-                near = np.linalg.norm(rough - fine) <= ASTRAY * np.linalg.norm(fine - np.mean(fine))
-            # far from where it was found to do, a coarser step may be unstable
-            keeps = near and np.isfinite(rough).all()
-            models.append(self.quick if keeps else self.model)
-            here.append(rough if keeps else fine)
-        return models, here
-
     def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
         """Whether the step between two points is small against the noise of the estimates."""
         moved, left, samples = 0.0, 0.0, 0
@@ -305,30 +283,25 @@ class Problem:
         # a step of one standard error in any direction changes the cost by the residuals' variance
         return moved * samples <= self.near**2 * left
 
-    def simulated(
-        self, points: list[tuple[Array, int]], models: Sequence[Model] | None = None
-    ) -> list[dict[str, Array]]:
-        """Simulations of (numbers, trial) pairs, in their order, by the model or that of each trial."""
-        models = models or [self.model] * len(self.trials)
+    def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+        """Simulations of (numbers, trial) pairs, in their order."""
         self.evaluations += len(points)
         if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
-            timed = list(
-                self._pool.map(lambda point: self._simulate_one(point[0], point[1], models[point[1]]), points)
-            )
+            timed = list(self._pool.map(lambda point: self._simulate_one(*point), points))
         else:
-            timed = [self._simulate_one(theta, k, models[k]) for theta, k in points]
+            timed = [self._simulate_one(*point) for point in points]
         # the median, since the first may have compiled the model and a broken one ends early
         self._typical_s = float(np.median([seconds for _, seconds in timed])) if timed else 0.0
         return [found for found, _ in timed]
 
-    def _simulate_one(self, theta: Array, k: int, model: Model) -> tuple[dict[str, Array], float]:
+    def _simulate_one(self, theta: Array, k: int) -> tuple[dict[str, Array], float]:
         begun = time.perf_counter()
         trial = self.trials[k]
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                found = model.simulate(self.vector(theta, k), trial)
+                found = self.model.simulate(self.vector(theta, k), trial)
         except (ArithmeticError, np.linalg.LinAlgError):
             found = {c.name: np.full(len(trial.time_s), np.nan) for c in self.model.channels}
         seconds = time.perf_counter() - begun
