@@ -270,3 +270,19 @@ def test_a_plan_is_the_same_for_the_same_seed_and_cycles_through_all_effects() -
     singles = {c["effects"][0] for c in cases if c["kind"] == "single"}
     assert singles == set(rigs.CATALOGUE["falling-weight"])
     assert {len(c["effects"]) for c in cases if c["kind"] == "pair"} == {2}
+
+
+def test_a_cause_that_upsets_a_swim_is_drawn_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def make_case(folder: Path, *, size: float, **_) -> dict[str, object]:
+        if size > 1.5:
+            raise FloatingPointError("run01: the swim is unstable")
+        return {"gap_over_floor": {"overall": 2.0}, "noncentrality": 100.0}
+
+    fake = type("Fake", (), {"make_case": staticmethod(make_case)})
+    monkeypatch.setattr(runner, "generators", lambda: {"dolphin": fake})
+    case = {"number": 3, "robot": "dolphin", "kind": "outside", "effects": ["spring-drift"], "size": 3.0}
+    runner.make(case, tmp_path, 1)
+    label = json.loads((tmp_path / "labels" / "0003.json").read_text())
+    assert label["size"] == pytest.approx(3.0 * 0.7**2)
+    with pytest.raises(FloatingPointError, match="unstable"):
+        runner.make({**case, "size": 100.0}, tmp_path, 1)

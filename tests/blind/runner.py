@@ -28,6 +28,8 @@ GENERATORS = ("rigs", "cruises", "swimmers")
 #: Share of the cases; a family's robots divide its share evenly unless they have their own.
 SHARES = {"falling-weight": 0.21, "free-decay": 0.04, "cruise": 0.15, "tfish": 0.35, "dolphin": 0.25}
 KINDS = {"clean": 0.12, "single": 0.60, "pair": 0.13, "outside": 0.15}
+#: A cause that makes a swim unstable is drawn so much smaller, so often at most.
+SMALLER, UNSTABLE = 0.7, 6
 FITS = {
     "falling-weight": "fit-drag",
     "towed": "fit-drag",
@@ -133,7 +135,16 @@ def _plain(value: Any) -> bool:
 
 
 def make(case: dict[str, Any], out: Path, seed: int) -> Path:
-    """Write a case's folder and, apart from it, its label."""
+    """Write a case's folder and, apart from it, its label; a cause that upsets a swim is drawn smaller."""
+    for smaller in range(UNSTABLE):
+        try:
+            return _made({**case, "size": case["size"] * SMALLER**smaller}, out, seed)
+        except FloatingPointError as error:
+            unstable = error
+    raise unstable
+
+
+def _made(case: dict[str, Any], out: Path, seed: int) -> Path:
     name = f"{case['number']:04d}"
     folder, labels = out / "cases" / name, out / "labels"
     shutil.rmtree(folder, ignore_errors=True)

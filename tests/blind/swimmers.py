@@ -136,6 +136,8 @@ def swim(
             act.body(trial, body)
     table = np.ascontiguousarray(joints.transpose(2, 0, 1))
     poses, angles = swim_body.run(body, Water(**changed), table, step_s, trial.start, flow)
+    if not (np.isfinite(poses).all() and np.isfinite(angles).all()):
+        raise FloatingPointError(f"{trial.id}: the swim is unstable")
     return _sampled(trial, acts, t[::2], poses, angles)
 
 
