@@ -729,6 +729,7 @@ def test_a_start_that_changes_nothing_is_no_obstacle(bench: Bench) -> None:
         ([10.0, 5.0, 4.0, 3.0], "no more than noise"),
         ([90.0, 80.0, -30.0, -30.0], "loses in others"),
         ([250.0, 150.0, -5.0, -10.0], "too many"),
+        ([2500.0, 1500.0, -5.0, -10.0], ""),
         ([200.0, 5.0, 4.0, 3.0], "one held-out fold"),
     ],
 )
@@ -740,6 +741,20 @@ def test_what_counts(gains: list[float], why: str) -> None:
     said = chain.why_not(SimpleNamespace(rounds=[]), found, best)  # type: ignore[arg-type]
     assert why in said
     assert bool(said) == bool(why)
+
+
+@pytest.mark.parametrize(("left", "rivals"), [(1e6, ("wall",)), (5e3, ())])
+def test_a_rival_that_leaves_many_times_what_the_best_leaves_is_none(
+    left: float, rivals: tuple[str, ...]
+) -> None:
+    """It gains 16 000 less: twice what form may explain, and thrice what the best leaves in all."""
+
+    def refitted(name: str, gain: float) -> Refitted:
+        tried = SimpleNamespace(effect=SimpleNamespace(name=name), parameters=())
+        return Refitted(tried, SimpleNamespace(cost=left), np.full(4, gain / 4))  # type: ignore[arg-type]
+
+    found = SimpleNamespace(ranked=[refitted("tether", 1e5), refitted("wall", 8.4e4)])
+    assert conclusion.named(SimpleNamespace(), found, 0.0).equivalent == rivals  # type: ignore[arg-type]
 
 
 def piece(before: float, after: float) -> shrinkage.Piece:

@@ -10,7 +10,7 @@ import numpy as np
 from swimid.diagnosis import candidates, remainder
 from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
-from swimid.diagnosis.chain import FORM, Round, State, passes
+from swimid.diagnosis.chain import FORM, STEADY, Round, State, passes
 from swimid.diagnosis.chance import CHANCE
 from swimid.diagnosis.floor import by_channel
 from swimid.diagnosis.result import Score, Verdict
@@ -31,8 +31,6 @@ DIFFERS = 2.0
 #: Of answers that the evidence alone would make sure, so many name another cause than the true one: a true
 #: effect never has quite its form in the catalogue, or is not in it. Read off blind cases with known causes.
 MISTAKEN = 0.15
-#: A cause whose losses are at most this share of its gains helps in every held-out fold.
-STEADY = 0.02
 #: Share of the evidence that the leader alone needs for a clear verdict.
 CLEAR = 0.55
 
