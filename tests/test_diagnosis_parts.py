@@ -777,6 +777,17 @@ def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bo
 
 
 @pytest.mark.parametrize(
+    ("before", "after", "sound"),
+    [(5.0, 500.0, True), (5.0, 1e5, False), (5.0, np.nan, False), (1e5, 2e5, True), (np.nan, np.nan, True)],
+)
+def test_a_cause_with_which_a_held_out_trial_breaks_down_is_told(
+    before: float, after: float, sound: bool
+) -> None:
+    """The trial's range is 200 times its noise; beside it another one that is well with the cause."""
+    assert shrinkage.sound([piece(5.0, 0.0), piece(before, after)]) is sound
+
+
+@pytest.mark.parametrize(
     ("gains", "steady"), [([30.0, 5.0, 80.0], True), ([30.0, -0.5, 80.0], True), ([30.0, -9.0, 80.0], False)]
 )
 def test_a_steady_cause_helps_in_every_fold(gains: list[float], steady: bool) -> None:

@@ -82,11 +82,12 @@ def answer(
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
-    if chosen and not shrinkage.helps(held, floor):
+    sound = shrinkage.sound(held)
+    if chosen and not (sound and shrinkage.helps(held, floor)):
         # simulated from their own start states, held-out trials are no better with it
         names = ", ".join(c.best.tried.effect.name for c in chosen)
         steady = word != "unexplained" and all(c.steady for c in chosen)
-        if steady or shrinkage.hidden(bench, nominal, state.base, state.lens, validation):
+        if sound and (steady or shrinkage.hidden(bench, nominal, state.base, state.lens, validation)):
             reasons.append(
                 f"{names}: it gains on held-out data, but held-out trials, simulated anew, are no better "
                 "with it: what differs between trials by chance hides it"
@@ -94,7 +95,8 @@ def answer(
             if word != "unexplained":
                 word = "ambiguous"
         else:
-            reasons.append(f"{names}: held-out trials, simulated anew, are no better with it")
+            worse = "are no better" if sound else "break down"
+            reasons.append(f"{names}: held-out trials, simulated anew, {worse} with it")
             chosen = []
             word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
     # what a cause accounts for is none of the chance differences of the model without it

@@ -26,6 +26,8 @@ RESAMPLES = 1000
 TRACE = 0.02
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
+#: A simulation this many times its channel's range away from a trial broke down.
+ASTRAY = 10.0
 
 
 @dataclass(frozen=True)
@@ -283,6 +285,21 @@ def shrinkages(
             )
         )
     return tuple(result)
+
+
+def sound(found: Sequence[Piece]) -> bool:
+    """Whether no held-out trial breaks down with the causes that did not break down without them."""
+    values: dict[str, list[Array]] = {}
+    for p in found:
+        values.setdefault(p.channel, []).append(p.measured[np.isfinite(p.measured)])
+    span = {c: float(np.ptp(np.concatenate(v))) for c, v in values.items()}
+    for p in found:
+        there = np.isfinite(p.measured)
+        errors = [np.abs((p.measured - y)[there]) for y in (p.before, p.after)]
+        before, after = (float(np.max(np.nan_to_num(e, nan=np.inf), initial=0.0)) for e in errors)
+        if after > ASTRAY * max(span[p.channel], before):
+            return False
+    return True
 
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
