@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from swimid.diagnosis import candidates, chain, conclusion, dropouts, folds, gram, places, shrinkage
+from swimid.diagnosis import candidates, chain, conclusion, dropouts, folds, gram, places, result, shrinkage
 from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
 from swimid.diagnosis.chance import CHANCE, kinds, spread
@@ -774,6 +774,53 @@ def piece(before: float, after: float) -> shrinkage.Piece:
 def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bool) -> None:
     """Of a squared gap of 25 a closed 1 counts, a closed 0.2 (less than 2 %) does not."""
     assert shrinkage.helps([piece(before, after)], {"x_m": 0.01}) is helps
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "clear", "much"),
+    [
+        pytest.param(8.0, 3.2, 7.8, True, id="a third of the gap, three times the noise"),
+        pytest.param(53.0, 2.9, 73.0, False, id="nearly all of it is closed"),
+        pytest.param(3.0, 1.8, 2.9, False, id="what is left is near the noise"),
+        pytest.param(4.7, 4.2, 1.9, False, id="most of the gap is what differs between trials by chance"),
+    ],
+)
+def test_a_gap_that_stays_wide_open_is_told(before: float, after: float, clear: float, much: bool) -> None:
+    largest, small = (
+        result.Shrinkage(name, b, a, b, 1.0, closed(b, a, 1.0), (np.nan, np.nan))
+        for name, b, a in (("x_m", before, after), ("y_m", 1.5, 1.4))
+    )
+    assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 1.5}) is (largest if much else None)
+
+
+def test_a_gap_without_a_channel_to_close_is_not_wide_open() -> None:
+    nothing = result.Shrinkage("x_m", 1.0, 1.0, 1.0, 1.0, np.nan, (np.nan, np.nan))
+    assert shrinkage.wide_open([nothing], {"x_m": 5.0}) is None
+
+
+def test_few_samples_need_less_gain_and_never_less_than_noise_may_give() -> None:
+    assert [candidates.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
+
+
+def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: np.random.Generator) -> None:
+    """A swim's phase has an optimum in every turn; the one near the known frequency is the lowest."""
+
+    def turning(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": np.sin(values[0] * t) * np.exp(-0.05 * t)}
+
+    known = (replace(parameter("rate", 1.0), known=1.0),)
+    trials = [
+        Trial(f"t{k}", "fit", t, {"y": turning(np.array([1.05]), t)["y"] + 0.05 * rng.normal(size=len(t))})
+        for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
+    ]
+    bench = Bench(Toy(turning, known, ("y",)), known, trials, {"rate": (1.0, 0.5)})
+    lens = Lens([[np.full(200, 0.05)] for _ in trials])
+    trapped = bench.fit((), lens, [np.array([2.5])])
+    assert abs(trapped.value("rate") - 1.05) > 0.5
+    based = chain._based(bench, (), lens, trapped.theta)
+    # five standard errors: a sample moves by some five of its units with the rate
+    assert based.value("rate") == pytest.approx(1.05, abs=5 * 0.05 / np.sqrt(800) / 5)
+    assert based.cost < trapped.cost
 
 
 @pytest.mark.parametrize(

@@ -102,6 +102,17 @@ def answer(
     # what a cause accounts for is none of the chance differences of the model without it
     gap_left = nominal.unaided([e.name for e in state.base.effects])
     size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
+    wide = shrinkage.wide_open(closing, {c: size[c] / floor[c] for c in size if floor[c] > 0})
+    if chosen and wide is not None:
+        names = ", ".join(c.best.tried.effect.name for c in chosen)
+        reasons.append(
+            f"{names}: with it, held-out trials still miss {wide.channel} by {wide.after / wide.floor:.1f} "
+            f"times the noise, {100 * (1 - wide.closed):.0f} % of the gap there: something else is missing"
+        )
+        # as likely as it is to be all that is missing, and that is as likely as what it closes
+        shut = max(wide.closed, 0.0)
+        chosen = [replace(c, probability=c.probability * shut) for c in chosen]
+        word = "unexplained"
     stands = any(size[c] > STANDS * floor[c] for c in size)
     sure = any(c.best.gain > SURE * c.best.stderr for c in chosen)
     if word != "none" and not (failed or stands or sure or conclusion.structured(state)):

@@ -26,8 +26,9 @@ SOUND = 0.7
 PER_SAMPLE = 0.002
 #: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
 DRAWS, QUANTILE = 400, 0.975
-#: No effect counts for less.
-LEAST_GAIN = 50.0
+#: No effect counts for less; of few samples, whose noise is read off themselves, for half their number, but
+#: never for less than the second.
+LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
 #: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
 STARTS = 2
 #: Relative tolerance of a first refit, and of the last.
@@ -38,6 +39,11 @@ HEAT = 3
 NEARER = (0.5, 0.2, 0.0)
 #: Parts of a trial that are judged in turn where each trial has a size for itself.
 PARTS = 4
+
+
+def least_gain(samples: float) -> float:
+    """The gain below which nothing counts, whatever noise alone would give."""
+    return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, chance, gram, remainder
-from swimid.diagnosis.bench import TOLERANCE, Bench, Fit
+from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.chance import CHANCE, FEWEST, Kind
 from swimid.diagnosis.dropouts import Dropouts, look
@@ -278,18 +278,20 @@ def rank(
     """One round: screen, learn the noise from a saturated fit, screen again, refit the best."""
     bench = state.bench
     base, lens = state.base, state.lens
+    samples = float(sum(len(r) for r in base.residuals))
+    least_gain = candidates.LEAST_GAIN if base.effects else candidates.least_gain(samples)
     simulated = candidates.simulate(bench, base, effects, jobs=jobs, step=step)
     generic = state.generic = remainder.simulate(bench, base, jobs=jobs)
     apart = _apart(bench)
     # beside what was found already, an effect is worth a refit where the screen sees something of it
     least, most = 0.0, MOST
     if base.effects:
-        least, most = max(0.5 * candidates.LEAST_GAIN, SEEN * FURTHER * _first_gain(state)), FURTHER_MOST
+        least, most = max(0.5 * least_gain, SEEN * FURTHER * _first_gain(state)), FURTHER_MOST
     # the likeliest effects first, chance differences only in what they leave; then everything together
     for first in (False,) if apart and base.effects else (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
-            return Round(base, screened, [], lens, candidates.LEAST_GAIN)
+            return Round(base, screened, [], lens, least_gain)
         if apart:
             leading, likely = _leading(bench, base, lens, screened, least, jobs), []
         else:
@@ -309,8 +311,11 @@ def rank(
             lens = settled(bench, leading, lens)
             held = {kind.label: kind.sd for kind in lens.chance}
             state.chance = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in state.chance]
-        exact = TOLERANCE if not first else candidates.FINE
-        base = bench.fit(base.effects, lens, [bench.start(base.effects, lens, base)], tolerance=exact)
+        begin = bench.start(base.effects, lens, base)
+        if first:
+            base = bench.fit(base.effects, lens, [begin], tolerance=candidates.FINE)
+        else:
+            base = _based(bench, base.effects, lens, begin)
     screened = candidates.screen(bench, base, lens, simulated, rng=rng)
     state.base, state.lens = base, lens
     plain = gram.folded(bench, base, lens)
@@ -346,9 +351,21 @@ def rank(
         spare = max(jobs // max(len(near), 1), 1)
         ranked[: len(near)] = pool.map(again, near)
     ranked.sort(key=lambda r: -r.merit)
-    samples = float(sum(len(r) for r in base.residuals))
-    threshold = max(screened.threshold, candidates.PER_SAMPLE * samples, candidates.LEAST_GAIN)
+    threshold = max(screened.threshold, candidates.PER_SAMPLE * samples, least_gain)
     return Round(base, screened, ranked, lens, threshold)
+
+
+def _based(bench: Bench, effects: Sequence[Effect], lens: Lens, begin: Array) -> Fit:
+    """The model that candidates are compared with, from known coefficients too where it has left them far
+    behind: what a poor optimum misses, some effect would seem to explain.
+    """
+    own, *others = bench.begins(bench.problem(effects, lens.chance), begin)
+    best = bench.fit(effects, lens, [own])
+    for other in others:
+        near = bench.fit(effects, lens, [other], iterations=FEW, tolerance=COARSE)
+        if near.cost < best.cost:
+            best = bench.fit(effects, lens, [near.theta])
+    return best
 
 
 def _first_gain(state: State) -> float:
@@ -379,7 +396,8 @@ def _leading(bench: Bench, base: Fit, lens: Lens, screened: Screen, least: float
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         found = list(pool.map(one, list(likely.values())[:LEADERS]))
     best = max(found, key=lambda r: r.merit, default=None)
-    if best is None or best.merit <= max(screened.threshold, candidates.LEAST_GAIN):
+    least_gain = candidates.least_gain(sum(len(r) for r in base.residuals))
+    if best is None or best.merit <= max(screened.threshold, least_gain):
         return base
     return candidates.refit(bench, base, plain, lens, best.tried, begin=best.fit, jobs=jobs).fit
 
@@ -389,7 +407,7 @@ def _hopeful(
 ) -> bool:
     """Whether anything, an effect or a generic description, still promises more than half of what counts."""
     promised = max((t.gain for t in screened.tried), default=0.0)
-    if promised > 0.5 * candidates.LEAST_GAIN:
+    if promised > 0.5 * candidates.least_gain(sum(len(r) for r in base.residuals)):
         return True
     return remainder.find(bench, base, lens, generic, rng=rng).found
 

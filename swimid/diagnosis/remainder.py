@@ -10,7 +10,7 @@ import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.candidates import DRAWS, LEAST_GAIN, PER_SAMPLE, QUANTILE, within
+from swimid.diagnosis.candidates import DRAWS, PER_SAMPLE, QUANTILE, least_gain, within
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
@@ -119,10 +119,11 @@ def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.rando
         ]
         places[place] = max(alone)
     factors = gram.together(inner, every, best_prior)[inner.shared :]
+    samples = float(inner.samples.sum())
     return Left(
         float(best.sum()),
         best,
-        max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * float(inner.samples.sum()), LEAST_GAIN),
+        max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples)),
         places,
         columns,
         best_prior,

@@ -24,6 +24,9 @@ RESAMPLES = 1000
 
 #: Of the squared errors on held-out data, beyond their noise, a cause closes at least this share.
 TRACE = 0.02
+#: Causes do not explain a gap of which they leave this many times the noise and this share on held-out data,
+#: where the gap itself is as clear.
+OPEN, OPEN_SHARE = 2.0, 0.25
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
 #: A simulation this many times its channel's range away from a trial broke down.
@@ -300,6 +303,22 @@ def sound(found: Sequence[Piece]) -> bool:
         if after > ASTRAY * max(span[p.channel], before):
             return False
     return True
+
+
+def wide_open(closing: Sequence[Shrinkage], gap: Mapping[str, float]) -> Shrinkage | None:
+    """The channel with the largest gap, if causes leave much of it open on held-out data.
+
+    Parameters
+    ----------
+    gap : mapping of channel to float
+        Size of the gap in units of the noise, chance differences between trials aside.
+    """
+    known = [s for s in closing if s.floor > 0 and math.isfinite(s.closed)]
+    if not known:
+        return None
+    s = max(known, key=lambda s: s.before / s.floor)
+    clear = min(gap.get(s.channel, 0.0), s.after / s.floor) > OPEN
+    return s if clear and 1.0 - s.closed > OPEN_SHARE else None
 
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
