@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, chance, gram, remainder
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.bench import TOLERANCE, Bench, Fit
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.chance import CHANCE, FEWEST, Kind
 from swimid.diagnosis.dropouts import Dropouts, look
@@ -355,16 +355,18 @@ def rank(
     return Round(base, screened, ranked, lens, threshold)
 
 
-def _based(bench: Bench, effects: Sequence[Effect], lens: Lens, begin: Array) -> Fit:
+def _based(
+    bench: Bench, effects: Sequence[Effect], lens: Lens, begin: Array, tolerance: float = TOLERANCE
+) -> Fit:
     """The model that candidates are compared with, from known coefficients too where it has left them far
     behind: what a poor optimum misses, some effect would seem to explain.
     """
     own, *others = bench.begins(bench.problem(effects, lens.chance), begin)
-    best = bench.fit(effects, lens, [own])
+    best = bench.fit(effects, lens, [own], tolerance=tolerance)
     for other in others:
         near = bench.fit(effects, lens, [other], iterations=FEW, tolerance=COARSE)
         if near.cost < best.cost:
-            best = bench.fit(effects, lens, [near.theta])
+            best = bench.fit(effects, lens, [near.theta], tolerance=tolerance)
     return best
 
 
@@ -462,7 +464,7 @@ def run(
             model = fine
             bench, lens, fit = weighed(bench.trials)
         lens, kinds = see(bench, fit, lens, fit.residuals, scattering, len(fit.labels))
-        fit = bench.fit((), lens, bench.begins(fit.problem, fit.theta), tolerance=candidates.FINE)
+        fit = _based(bench, (), lens, bench.start((), lens, fit), candidates.FINE)
         state = State(bench, lens, fit, dropouts, chance=kinds)
         while len(state.rounds) < max(most, 1):
             chosen = {e.name for e in state.base.effects}
