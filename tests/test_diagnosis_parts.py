@@ -11,7 +11,18 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from swimid.diagnosis import candidates, chain, conclusion, dropouts, folds, gram, places, result, shrinkage
+from swimid.diagnosis import (
+    answer,
+    candidates,
+    chain,
+    conclusion,
+    dropouts,
+    folds,
+    gram,
+    places,
+    result,
+    shrinkage,
+)
 from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
 from swimid.diagnosis.chance import CHANCE, kinds, spread
@@ -791,6 +802,18 @@ def test_a_gap_that_stays_wide_open_is_told(before: float, after: float, clear: 
         for name, b, a in (("x_m", before, after), ("y_m", 1.5, 1.4))
     )
     assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 1.5}) is (largest if much else None)
+
+
+@pytest.mark.parametrize(("after", "probabilities"), [(5.0, [0.8 * 3 / 7]), (7.8, []), (9.0, [])])
+def test_of_a_gap_that_stays_open_a_cause_is_told_as_far_as_it_closes_it(
+    after: float, probabilities: list[float]
+) -> None:
+    best = SimpleNamespace(tried=SimpleNamespace(effect=SimpleNamespace(name="tether")))
+    cause = conclusion.Named(best, (), 0.8, 0.8, found=None)  # type: ignore[arg-type]
+    open_channel = result.Shrinkage("x_m", 8.0, after, 8.0, 1.0, closed(8.0, after, 1.0), (np.nan, np.nan))
+    kept, said = answer._partly([cause], open_channel)
+    assert [c.probability for c in kept] == pytest.approx(probabilities)
+    assert f"tether: with it, held-out trials still miss x_m by {after} times the noise" in said
 
 
 def test_a_gap_without_a_channel_to_close_is_not_wide_open() -> None:

@@ -40,6 +40,8 @@ FAILED, FAILED_MISFIT = 4, 50.0
 STANDS = 1.15
 #: Where it does not, a cause must gain so many times the standard error of its gain.
 SURE = 3.0
+#: Of a gap that stays open, causes that close less than this share are none.
+PARTLY = 0.1
 
 
 def answer(
@@ -102,17 +104,13 @@ def answer(
     # what a cause accounts for is none of the chance differences of the model without it
     gap_left = nominal.unaided([e.name for e in state.base.effects])
     size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
-    wide = shrinkage.wide_open(closing, {c: size[c] / floor[c] for c in size if floor[c] > 0})
     # parts of a trial do not tell how large its noise is
-    if chosen and wide is not None and (validation or bench.folds.whole):
-        names = ", ".join(c.best.tried.effect.name for c in chosen)
-        reasons.append(
-            f"{names}: with it, held-out trials still miss {wide.channel} by {wide.after / wide.floor:.1f} "
-            f"times the noise, {100 * (1 - wide.closed):.0f} % of the gap there: something else is missing"
-        )
-        # as likely as it is to be all that is missing, and that is as likely as what it closes
-        shut = max(wide.closed, 0.0)
-        chosen = [replace(c, probability=c.probability * shut) for c in chosen]
+    whole = bool(chosen) and (bool(validation) or bench.folds.whole)
+    ratio = {c: size[c] / floor[c] for c in size if floor[c] > 0}
+    wide = shrinkage.wide_open(closing, ratio) if whole else None
+    if wide is not None:
+        chosen, said = _partly(chosen, wide)
+        reasons.append(said)
         word = "unexplained"
     stands = any(size[c] > STANDS * floor[c] for c in size)
     sure = any(c.best.gain > SURE * c.best.stderr for c in chosen)
@@ -142,7 +140,7 @@ def answer(
         regime=places.regimes(where),
         time=places.times(where),
         causes=tuple(causes) if gap else (),
-        remaining=_remaining(state, unknown, nominal, gap_left, floor),
+        remaining=_remaining(state, unknown, nominal, gap_left, floor, wide),
         advice=_advice(state, found, chosen, word, floor),
         scores=rows,
         threshold=state.rounds[0].threshold if state.rounds else math.nan,
@@ -154,6 +152,18 @@ def answer(
         rounds=tuple(_told(r, state) for r in state.rounds),
         reasons=(*reasons, *_reasons(state)),
     )
+
+
+def _partly(chosen: Sequence[Named], wide: Shrinkage) -> tuple[list[Named], str]:
+    """What is to be said of causes that leave most of a gap, and which are worth to be named all the same."""
+    names = ", ".join(c.best.tried.effect.name for c in chosen)
+    said = (
+        f"{names}: with it, held-out trials still miss {wide.channel} by {wide.after / wide.floor:.1f} times "
+        f"the noise, {100 * (1 - wide.closed):.0f} % of the gap there: something else is missing"
+    )
+    # that they are all that is missing is as likely as what they close
+    kept = [replace(c, probability=c.probability * wide.closed) for c in chosen]
+    return (kept if wide.closed > PARTLY else []), said
 
 
 def _told(found: Round, state: State) -> str:
@@ -328,9 +338,18 @@ def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) ->
 
 
 def _remaining(
-    state: State, unknown: float, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
+    state: State,
+    unknown: float,
+    nominal: Fit,
+    residuals: Sequence[Array],
+    floor: Mapping[str, float],
+    wide: Shrinkage | None,
 ) -> Remaining:
     left = state.left
+    if wide is not None:
+        share = (wide.after**2 - wide.floor**2) / (wide.before**2 - wide.floor**2)
+        gain = 0.0 if left is None else max(left.gain, 0.0)
+        return Remaining(min(share, 1.0), f"{wide.channel} of held-out trials", False, gain)
     if left is None:
         return Remaining(0.0, "", True, 0.0)
     where = _where(state)

@@ -41,7 +41,8 @@ def verdict_sentence(file: GapFile) -> str:
         likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
         return f"The model has a gap; {'; '.join(rivals) or likeliest}."
     if names:
-        return f"The model has a gap; {listed(names)} closes part of it, no known effect the rest."
+        close = "close" if len(names) > 1 else "closes"
+        return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
     return "The model has a gap, and no effect in the catalogue closes it."
 
 
