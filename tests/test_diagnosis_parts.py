@@ -802,6 +802,8 @@ def test_a_gap_that_stays_wide_open_is_told(before: float, after: float, clear: 
         for name, b, a in (("x_m", before, after), ("y_m", 1.5, 1.4))
     )
     assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 1.5}) is (largest if much else None)
+    # in fitted trials the gap is largest in the other channel, and closed
+    assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 2 * clear}) is None
 
 
 @pytest.mark.parametrize(("after", "probabilities"), [(5.0, [0.8 * 3 / 7]), (7.8, []), (9.0, [])])

@@ -306,19 +306,24 @@ def sound(found: Sequence[Piece]) -> bool:
 
 
 def wide_open(closing: Sequence[Shrinkage], gap: Mapping[str, float]) -> Shrinkage | None:
-    """The channel with the largest gap, if causes leave much of it open on held-out data.
+    """The channel with the largest gap on held-out data, if causes leave much of it open there, and of the
+    largest gap in fitted trials as well.
 
     Parameters
     ----------
     gap : mapping of channel to float
-        Size of the gap in units of the noise, chance differences between trials aside.
+        Size of the gap in fitted trials in units of the noise, chance differences between trials aside.
     """
     known = [s for s in closing if s.floor > 0 and math.isfinite(s.closed)]
+
+    def much(s: Shrinkage) -> bool:
+        return min(gap.get(s.channel, 0.0), s.after / s.floor) > OPEN and 1.0 - s.closed > OPEN_SHARE
+
     if not known:
         return None
-    s = max(known, key=lambda s: s.before / s.floor)
-    clear = min(gap.get(s.channel, 0.0), s.after / s.floor) > OPEN
-    return s if clear and 1.0 - s.closed > OPEN_SHARE else None
+    largest = max(known, key=lambda s: s.before / s.floor)
+    fitted = max(known, key=lambda s: gap.get(s.channel, 0.0))
+    return largest if much(largest) and much(fitted) else None
 
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
