@@ -21,6 +21,7 @@ from swimid.diagnosis.result import (
     Score,
     Shrinkage,
     Sketch,
+    Threshold,
 )
 from swimid.formats import evidence as ev
 from swimid.formats import gap as gap_format
@@ -149,7 +150,7 @@ EXPLAINED = Gap(
         ),
     ),
     scores=_scores(),
-    threshold=75.0,
+    threshold=Threshold(noise=18.2, per_sample=75.0, constant=50.0),
     floor_from="repeats of one setting, and residuals of a saturated description",
     sketches=(
         Sketch(

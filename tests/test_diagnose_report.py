@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.diagnosis.result import Absorbed, Number
+from swimid.diagnosis.result import Absorbed, HeldOut, Number, Threshold
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.errors import InputError
@@ -75,9 +75,9 @@ def test_a_long_answer_is_cut_and_its_advice_kept() -> None:
 
 def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     text = flat(said("explained"))
-    assert "servo-backlash explains it on trials that took no part in the fit" in text
+    assert "servo-backlash explains it in approximate cross-validation over trials" in text
     assert "u_m_s 14.2 % of its range, noise alone 2.1 % (71 % of the gap)" in text
-    assert "servo-backlash (actuation, probability 94 %)" in text
+    assert "servo-backlash (actuation, weight 94 %)" in text
     assert "backlash_rad 0.0351 ± 0.0021 rad (2.01°)" in text
     assert "closed u_m_s 89 % (95 %: 81 … 94 %)" in text
     assert "absorbed c_d0 0.920 ± 0.020 without, 0.710 ± 0.030 with the effect" in text
@@ -104,7 +104,7 @@ def test_an_explanation_names_its_rivals() -> None:
     rivalled = replace(cases.BACKLASH, equivalent=("amplitude-loss",))
     text = flat(diagnose_summary.summary(cases.gap_file(replace(cases.EXPLAINED, causes=(rivalled,)))))
     assert "servo-backlash (or amplitude-loss, which these trials cannot tell from it) explains it" in text
-    assert "not to be told from it: amplitude-loss; one of these: probability 94 %" in text
+    assert "not to be told from it: amplitude-loss; together: weight 94 %" in text
 
 
 @pytest.mark.parametrize(
@@ -315,3 +315,45 @@ def test_the_example_of_the_manual_works() -> None:
     np.testing.assert_array_equal(affected.simulate(np.array([0.0]), trial)["angle_rad"], plain)
     weak = affected.simulate(np.array([rate]), trial)["angle_rad"]
     np.testing.assert_allclose(weak / plain, [1.0, math.exp(-rate), 0.5], rtol=1e-12)
+
+
+class TestWhatIsStatedIsWhatIsComputed:
+    def test_a_threshold_names_the_number_that_binds(self) -> None:
+        noise = "noise alone reaches 18.2 in one of 40 simulated draws"
+        for binding, said in (
+            (Threshold(18.2, 7.2, 50.0), f"50 (a constant; {noise})"),
+            (Threshold(18.2, 75.0, 50.0), f"75 (0.002 a sample; {noise})"),
+            (Threshold(18.2, 7.2, 10.0), f"18.2 ({noise})"),
+        ):
+            file = cases.gap_file(replace(cases.EXPLAINED, threshold=binding))
+            assert diagnose_summary.threshold_text(file) == said
+            assert file.threshold == binding.required
+            assert set(file.threshold_parts.values()) == {
+                binding.noise,
+                binding.per_sample,
+                binding.constant,
+            }
+
+    @pytest.mark.parametrize(
+        "held_out, said",
+        [
+            ("validation", "explains it on the validation trials"),
+            ("trials", "explains it in approximate cross-validation over trials"),
+            ("stretches", "explains it in approximate cross-validation over stretches of trials"),
+        ],
+    )
+    def test_held_out_data_are_called_what_they_are(self, held_out: HeldOut, said: str) -> None:
+        file = cases.gap_file(replace(cases.EXPLAINED, held_out=held_out))
+        assert said in flat(diagnose_summary.summary(file))
+
+    @pytest.mark.parametrize("name", sorted(cases.ALL))
+    def test_no_report_claims_a_rate_or_a_probability(self, name: str) -> None:
+        file = cases.gap_file(cases.ALL[name])
+        evidence = diagnose_evidence.evidence(cases.ALL[name], file)
+        parts = evidence.model_dump(exclude={"references", "provenance"})
+        text = f"{parts} {diagnose_summary.summary(file)}".replace("not a posterior probability", "")
+        assert not re.search("at most once in|took no part|[Pp]robability", text)
+
+    def test_the_badge_says_the_verdict_and_not_that_a_gap_is_good(self) -> None:
+        verdict = diagnose_evidence.verdict(cases.gap_file(cases.EXPLAINED))
+        assert (verdict.level, verdict.word) == ("good", "Explained")

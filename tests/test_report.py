@@ -21,7 +21,7 @@ from swimid.errors import InputError, UsageError
 from swimid.formats import evidence, log, parameters, yamlio
 from swimid.formats.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
 from swimid.notices import SwimidWarning, recorded
-from swimid.reporting import page, results
+from swimid.reporting import page, results, sections
 from swimid.reporting.results import reader
 from swimid.reporting.sections import Section
 from swimid.verbs.report import report
@@ -137,7 +137,7 @@ def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> N
     assert "linear_drag 0 – N·s/m ≥ 0 ! at its bound" in words
     assert "187654" not in words
     assert "Strong pairs, marked !: pulley_friction and added_mass (−0.95)" in words
-    assert "x_m fit 0.00213 m 0.00185 x_m validation 0.00291 m 0.0026" in words
+    assert "x_m fit 0.00213 m 0.185 % x_m validation 0.00291 m 0.26 %" in words
 
 
 def test_figures_follow_the_page(mixture: Path) -> None:
@@ -551,3 +551,9 @@ def test_palette_is_told_apart(scheme: str) -> None:
         for matrix in VISION.values():
             for other in colours[:index]:
                 assert np.linalg.norm(_lab(matrix @ colour) - _lab(matrix @ other)) > 10
+
+
+def test_a_null_or_an_empty_list_is_a_dash() -> None:
+    """No cell of a table of details is empty."""
+    found = dict(sections.leaves({"a": None, "b": [], "c": "", "d": {"e": [1.0, 2.5]}, "f": 0.0}))
+    assert found == {"a": "–", "b": "–", "c": "–", "d.e": "1, 2.5", "f": 0.0}

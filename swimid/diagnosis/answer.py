@@ -28,6 +28,7 @@ from swimid.diagnosis.result import (
     Remaining,
     Score,
     Shrinkage,
+    Threshold,
 )
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.models.base import Array, Trial
@@ -58,7 +59,7 @@ def answer(
     Parameters
     ----------
     validation : sequence of Trial
-        Trials that took no part in fits.
+        Trials that take part in no fit.
     given : mapping of name to Given
         The coefficients of the parameter file.
     raw : sequence of Trial
@@ -143,8 +144,9 @@ def answer(
         remaining=_remaining(state, unknown, nominal, gap_left, floor, wide),
         advice=_advice(state, found, chosen, word, floor),
         scores=rows,
-        threshold=state.rounds[0].threshold if state.rounds else math.nan,
+        threshold=state.rounds[0].needs if state.rounds else Threshold(math.nan, math.nan, math.nan),
         floor_from=how,
+        held_out="validation" if validation else "trials" if bench.folds.whole else "stretches",
         sketches=places.sketches(bench, state.base, left) if left is not None and left.found else (),
         overlays=shrinkage.overlays(held, units),
         maps=places.maps(where),

@@ -22,6 +22,7 @@ from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import quiet
 from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.remainder import Generic, Left, Slow
+from swimid.diagnosis.result import Threshold
 from swimid.effects.base import Effect
 from swimid.estimators import noise as noise_model
 from swimid.formats.checkpoint import Checkpoint
@@ -85,14 +86,20 @@ class Round:
     ranked : list of Refitted
         Best first.
     lens : Lens
-    threshold : float
+    needs : Threshold
+        What the gain an effect needs is made of.
     """
 
     base: Fit
     screen: Screen
     ranked: list[Refitted]
     lens: Lens
-    threshold: float
+    needs: Threshold
+
+    @property
+    def threshold(self) -> float:
+        """Gain an effect needs."""
+        return self.needs.required
 
 
 @dataclass
@@ -291,7 +298,7 @@ def rank(
     for first in (False,) if apart and base.effects else (True, False):
         screened = candidates.screen(bench, base, lens, simulated, rng=rng)
         if base.effects and not _hopeful(bench, base, lens, screened, generic, rng):
-            return Round(base, screened, [], lens, least_gain)
+            return Round(base, screened, [], lens, _needed(screened, samples, least_gain))
         if apart:
             leading, likely = _leading(bench, base, lens, screened, least, jobs), []
         else:
@@ -351,8 +358,11 @@ def rank(
         spare = max(jobs // max(len(near), 1), 1)
         ranked[: len(near)] = pool.map(again, near)
     ranked.sort(key=lambda r: -r.merit)
-    threshold = max(screened.threshold, candidates.PER_SAMPLE * samples, least_gain)
-    return Round(base, screened, ranked, lens, threshold)
+    return Round(base, screened, ranked, lens, _needed(screened, samples, least_gain))
+
+
+def _needed(screened: Screen, samples: float, least_gain: float) -> Threshold:
+    return Threshold(screened.threshold, candidates.PER_SAMPLE * samples, least_gain)
 
 
 def _based(

@@ -31,7 +31,7 @@ DIFFERS = 2.0
 #: Of answers that the evidence alone would make sure, so many name another cause than the true one: a true
 #: effect never has quite its form in the catalogue, or is not in it. Read off blind cases with known causes.
 MISTAKEN = 0.15
-#: Share of the evidence that the leader alone needs for a clear verdict.
+#: Softmax weight that the leader alone needs for a clear verdict.
 CLEAR = 0.55
 
 
@@ -42,9 +42,9 @@ class Named:
     Attributes
     ----------
     probability : float
-        That the cause is among them; never above ``1 - MISTAKEN``.
+        Softmax weight of the effect and its equivalents, times ``1 - MISTAKEN``; no posterior probability.
     alone : float
-        Share of the evidence for the best alone.
+        Softmax weight of the best alone.
     """
 
     best: Refitted
@@ -61,12 +61,12 @@ class Named:
 
 
 def named(state: State, found: Round, unknown: float) -> Named:
-    """The effect a round chose, those it cannot be told from, and its probability.
+    """The effect a round chose, those it cannot be told from, and their weight.
 
     Parameters
     ----------
     unknown : float
-        Probability that the cause is none of the catalogue.
+        Share of what can be found at all that no chosen effect accounts for.
     """
     best = found.ranked[0]
     weight = _by_name(found)
@@ -93,7 +93,10 @@ def named(state: State, found: Round, unknown: float) -> Named:
 
 
 def _by_name(found: Round) -> dict[str, float]:
-    """Weight of each effect, its best variant's, against the best of all."""
+    """Softmax weight of each effect, its best variant's, against the best of all.
+
+    The temperature grows with the best one's own merit: no likelihood, hence no posterior probability.
+    """
     best = found.ranked[0]
     top = best.merit
     # an effect of unlike form would not leave many times what another leaves

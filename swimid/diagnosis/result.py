@@ -9,6 +9,32 @@ from typing import Literal
 from swimid.models.base import Array
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
+HeldOut = Literal["validation", "trials", "stretches"]
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Held-out gain an effect needs: the largest of three numbers.
+
+    Attributes
+    ----------
+    noise : float
+        97.5 % quantile, over simulated draws of noise, of the largest gain of all effects (each linearised
+        where the screen put it; Westfall and Young 1993).
+    per_sample : float
+        0.002 for each sample.
+    constant : float
+        50; of few samples half their number, at least 25.
+    """
+
+    noise: float
+    per_sample: float
+    constant: float
+
+    @property
+    def required(self) -> float:
+        """The largest of the three."""
+        return max(self.noise, self.per_sample, self.constant)
 
 
 @dataclass(frozen=True)
@@ -71,7 +97,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """Errors of one channel on data that took no part in the fit, over the measured range.
+    """Errors of one channel on held-out data (:attr:`Gap.held_out`), over the measured range.
 
     Attributes
     ----------
@@ -134,6 +160,7 @@ class Score:
     refitted : bool
         False where the screen left it out.
     probability : float
+        Softmax weight of its merit among all refitted effects; no posterior probability.
     """
 
     effect: str
@@ -254,8 +281,11 @@ class Gap:
 
     Attributes
     ----------
-    threshold : float
-        Held-out gain that noise alone exceeds at most once in forty.
+    threshold : Threshold
+        Held-out gain an effect needs.
+    held_out : str
+        How the errors before and after were found: ``validation`` trials, or approximate cross-validation
+        over ``trials`` or over ``stretches`` of trials.
     stages : mapping of stage to float
         Share of the evidence each stage of the chain has, summing to 1 (0 for all when no gap).
     maps : mapping of title to (row labels, column labels, ratios)
@@ -276,8 +306,9 @@ class Gap:
     remaining: Remaining
     advice: tuple[Advice, ...]
     scores: tuple[Score, ...]
-    threshold: float
+    threshold: Threshold
     floor_from: str
+    held_out: HeldOut = "trials"
     sketches: tuple[Sketch, ...] = ()
     overlays: tuple[Overlay, ...] = ()
     maps: Mapping[str, tuple[list[str], list[str], Array]] = field(default_factory=dict)

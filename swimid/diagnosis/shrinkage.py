@@ -1,4 +1,4 @@
-"""How far the gap shrinks on data that took no part in a fit."""
+"""How far the gap shrinks on held-out data: validation trials, or by approximate cross-validation."""
 
 from __future__ import annotations
 
@@ -133,7 +133,11 @@ def _average(bench: Bench, fit: Fit, without: Collection[str]) -> Model:
 
 
 def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
-    """Numbers of a fit with each fold left out, by one Gauss-Newton step; within bounds."""
+    """Numbers of a fit with each fold left out, by one Gauss-Newton step from the fit to all; within bounds.
+
+    Approximate cross-validation (Rad and Maleki 2020): the noise model and the spreads between trials stay
+    those of all trials, and a shared number leans on all folds by ``gram.LEAN``.
+    """
     inner = gram.folded(bench, fit, lens)
     shared = bench.shared(fit)
     found = []
@@ -213,7 +217,7 @@ def _stretch(
 
 
 def misfits(bench: Bench, fits: Sequence[Fit], lens: Lens, validation: Sequence[Trial]) -> tuple[Array, int]:
-    """Squared residuals, in units of the noise, of data that took no part in the fits, once what differs by
+    """Squared residuals, in units of the noise, of held-out data, once what differs by
     chance in each trial is estimated from it.
 
     Parameters

@@ -150,6 +150,8 @@ class Verdict(_Part):
 
     level: Literal["good", "caution", "bad"]
     text: str
+    #: What a badge says; by default the level.
+    word: str = ""
 
 
 class NoticeRecord(_Part):

@@ -13,6 +13,21 @@ from swimid.formats.yamlio import Number, Pair
 
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
+HeldOut = Literal["validation", "trials", "stretches"]
+#: What each means in words.
+HELD_OUT: dict[HeldOut | None, str] = {
+    None: "on held-out data",
+    "validation": "on the validation trials",
+    "trials": "in approximate cross-validation over trials",
+    "stretches": "in approximate cross-validation over stretches of trials",
+}
+#: A verdict as a badge has it.
+WORDS: dict[Verdict, str] = {
+    "none": "No gap",
+    "explained": "Explained",
+    "ambiguous": "Ambiguous",
+    "unexplained": "Unexplained",
+}
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
@@ -63,7 +78,7 @@ class Value(yamlio.Document):
 
 
 class Shrinkage(yamlio.Document):
-    """One channel on trials that took no part in the fit; errors over the measured range."""
+    """One channel on held-out data (see ``held_out`` of the file); errors over the measured range."""
 
     channel: str
     #: Nominal model refitted, without and with the causes.
@@ -99,6 +114,7 @@ class Cause(yamlio.Document):
     """An effect that is part of the answer."""
 
     effect: str
+    #: Softmax weight of the effect and its equivalents, at most 0.85; not a posterior probability.
     probability: Number
     #: Effects these trials cannot tell from it.
     equivalent: list[str] = []
@@ -170,8 +186,14 @@ class GapFile(yamlio.Document):
     experiment: str = ""
     params: str = ""
     trials: list[str] = []
-    #: Held-out gain that noise alone exceeds at most once in forty.
+    #: Held-out gain an effect needs: the largest of the three numbers in ``threshold_parts``.
     threshold: Number = None
+    #: ``noise``: gain that the best effect reaches on simulated noise once in forty draws; ``per_sample``:
+    #: 0.002 a sample; ``constant``: 50, less of few samples.
+    threshold_parts: dict[str, Number] = {}
+    #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn by
+    #: approximate cross-validation, over ``trials`` or ``stretches`` of trials.
+    held_out: HeldOut | None = None
     #: How the noise floor was found.
     floor_from: str = ""
     #: Every effect tried, best first.

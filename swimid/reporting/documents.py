@@ -10,8 +10,8 @@ from typing import Any
 
 import swimid
 from swimid.formats import yamlio
-from swimid.formats.evidence import Figure, Image
-from swimid.reporting.page import CHECKS, LEVELS, overall, warnings_by_code
+from swimid.formats.evidence import Figure, Image, Verdict
+from swimid.reporting.page import CHECKS, overall, verdict_badge, warnings_by_code
 from swimid.reporting.sections import Block, Grid, Note, Section, leaves
 
 #: ``format`` of the JSON report.
@@ -22,13 +22,13 @@ def as_json(
     sections: Sequence[Section], *, title: str, created: datetime, digests: dict[str, str]
 ) -> dict[str, Any]:
     """All results and their evidence, at full precision, as plain data."""
-    level, sentence = overall(sections)
+    verdict = overall(sections)
     return {
         "format": FORMAT,
         "title": title,
         "created": created.isoformat(timespec="seconds"),
         "version": swimid.__version__,
-        "verdict": {"level": level, "text": sentence},
+        "verdict": verdict.model_dump(include={"level", "text"}),
         "results": [
             {
                 "file": str(section.path),
@@ -55,11 +55,11 @@ def as_markdown(
     sections: Sequence[Section], *, title: str, created: datetime, digests: dict[str, str]
 ) -> str:
     """The report as Markdown; figures appear by title and caption."""
-    level, sentence = overall(sections)
-    lines = [f"# {_text(title)}", "", f"**{_verdict(level)}** {_text(sentence)}", ""]
+    whole = overall(sections)
+    lines = [f"# {_text(title)}", "", f"{_badge(whole)} {_text(whole.text)}", ""]
     for section in sections:
         verdict = section.verdict
-        lines.append(f"- **{_verdict(verdict.level)}** {_text(section.title)}: {_text(verdict.text)}")
+        lines.append(f"- {_badge(verdict)} {_text(section.title)}: {_text(verdict.text)}")
     lines += ["", "## Checks", "", *_checks(sections)]
     for section in sections:
         lines += ["", f"## {_text(section.title)}", "", f"{section.kind}, {_code(section.path.name)}"]
@@ -91,9 +91,8 @@ def as_markdown(
     return "\n".join(lines) + "\n"
 
 
-def _verdict(level: str) -> str:
-    symbol, word = LEVELS[level]
-    return f"{symbol} {word}."
+def _badge(verdict: Verdict) -> str:
+    return f"**{' '.join(verdict_badge(verdict))}.**"
 
 
 def _checks(sections: Sequence[Section]) -> list[str]:

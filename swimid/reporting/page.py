@@ -12,7 +12,7 @@ from markupsafe import Markup
 import swimid
 from swimid.errors import InputError
 from swimid.formats import evidence as evidence_format
-from swimid.formats.evidence import Figure, Image
+from swimid.formats.evidence import Figure, Image, Verdict
 from swimid.notices import CODES
 from swimid.progress import Progress, silent
 from swimid.reporting import figures
@@ -41,21 +41,27 @@ class Part:
     shared_legend: bool
 
 
-def overall(sections: Sequence[Section]) -> tuple[str, str]:
+def verdict_badge(verdict: Verdict) -> tuple[str, str]:
+    """Symbol and word of a verdict."""
+    symbol, word = LEVELS[verdict.level]
+    return symbol, verdict.word or word
+
+
+def overall(sections: Sequence[Section]) -> Verdict:
     """The worst level among the results, and a sentence that says how many have it."""
     levels = [section.verdict.level for section in sections]
     worst = max(levels, key=_ORDER.index)
     count = levels.count(worst)
     words = {
-        "good": ("is good", "are good"),
+        "good": ("can be used", "can be used"),
         "caution": ("needs care", "need care"),
         "bad": ("should not be used", "should not be used"),
     }[worst]
     if len(levels) == 1:
-        return worst, f"This result {words[0]}."
+        return Verdict(level=worst, text=f"This result {words[0]}.", word=sections[0].verdict.word)
     if count == len(levels):
-        return worst, f"All {count} results {words[1]}."
-    return worst, f"{count} of {len(levels)} results {words[count > 1]}."
+        return Verdict(level=worst, text=f"All {count} results {words[1]}.")
+    return Verdict(level=worst, text=f"{count} of {len(levels)} results {words[count > 1]}.")
 
 
 def warnings_by_code(sections: Sequence[Section]) -> list[tuple[str, str, list[tuple[str, str]]]]:
@@ -108,7 +114,6 @@ def render(
                 if isinstance(block, Figure):
                     step()
             parts.append(row)
-    level, sentence = overall(sections)
     environment = Environment(
         loader=PackageLoader("swimid.reporting"),
         autoescape=True,
@@ -116,14 +121,13 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals.update(levels=LEVELS, checks=CHECKS, leaves=leaves)
+    environment.globals.update(levels=LEVELS, checks=CHECKS, leaves=leaves, verdict_badge=verdict_badge)
     references = list(dict.fromkeys(text for section in sections for text in section.references))
     return environment.get_template("report.html").render(
         title=title,
         version=swimid.__version__,
         created=created,
-        level=level,
-        sentence=sentence,
+        verdict=overall(sections),
         results=list(zip(sections, parts, strict=True)),
         references=references,
         warnings=warnings_by_code(sections),

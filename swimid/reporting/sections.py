@@ -131,15 +131,18 @@ def mapping_grid(title: str, entries: dict[str, Any], caption: str = "") -> Grid
     return Grid(title, ["Quantity", "Value"], rows, caption, folded=True)
 
 
-def leaves(entries: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str | float | None]]:
+def leaves(entries: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str | float]]:
     """Names and values of the leaves of a nested mapping; ``a.b`` for a value inside ``a``."""
     for key, value in entries.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
             yield from leaves(value, f"{name}.")
         elif isinstance(value, list | tuple):
-            yield name, ", ".join(numbers.number(v) if isinstance(v, int | float) else str(v) for v in value)
-        elif value is None or isinstance(value, str | int | float):
+            listed = ", ".join(numbers.number(v) if isinstance(v, int | float) else str(v) for v in value)
+            yield name, listed or numbers.NOTHING
+        elif value is None or value == "":
+            yield name, numbers.NOTHING
+        elif isinstance(value, str | int | float):
             yield name, value
         else:
             yield name, str(value)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from swimid.diagnosis.result import Gap
 from swimid.formats import evidence as ev
+from swimid.formats import gap as gap_format
 from swimid.formats.gap import Cause, GapFile, Score
 from swimid.reporting import numbers
 from swimid.verbs import diagnose_figures
@@ -34,6 +35,14 @@ BOX = (
     "57-71."
 )
 
+RAD = (
+    "Rad, K. R., & Maleki, A. (2020). A scalable estimate of the out-of-sample prediction error via "
+    "approximate leave-one-out cross-validation. Journal of the Royal Statistical Society B, 82(4), 965-996."
+)
+
+#: What the figure under ``probability`` is.
+WEIGHT = "softmax of the gains at a temperature proportional to the largest gain, not a posterior probability"
+
 Row = list[str | float | int | bool | None]
 
 
@@ -57,7 +66,7 @@ def evidence(
     provenance : mapping, optional
         Default that of the file.
     """
-    references = [KENNEDY, KLEIN, WESTFALL, *([BOX] if file.advice else [])]
+    references = [KENNEDY, KLEIN, WESTFALL, RAD, *([BOX] if file.advice else [])]
     named = [source for cause in file.causes for source in cause.sources]
     return ev.Evidence(
         verb="diagnose",
@@ -88,7 +97,7 @@ def verdict(file: GapFile) -> ev.Verdict:
     unsure = [c.name for c in checks(file) if c.verdict in ("warn", "fail")]
     if unsure:
         said.append(f"Look at: {', '.join(unsure)}.")
-    return ev.Verdict(level=level, text=" ".join(said))
+    return ev.Verdict(level=level, word=gap_format.WORDS[file.verdict], text=" ".join(said))
 
 
 # ---------------------------------------------------------------- checks
@@ -139,13 +148,13 @@ def _nothing_gains(file: GapFile) -> list[ev.Check]:
             value=f"{numbers.number(best.gain, 3)} ({best.effect})",
             limit=_limit(file),
             verdict="pass",
-            text="of all effects tried: no larger than noise alone would make it",
+            text="of all effects tried",
         )
     ]
 
 
 def _limit(file: GapFile) -> str:
-    return f"noise alone: {numbers.number(file.threshold, 3)}" if file.threshold is not None else ""
+    return f"≥ {words.threshold_text(file)}" if file.threshold is not None else ""
 
 
 def _gains(file: GapFile) -> list[ev.Check]:
@@ -160,7 +169,7 @@ def _gains(file: GapFile) -> list[ev.Check]:
                 value=numbers.measured(cause.gain, cause.gain_stderr) + most,
                 limit=_limit(file),
                 verdict="pass" if above else "warn",
-                text="drop of the squared residuals, in units of the noise, on trials left out of the fit",
+                text="drop of the squared residuals, in units of the noise, in approximate cross-validation",
             )
         )
     return found
@@ -194,7 +203,7 @@ def _closed(file: GapFile) -> list[ev.Check]:
                 value=words.closed_text(s),
                 limit=f"≥ {100 * GOOD_CLOSED:g} %, interval above 0",
                 verdict="pass" if good else "warn",
-                text=f"held out: {words.errors_text(s)}",
+                text=f"{words.held_out_text(file)}: {words.errors_text(s)}",
             )
         )
     return found
@@ -296,7 +305,7 @@ def _equivalence(file: GapFile) -> ev.Table:
     return ev.Table(
         id="equivalent",
         title="What these trials cannot tell apart",
-        columns=["Cause", "Effect", "Stage", "Held-out gain ± std. error", "Probability"],
+        columns=["Cause", "Effect", "Stage", "Held-out gain ± std. error", "Weight"],
         rows=rows,
         caption="Any of these may be the cause: their gains lie within two standard errors of each other, "
         "or they change the simulation alike once the coefficients are refitted. Good: no such table.",
@@ -337,8 +346,8 @@ def _extrapolations(causes: Sequence[Cause]) -> ev.Table:
         title="Settings left out of the fit",
         columns=["Left out", "Without the causes", "With them"],
         rows=rows,
-        caption="Root-mean-square error on all trials of a setting that took no part in the fit, in units "
-        "of the noise. Good: smaller with the causes, and near 1.",
+        caption="Root-mean-square error on all trials of a setting, left out of the fit by one Gauss-Newton "
+        "step from the fit to all, in units of the noise. Good: smaller with the causes, and near 1.",
     )
 
 
@@ -361,10 +370,10 @@ def _scores(file: GapFile) -> ev.Table:
     return ev.Table(
         id="scores",
         title="Every effect that was tried",
-        columns=[*columns, "Probability"],
+        columns=[*columns, "Weight"],
         rows=rows,
-        caption="Gain: drop of the squared residuals on trials left out of the fit, in units of the noise; "
-        f"noise alone exceeds {numbers.number(file.threshold, 3)} at most once in forty. Imitated: share of "
+        caption="Gain: drop of the squared residuals in approximate cross-validation, in units of the noise; "
+        f"required: {words.threshold_text(file)}. Weight: {WEIGHT}. Imitated: share of "
         "an effect's signature that the refitted coefficients reproduce without it. Screen: the gain "
         "predicted before refitting; effects it left out have no other. Good: one gain far above all others.",
     )
@@ -386,12 +395,14 @@ def methods(file: GapFile) -> list[str]:
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
     said.append(
-        "Effects were ranked by the drop of the squared residuals on trials left out of the fit"
+        "Effects were ranked by the drop of the squared residuals in approximate cross-validation: one "
+        "Gauss-Newton step from the fit to all trials leaves a group of them out (Rad and Maleki 2020); "
+        "noise model and spreads between trials stay those of all."
         + (
-            f", against the {numbers.number(file.threshold, 3)} that the best of all candidates exceeds once "
-            "in twenty by noise alone (Westfall and Young 1993)."
+            f" The gain required was {words.threshold_text(file)}; the draws are of the largest gain of all "
+            "candidates (Westfall and Young 1993)."
             if file.threshold is not None
-            else "."
+            else ""
         )
     )
     said += [f"{text.rstrip('.')}." for text in file.rounds]
@@ -399,7 +410,7 @@ def methods(file: GapFile) -> list[str]:
     for s in words.held_out(file)[:1]:
         if s.closed is not None:
             said.append(
-                f"Of the gap in {s.channel}, {words.closed_text(s)} was closed on held-out trials "
+                f"Of the gap in {s.channel}, {words.closed_text(s)} was closed {words.held_out_text(file)} "
                 f"({words.errors_text(s)})."
             )
     if file.advice:

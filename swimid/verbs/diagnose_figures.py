@@ -134,14 +134,17 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
     ]
     marks = []
     if file.threshold is not None:
-        marks.append(ev.Mark(at=file.threshold, label="noise alone, at most once in forty"))
+        marks.append(ev.Mark(at=file.threshold, label="required"))
+        noise = file.threshold_parts.get("noise")
+        if noise is not None and noise < file.threshold:
+            marks.append(ev.Mark(at=noise, label="simulated noise, once in forty"))
     return [
         ev.Figure(
             id="effects",
-            title="What each effect gains on held-out trials",
+            title="What each effect gains in approximate cross-validation",
             caption=f"Drop of the squared residuals in units of the noise, with one standard error; the best "
-            f"{len(shown)} of {len(file.scores)} effects. Good: one effect far above the line and above "
-            "all others.",
+            f"{len(shown)} of {len(file.scores)} effects. Required: {words.threshold_text(file)}. Good: one "
+            "effect far above the line and above all others.",
             panels=[
                 ev.Panel(
                     x_label="",
@@ -179,8 +182,8 @@ def _shrinkage(file: GapFile) -> list[ev.Figure]:
         ev.Figure(
             id="shrinkage",
             title="Errors before and after",
-            caption="Root-mean-square error over the measured range on trials that took no part in the "
-            "fit. Good: with the causes it comes down to the noise floor.",
+            caption=f"Root-mean-square error over the measured range, {words.held_out_text(file)}. "
+            "Good: with the causes it comes down to the noise floor.",
             panels=[
                 ev.Panel(
                     x_label="",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, get_args
 
 from swimid.diagnosis import result
@@ -66,7 +67,9 @@ def gap_file(
         experiment=experiment,
         params=params,
         trials=list(trials),
-        threshold=gap.threshold,
+        threshold=gap.threshold.required,
+        threshold_parts=asdict(gap.threshold),
+        held_out=gap.held_out,
         floor_from=gap.floor_from,
         scores=[_score(s) for s in ranked_scores(gap.scores)],
         forces=dict(gap.forces),

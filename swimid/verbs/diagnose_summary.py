@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Sequence
 
+from swimid.formats import gap as gap_format
 from swimid.formats.gap import Absorbed, Cause, Cell, ChannelGap, GapFile, Shrinkage, Value
 from swimid.reporting import numbers
 
@@ -35,7 +36,7 @@ def verdict_sentence(file: GapFile) -> str:
         return "No gap above the noise floor: the model describes these trials as well as their noise allows."
     if file.verdict == "explained":
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
-        return f"The model has a gap, and {both} it on trials that took no part in the fit."
+        return f"The model has a gap, and {both} it {held_out_text(file)}."
     if file.verdict == "ambiguous":
         rivals = [cannot_tell(c) for c in file.causes if c.equivalent]
         likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
@@ -44,6 +45,25 @@ def verdict_sentence(file: GapFile) -> str:
         close = "close" if len(names) > 1 else "closes"
         return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
     return "The model has a gap, and no effect in the catalogue closes it."
+
+
+def held_out_text(file: GapFile) -> str:
+    """On what data a cause is judged: ``on the validation trials``."""
+    return gap_format.HELD_OUT[file.held_out]
+
+
+def threshold_text(file: GapFile) -> str:
+    """The gain an effect needs, and what that number is: ``50, a constant (simulated noise: 18.2)``."""
+    parts = {name: value for name, value in file.threshold_parts.items() if value is not None}
+    required = numbers.number(file.threshold, 3)
+    if not parts:
+        return required
+    binding = max(parts, key=lambda name: parts[name] or 0.0)
+    simulated = f"noise alone reaches {numbers.number(parts.get('noise'), 3)} in one of 40 simulated draws"
+    if binding == "noise":
+        return f"{required} ({simulated})"
+    what = {"per_sample": "0.002 a sample", "constant": "a constant"}[binding]
+    return f"{required} ({what}; {simulated})"
 
 
 def _or_rivals(cause: Cause) -> str:
@@ -87,7 +107,7 @@ def errors_text(s: Shrinkage) -> str:
 
 
 def held_out(file: GapFile) -> list[Shrinkage]:
-    """Errors on held-out trials with all causes together, by channel."""
+    """Errors on held-out data with all causes together, by channel."""
     return file.causes[0].shrinkage if file.causes else []
 
 
@@ -147,7 +167,8 @@ def worst_cells(file: GapFile) -> list[Cell]:
 def remaining_text(file: GapFile) -> str:
     """What the causes leave."""
     left = file.remaining
-    share = f"{numbers.percent(left.share, 2)} of the gap" if left.share is not None else "an unknown share"
+    known = left.share is not None
+    share = f"{numbers.percent(left.share, 2)} of the squared gap" if known else "an unknown share"
     where = f", {left.where}" if left.where else ""
     return f"{share}{where}" + (", no structure in it" if left.white else "")
 
@@ -198,8 +219,7 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
         if best is not None and file.threshold is not None:
             told = (
                 f"{len({s.effect for s in file.scores})} effects; the most gained is "
-                f"{numbers.number(best.gain, 3)} ({best.effect}), noise alone exceeds "
-                f"{numbers.number(file.threshold, 3)} at most once in forty"
+                f"{numbers.number(best.gain, 3)} ({best.effect}), required are {threshold_text(file)}"
             )
             why = next((r for r in file.reasons if r.startswith(f"{best.effect}: ")), "")
             rows.append(("tried", f"{told}; {why}" if why and (best.gain or 0.0) > file.threshold else told))
@@ -216,13 +236,13 @@ def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
     rows = []
     for cause in file.causes[:_CAUSES]:
         meaning = f": {cause.meaning.rstrip('.')}" if cause.meaning else ""
-        sure = f"probability {numbers.percent(cause.probability, 2)}"
+        sure = f"weight {numbers.percent(cause.probability, 2)}"
         known = [cause.stage or "", "" if cause.equivalent else sure]
         said = ", ".join(part for part in known if part)
         rows.append(("cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"))
         rows += [("", f"{name}  {value_text(v)}") for name, v in cause.parameters.items() if "[" not in name]
         if cause.equivalent:
-            rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; one of these: {sure}"))
+            rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"))
     closing = [s for s in held_out(file) if s.closed is not None]
     rows += [
         ("" if k else "closed", f"{s.channel} {closed_text(s)}: {errors_text(s)}")

@@ -132,7 +132,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
                 "held out" if s.role == "validate" else "fit",
                 s.channel,
                 numbers.number(score.rmse, 3, units[s.channel]),
-                numbers.number(100 * score.nrmse, 3, "%"),
+                numbers.percent(score.nrmse),
                 numbers.number(100 * score.vaf, 4, "%"),
                 numbers.number(100 * relative, 3, "%"),
                 numbers.number(_dtw(s), 3, units[s.channel]),
@@ -227,8 +227,8 @@ def scores(file: ParameterFile) -> list[str]:
         for channel, score in block.items():
             rmse, nrmse = (
                 numbers.number(score["rmse"], 3, score["unit"]),
-                numbers.number(100 * score["nrmse"], 3),
+                numbers.percent(score["nrmse"]),
             )
             vaf = numbers.number(100 * score["vaf"], 4)
-            lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse} %, VAF {vaf} %")
+            lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse}, VAF {vaf} %")
     return lines

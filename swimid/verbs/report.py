@@ -73,9 +73,9 @@ def report(
     if target is None:
         return Outcome("report", text.rstrip("\n"), document)
     atomic.write_text(target, text)
-    level, sentence = page.overall(sections)
-    lines = [f"{page.LEVELS[level][1]}: {sentence}"]
+    whole = page.overall(sections)
+    lines = [f"{page.verdict_badge(whole)[1]}: {whole.text}"]
     for section in sections:
-        word = page.LEVELS[section.verdict.level][1].lower()
+        word = page.verdict_badge(section.verdict)[1].lower()
         lines.append(f"  {section.path.name}: {word}. {section.verdict.text}")
     return Outcome("report", "\n".join(lines), document, [target])

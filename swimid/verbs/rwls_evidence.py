@@ -151,7 +151,8 @@ def _errors(m: Material) -> Table:
         if s.strict is not None:
             lines.append(("free run, predicted level", s.strict))
         for kind, q in lines:
-            rows.append([name, kind, *(_finite(v) for v in (q.fit_percent, q.rmse, q.nrmse)), q.samples])
+            errors = (_finite(q.fit_percent), _finite(q.rmse), numbers.percent(q.nrmse))
+            rows.append([name, kind, *errors, q.samples])
     caption = (
         "A simulation model must be judged by its free run: one-step errors are small for almost any model."
     )

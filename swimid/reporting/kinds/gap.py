@@ -24,6 +24,7 @@ def section(path: Path, evidence: Evidence | None) -> Section:
         title=f"Gap between trials and model: {file.robot or file.model}",
         verdict=Verdict(
             level=_LEVELS[file.verdict],  # type: ignore[arg-type]
+            word=gap.WORDS[file.verdict],
             text=f"{file.verdict}. No evidence file, so its checks and figures cannot be shown.",
         ),
         facts=_facts(file),
@@ -51,7 +52,7 @@ def _blocks(file: GapFile) -> list[Block]:
     if file.causes:
         blocks += [_causes(file), _sizes(file.causes)]
         if any(c.shrinkage for c in file.causes[:1]):
-            blocks.append(_shrinkage(file.causes[0]))
+            blocks.append(_shrinkage(file.causes[0], file.held_out))
     if file.advice:
         blocks.append(Note([_sentence(a.text) for a in file.advice], title="Next experiment"))
     if file.reasons or file.rounds:
@@ -86,10 +87,11 @@ def _causes(file: GapFile) -> Grid:
     ]
     together = " The effects of this table act together." if len(rows) > 1 else ""
     caption = (
-        "Probability: of the effect or one of those not to be told from it, against all others tried. "
-        f"Good: near 100 %, and nothing that the trials cannot tell from it.{together}"
+        "Weight: softmax of the gains of the effect and those not to be told from it against all others, at "
+        "most 85 %; a ranking, not a posterior probability. Good: near 85 %, and nothing that the trials "
+        f"cannot tell from it.{together}"
     )
-    columns = ["Effect", "Stage", "What it is", "Probability", "Not to be told from it", "Sources"]
+    columns = ["Effect", "Stage", "What it is", "Weight", "Not to be told from it", "Sources"]
     return Grid("Cause", columns, rows, caption)
 
 
@@ -120,7 +122,7 @@ def _interval(v: Value) -> Cell:
     return Cell(numbers.interval(*ends, v.stderr), numeric=True)
 
 
-def _shrinkage(cause: Cause) -> Grid:
+def _shrinkage(cause: Cause, held_out: gap.HeldOut | None) -> Grid:
     rows = [
         [
             Cell(s.channel, "code"),
@@ -137,11 +139,11 @@ def _shrinkage(cause: Cause) -> Grid:
     ]
     columns = ["Channel", "As given", "Without", "With the causes", "Noise floor", "Closed", "95 % interval"]
     caption = (
-        "Errors over the measured range on trials that took no part in the fit: parameters as given, the "
-        "model refitted without the causes, and with them. Closed is the share of the error above the "
-        "noise floor that the causes take away. Good: near 100 %."
+        f"Errors over the measured range {gap.HELD_OUT[held_out]}: parameters as given, "
+        "the model refitted without the causes, and with them. Closed is the share of the root-mean-square "
+        "error above the noise floor that the causes take away. Good: near 100 %."
     )
-    return Grid("Errors on held-out trials", columns, rows, caption)
+    return Grid("Errors on held-out data", columns, rows, caption)
 
 
 def _channels(file: GapFile) -> Grid:
@@ -194,7 +196,7 @@ def _forces(file: GapFile) -> Grid:
         for name, gain in sorted(file.forces.items(), key=lambda item: -(item[1] or 0.0))
     ]
     caption = (
-        "What a smooth force, moment or sensor term without any physics gains on held-out trials, by where "
+        "What a smooth force, moment or sensor term without any physics gains in cross-validation, by where "
         "it acts. A large one says where the model lacks something, also when no effect of the catalogue "
         "fits."
     )

@@ -189,7 +189,7 @@ def _channels(fit: dict[str, dict[str, Any]], validation: dict[str, dict[str, An
                 continue
             entry = table[name]
             unit = str(entry.get("unit", ""))
-            measured = [_measure(entry.get(key), unit if key in _IN_UNIT else "") for key in measures]
+            measured = [_measure(key, entry.get(key), unit) for key in measures]
             rows.append([Cell(name, "code"), Cell(label), *measured])
     caption = (
         "RMSE in the channel's unit, NRMSE as a share of its range or spread. Good: validation close to fit."
@@ -203,9 +203,11 @@ def _channels(fit: dict[str, dict[str, Any]], validation: dict[str, dict[str, An
 _IN_UNIT = {"rmse", "mae", "max_error", "bias", "sd", "noise", "stderr"}
 
 
-def _measure(value: Any, unit: str) -> Cell:
+def _measure(key: str, value: Any, unit: str) -> Cell:
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return Cell(numbers.number(value, 3, unit), numeric=True)
+        if key == "nrmse":
+            return Cell(numbers.percent(value), numeric=True)
+        return Cell(numbers.number(value, 3, unit if key in _IN_UNIT else ""), numeric=True)
     return cell(value if isinstance(value, str | bool) else None)
 
 
