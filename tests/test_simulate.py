@@ -12,7 +12,7 @@ import pytest
 
 from swimid.formats import log as log_format
 from swimid.formats import parameters as parameters_format
-from swimid.formats.parameters import Correlation, Estimate, ParameterFile
+from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
 from tests.conftest import Ran
 from tests.generators import swimmer
 
@@ -307,6 +307,29 @@ def test_values_out_of_bounds_and_wild_beats_are_warned_of(swimid: Run) -> None:
     assert "SWM053" in {w["code"] for w in ran.json["warnings"]}
     ran = swimid(*args, "--frequency-hz", "1", "--amplitude-deg", "280")
     assert "SWM054" in {w["code"] for w in ran.json["warnings"]}
+
+
+def test_a_joint_that_folds_through_the_body_is_told(swimid: Run) -> None:
+    """500 degrees of tail bend leave every driven joint below 180, and whip the passive one round."""
+    ran = swimid("simulate", "--robot", "tfish", "--frequency-hz", "1", "--amplitude-deg", "500", "--json")
+    assert any("joint4 turns by" in w["text"] for w in ran.json["warnings"])
+    ran = swimid("simulate", "--robot", "tfish", *BEAT, "--json")
+    assert not any("turns by" in w["text"] for w in ran.json["warnings"])
+
+
+def test_values_their_fit_does_not_vouch_for_are_told(swimid: Run, tmp_path: Path) -> None:
+    path = tfish_file(tmp_path / "tfish.yaml", c_d0=0.1)
+    file = parameters_format.read(path)
+    file.parameters["c_d0"].status = "unidentifiable"
+    file.fit = Fit(trials=["a"], converged=False)
+    parameters_format.write(path, file)
+    ran = swimid("simulate", "--params", path, *BEAT, "--duration-s", "2", "--json")
+    said = [w["text"] for w in ran.json["warnings"] if w["code"] == "SWM062"]
+    assert len(said) == 2
+    assert "did not converge" in said[0]
+    assert "c_d0" in said[1]
+    ran = swimid("simulate", "--params", path, *BEAT, "--duration-s", "2", "--set", "c_d0=1.2", "--json")
+    assert not any("c_d0" in w["text"] for w in ran.json["warnings"])
 
 
 def test_a_simulated_log_can_be_reported(swimid: Run, tmp_path: Path) -> None:

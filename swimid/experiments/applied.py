@@ -73,6 +73,7 @@ class Applied:
                 warn("SWM053", f"{name} = {value:g} lies outside its bounds, {p.lower:g} to {p.upper:g}")
         if self.file is not None:
             self._check(names)
+            self._warn_doubtful()
 
     def _check(self, names: list[str]) -> None:
         """Refuse a file of another robot: parameters too many, or too few."""
@@ -95,6 +96,26 @@ class Applied:
                     column=f"parameters.{wrong[0]}",
                     hint=f"are these the parameters of another robot? This one has: {', '.join(names)}",
                 )
+
+    def _warn_doubtful(self) -> None:
+        """Tell which values the fit that wrote them does not vouch for."""
+        assert self.file is not None
+        name = self.path.name if self.path else "the parameter file"
+        if self.file.fit is not None and not self.file.fit.converged:
+            warn(
+                "SWM062", f"{name}: the fit did not converge; these are the values at which its search ended"
+            )
+        unknown = [
+            label
+            for label, known in self.file.parameters.items()
+            if known.status == "unidentifiable" and label not in self.chosen
+        ]
+        if unknown:
+            warn(
+                "SWM062",
+                f"{name}: not identifiable from the trials of the fit: {', '.join(unknown)}; what depends on "
+                "them alone is not known",
+            )
 
     def values(self, trial: str | None = None) -> Array:
         """Full parameter vector, shape (len(model.parameters),).

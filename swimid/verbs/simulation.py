@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -105,6 +107,7 @@ def run(case: Case) -> Simulated:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         simulated = model.simulate(case.values, case.trial)
     _insist_whole(case, simulated)
+    _warn_folded(case, simulated)
     step = _step_changes(case, simulated)
     found = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
     columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
@@ -126,6 +129,17 @@ def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
         f"the simulation of '{case.id}' breaks down {where}",
         hint="take a smaller step with --dt, or check the parameters' signs and units and the drive",
     )
+
+
+def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
+    for name, values in simulated.items():
+        if re.fullmatch(r"joint\d+_rad", name) and np.nanmax(np.abs(values), initial=0.0) > math.pi:
+            turned = math.degrees(float(np.nanmax(np.abs(values))))
+            warn(
+                "SWM054",
+                f"{case.id}: {name.removesuffix('_rad')} turns by {turned:.0f} degrees: beyond 180 its link "
+                "has passed through the one ahead of it, which no body does",
+            )
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
