@@ -62,6 +62,7 @@ CODES: dict[str, str] = {
     "SWM060": "the target of an export cannot carry something",
     "SWM061": "exported added mass may make the simulator unstable",
     "SWM062": "parameters in use that their fit does not vouch for",
+    "SWM063": "course and heading of a track contradict each other",
     "SWM080": "a fault of recording was repaired",
     "SWM081": "an integrated path is not to be trusted for long",
     "SWM082": "no still period in an inertial log",

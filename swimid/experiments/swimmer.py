@@ -24,6 +24,8 @@ from swimid.models.multibody.model import MultibodyModel
 from swimid.models.multibody.stroke import Cycle
 from swimid.models.multilink import drive
 from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel
+from swimid.notices import warn
+from swimid.signals import course
 from swimid.signals.beat import find_beat
 
 #: A model of a robot with links.
@@ -126,6 +128,7 @@ def load(
         for t, log in zip(trials, read, strict=True)
     ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
+    _check_course(path, model, read, [getattr(e.drive, "frequency_hz", None) for e in entries.trials])
     facts = {
         "beats": found,
         "moving": moving,
@@ -140,6 +143,35 @@ def load(
         input_files(path, entries.robot, [log.path for log in read]),
         facts=facts,
     )
+
+
+def _check_course(
+    path: Path, model: Swimmer, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
+) -> None:
+    """Warn where the robot does not swim where its heading points."""
+    if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
+        return
+    tracks = [
+        (log.time_s, log["x_m"], log["y_m"], log["yaw_rad"])
+        for log in logs
+        if all(c in log for c in model.pose)
+    ]
+    slowest = min((f for f in frequencies_hz if f), default=1.0)
+    seen = course.of_tracks(tracks, max(1.0, 1.0 / slowest))
+    if seen is None:
+        return
+    if seen.mirrored:
+        warn(
+            "SWM063",
+            f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
+            "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
+        )
+    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < course.LARGEST_SLIP:
+        warn(
+            "SWM063",
+            f"{path.name}: the courses differ from the headings by {math.degrees(seen.slip_rad):.0f} "
+            "degrees: about 180 is a heading from the tail, or swimming backwards, about 90 swapped axes",
+        )
 
 
 def _profile(entry: FreeSwimTrial) -> str:
