@@ -6,6 +6,7 @@
     +-- UsageError          2  the command line is wrong
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
     +-- NoTrustworthyResult 4  the work ran, and nothing in it can be trusted
+        +-- Interrupted   130  it was stopped before its end
 """
 
 from __future__ import annotations
@@ -103,6 +104,12 @@ class NoTrustworthyResult(SwimidError):
     """The work ran to its end and gives nothing that should be used."""
 
     exit_status = 4
+
+
+class Interrupted(NoTrustworthyResult):
+    """The work was stopped (Ctrl-C); the message says what was written and what was not."""
+
+    exit_status = 130
 
 
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:

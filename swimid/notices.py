@@ -63,11 +63,23 @@ CODES: dict[str, str] = {
     "SWM061": "exported added mass may make the simulator unstable",
     "SWM062": "parameters in use that their fit does not vouch for",
     "SWM063": "course and heading of a track contradict each other",
+    "SWM064": "another thing was first taken for the marker",
+    "SWM065": "nothing is seen at the beginning or the end of a video",
+    "SWM066": "marker hidden in part",
+    "SWM067": "what is followed does not move",
+    "SWM068": "the camera moves",
+    "SWM070": "what differs between trials follows a setting of theirs",
+    "SWM071": "a trial contradicts the others",
+    "SWM072": "an estimate is physically impossible",
+    "SWM073": "the search had stopped short of the best fit",
+    "SWM074": "rows of a log fitted twice",
     "SWM080": "a fault of recording was repaired",
     "SWM081": "an integrated path is not to be trusted for long",
     "SWM082": "no still period in an inertial log",
     "SWM083": "the clocks of two logs differ",
     "SWM084": "rests contradict the motion between them",
+    "SWM086": "a motion that cannot be is left empty",
+    "SWM087": "two logs of one trial contradict each other",
 }
 
 

@@ -445,3 +445,11 @@ def test_missing_output_folder(swimid: Run, cruise: Path, tmp_path: Path, verb: 
         "fit-propulsion": ["fit-propulsion", cruise / "absent.yaml"],
     }[verb]
     refused(swimid(*words, "-o", tmp_path / "no" / "x.yaml"), 3, ["the output folder", "mkdir -p"])
+
+
+def test_a_copy_of_a_fitted_log_is_not_held_out(swimid: Run, rig: Path, tmp_path: Path) -> None:
+    shutil.copy(rig / "w10.csv", rig / "another.csv")
+    with (rig / "trials.yaml").open("a") as stream:
+        stream.write("  - {log: another.csv, pulling_mass_kg: 0.010, role: validate}\n")
+    ran = swimid("fit-drag", rig / "trials.yaml", "-o", tmp_path / "d.yaml")
+    refused(ran, 3, ["'w10' and 'another", "what is held out must not be fitted"])

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+import click
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import swimid as package
+from swimid.cli.common import Shared, running, shared_options
 from swimid.cli.main import SECTIONS, main
+from swimid.formats.checkpoint import Checkpoint
+from swimid.verbs.outcome import Outcome
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -26,8 +35,6 @@ def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
 
 
 def test_every_verb_takes_the_shared_options() -> None:
-    import click
-
     def leaves(group: click.Group) -> list[click.Command]:
         found = []
         for command in group.commands.values():
@@ -173,3 +180,44 @@ def test_a_fit_does_not_write_a_file_called_dash(
     assert ran.status == 2
     assert "--json" in ran.err
     assert not (tmp_path / "-").exists()
+
+
+class TestInterrupts:
+    """Ctrl-C ends a verb with status 130 and one line that says what was written."""
+
+    def verb(self, work: Callable[[], None], outputs: list[Path], output: Path | None = None) -> Any:
+        @click.command()
+        @shared_options("Written.")
+        def command(shared: Shared) -> None:
+            with running("verb", shared) as run:
+                work()
+                run.finish(Outcome("verb", "done", {}, outputs))
+
+        return CliRunner().invoke(command, [] if output is None else ["-o", str(output)])
+
+    def test_nothing_was_written(self, tmp_path: Path) -> None:
+        ran = self.verb(lambda: signal.raise_signal(signal.SIGINT), [], tmp_path / "out.yaml")
+        assert ran.exit_code == 130
+        assert ran.stderr == "Error: interrupted; nothing was written\n"
+        assert ran.stdout == ""
+
+    def test_what_is_kept_is_named(self, tmp_path: Path) -> None:
+        keep = Checkpoint.beside(tmp_path / "out.yaml", "it")
+
+        def work() -> None:
+            keep.put("one", np.ones(1))
+            raise KeyboardInterrupt
+
+        ran = self.verb(work, [], tmp_path / "out.yaml")
+        assert ran.exit_code == 130
+        assert "out.yaml.partial keeps what was computed: the same command goes on from there" in ran.stderr
+
+    def test_a_search_that_goes_on_with_what_it_has_is_told(self, tmp_path: Path) -> None:
+        def work() -> None:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+        ran = self.verb(work, [tmp_path / "out.yaml"])
+        assert ran.exit_code == 130
+        assert f"a search cut short: wrote {tmp_path / 'out.yaml'}" in ran.stderr
+        assert ran.stdout == ""

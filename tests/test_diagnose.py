@@ -305,6 +305,27 @@ def test_a_sparse_budget_still_ends_with_an_answer(rig: tuple[Path, Path]) -> No
     assert ran.json["result"]["verdict"] in ("none", "explained", "ambiguous", "unexplained")
 
 
+def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "gap.yaml"
+    ran = command("diagnose", rig[0], "--budget-s", "0.001", "-o", out)
+    assert ran.status == 0, ran.err
+    assert "trials against the robot file" in ran.out
+    file = gap_format.read(out)
+    assert file.params == "the robot file"
+    assert command("report", out, "-o", tmp_path / "gap.html").status == 0
+
+
+def test_a_black_box_has_no_values_but_those_of_a_fit(swimid: Run, tmp_path: Path) -> None:
+    path = tmp_path / "trials.yaml"
+    path.write_text(
+        "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
+        f"input: cmd1_rad\noutput: u_m_s\ntrials:\n  - {{log: {tmp_path / 'a.csv'}}}\n"
+    )
+    ran = swimid("diagnose", path)
+    assert ran.status == 2
+    assert "give them with --params" in ran.err
+
+
 def test_an_unknown_effect(swimid: Run, rig: tuple[Path, Path]) -> None:
     ran = swimid("diagnose", rig[0], "--params", rig[1], "--effects", "servo-lagg")
     assert ran.status == 2

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.estimators import encoder, output_error, two_point
-from swimid.estimators.levenberg import CREEPING, PATIENCE, Solution, minimise
+from swimid.estimators.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.estimators.profile import profile_interval
 from swimid.formats import evidence, parameters
 from swimid.models import rig as rig_model
@@ -221,6 +221,22 @@ class TestLevenberg:
         assert patient.success
         assert PATIENCE < patient.iterations < long.iterations
         assert patient.cost - long.cost < 1e-3
+
+    def test_a_search_ends_where_noise_hides_what_it_does(self) -> None:
+        """Not before the estimates that count stand still, however little the cost falls."""
+
+        def search(move: float) -> Solution:
+            free = np.array([np.inf])
+            return minimise(
+                lambda p: np.append(p, 1e3), lambda p: np.array([[10.0], [0.0]]), np.array([1.0]),
+                lower=-free, upper=free, scale=np.ones(1), tolerance=0.0,
+                unnoticed=Unnoticed(10.0, np.array([move])),
+            )  # fmt: skip
+
+        loose, strict = search(np.inf), search(1e-3)
+        assert loose.iterations == BRIEF
+        assert strict.iterations > loose.iterations
+        assert abs(strict.x[0]) < abs(loose.x[0])
 
     def test_a_search_that_creeps_says_so(self) -> None:
         """Derivatives ten times too large, far from the optimum: the search is ended, not called done."""

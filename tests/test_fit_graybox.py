@@ -26,8 +26,9 @@ from swimid.formats.parameters import ParameterFile
 from swimid.models.base import Parameter
 from swimid.progress import Step
 from swimid.verbs.fit_graybox import fit_graybox
+from tests.blind import swim_actuation
 from tests.conftest import Ran
-from tests.generators import swimmer
+from tests.generators import gap_trials, swimmer
 
 Swimid = Callable[..., Ran]
 Table = dict[str, np.ndarray]
@@ -484,7 +485,7 @@ class TestInterrupted:
         kept = tmp_path / "kept.yaml"
         with pytest.raises(NoTrustworthyResult, match="--start-from") as raised:
             fit_graybox(trials, output=kept, share=["c_f"], progress=_stopping(3))
-        assert raised.value.exit_status == 4
+        assert raised.value.exit_status == 130
         assert "kept.yaml" in str(raised.value)
         assert "interrupted after 3 iterations" in str(raised.value)
         halfway = parameters.read(kept)
@@ -530,12 +531,76 @@ entry()
                     process.send_signal(signal.SIGINT)
                     break
             _, err = process.communicate(timeout=120)
-        assert process.returncode == 4, err
+        assert process.returncode == 130, err
         assert "--start-from" in err
         assert "Traceback" not in err
         file = parameters.read(kept)
         assert file.fit is not None
         assert file.fit.converged is False
+
+
+#: Frequency (Hz), amplitude (deg) and bias (deg) of twelve runs; the first setting comes twice.
+TWELVE = (
+    (1.0, 25, 0), (1.0, 25, 0), (1.0, 32, 10), (1.4, 20, -12), (1.4, 30, 0), (1.8, 25, 8),
+    (0.8, 20, 0), (1.2, 15, 5), (1.6, 20, -8), (1.8, 30, 0), (0.8, 32, -10), (1.4, 25, 6),
+)  # fmt: skip
+
+
+class TestWrongModels:
+    """A model that lacks an effect is the normal case: the fit ends, writes, and says what comes next."""
+
+    @pytest.mark.slow
+    def test_play_of_the_servos_takes_no_longer(self, tmp_path: Path) -> None:
+        """Twelve runs of a fish whose servos have 0.05 rad of play, against the same without."""
+        spent = {}
+        for name, acts in (("right", []), ("wrong", [swim_actuation.play([0.05] * 3)])):
+            folder = tmp_path / name
+            gap_trials.write(folder, "tfish", acts, settings=TWELVE, scatter=0.0, seed=7)
+            experiment = swimmer_trials.load(folder / "trials.yaml")
+            result = output_error.fit(experiment.model, experiment.trials, unfinished=True)
+            spent[name] = result.evaluations
+            if name == "right":
+                assert result.converged
+                assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)
+        assert spent["wrong"] < 3 * spent["right"]
+
+    def test_what_it_came_to_is_written(
+        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(output_error, "BUDGET", 3)
+        trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
+        ran = swimid("fit-graybox", trials, "-o", out)
+        assert ran.status == 4
+        assert "did not converge: after" in ran.err
+        assert f"what it came to is in {out}, marked so" in ran.err
+        assert f"swimid diagnose {trials} --params {out}" in ran.err
+        assert "check units" in ran.err
+        file = parameters.read(out)
+        assert file.fit is not None
+        assert file.fit.converged is False
+        shown = evidence.read(tmp_path / "fit.evidence.json")
+        assert shown.verdict.level == "bad"
+        assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
+
+    def test_of_several_starts_too(
+        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(output_error, "BUDGET", 3)
+        monkeypatch.setattr(output_error, "LONGEST", 3)
+        trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
+        ran = swimid("fit-graybox", trials, "--starts", "2", "-o", out)
+        assert ran.status == 4
+        assert out.exists()
+        assert "did not converge" in ran.err
+
+    def test_it_names_the_bounds_it_ran_into(
+        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(output_error, "BUDGET", 6)
+        trials = _write(tmp_path, _runs(), RATES)
+        ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "-o", tmp_path / "fit.yaml")
+        assert ran.status == 4
+        assert "c_d4 at a bound" in ran.err
 
 
 class TestBrokenSimulations:

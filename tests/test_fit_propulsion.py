@@ -15,7 +15,7 @@ from swimid.formats import evidence, log, parameters
 from swimid.formats import robot as robot_format
 from swimid.models import propulsion
 from swimid.signals.beat import find_beat
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 from tests.generators import cruise
 
 #: The paper's C_d, A, m_f + m_a.
@@ -314,3 +314,68 @@ class TestRealFish:
         flagged = [w for w in ran.json["warnings"] if w["code"] == "SWM032"]
         assert len(flagged) == 6
         assert all("says 1 Hz" in w["text"] for w in flagged)
+
+
+def write_straight_runs(folder: Path, *, held_out_speed_m_s: float) -> Path:
+    """Straight runs of a body with known thrust and drag; the held-out one is logged from full swing on.
+
+    The surge is that of du/dt = 0.25 (A/0.35)^2 (1 - cos(4 pi f t)) - 1.1 u |u|, integrated by
+    an adaptive method; the thrust comes twice a beat.
+    """
+    lines = ["format: swimid-trials/1", "experiment: free-swim", "robot: fish.yaml", "trials:"]
+    (folder / "fish.yaml").write_text("format: swimid-robot/1\nname: straight-fish\n")
+    rng = np.random.default_rng(5)
+    for name, amplitude, begun, role in (
+        ("slow", 15, 0.0, "fit"),
+        ("mid", 20, 0.0, "fit"),
+        ("fast", 30, 0.1, "fit"),
+        ("held", 25, held_out_speed_m_s, "validate"),
+    ):
+        push = 0.25 * (np.deg2rad(amplitude) / 0.35) ** 2
+
+        def rate(t: float, u: np.ndarray, push: float = push) -> np.ndarray:
+            return push * (1 - np.cos(8 * np.pi * t)) - 1.1 * u * np.abs(u)
+
+        t = np.arange(0, 12, 0.02)
+        u = solve_ivp(rate, (0, 12), [begun], t_eval=t, rtol=1e-8).y[0] + 0.002 * rng.normal(size=len(t))
+        yaw = 0.2 * np.sin(4 * np.pi * t) + 0.005 * rng.normal(size=len(t))
+        rows = np.column_stack([t, np.cumsum(u) * 0.02, 0 * t, yaw, u])
+        np.savetxt(
+            folder / f"{name}.csv", rows, delimiter=",", header="t_s,x_m,y_m,yaw_rad,u_m_s", comments=""
+        )
+        lines.append(
+            f"  - {{id: {name}, log: {name}.csv, role: {role}, "
+            f"drive: {{frequency_hz: 2.0, amplitude_deg: {amplitude}}}}}"
+        )
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    return folder / "trials.yaml"
+
+
+class TestStartStates:
+    def test_held_out_trials_start_where_they_start(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+        ran = swimid("fit-propulsion", write_straight_runs(tmp_path, held_out_speed_m_s=0.6), "--json")
+        fit = ran.json["result"]["fit"]
+        assert ran.json["result"]["parameters"]["surge_drag"]["value"] == pytest.approx(1.1, rel=0.03)
+        held_out = fit["validation"]["channels"]["u_m_s"]["rmse"]
+        assert held_out < 1.5 * fit["channels"]["u_m_s"]["rmse"]
+        assert "SWM015" not in ran.err
+
+    def test_from_rest_where_the_user_says_so(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+        trials = write_straight_runs(tmp_path, held_out_speed_m_s=0.6)
+        ran = swimid("fit-propulsion", trials, "--start-state", "rest", "--json")
+        assert "initial_speed[fast]" not in ran.json["result"]["parameters"]
+        assert "SWM015" in ran.err
+
+    def test_a_cruise_starts_at_rest(self, swimid: Callable[..., Ran], drag: Path) -> None:
+        ran = swimid(
+            "fit-propulsion", SAMPLES / "cruise" / "trials.yaml", "--drag", drag, "--start-state", "rest"
+        )
+        assert "SWM004: --start-state belongs to free-swim trials" in ran.err
+
+
+class TestStatedRamp:
+    def test_beats_within_it_are_left_out(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+        path = write_straight_runs(tmp_path, held_out_speed_m_s=0.0)
+        whole = swimid("fit-propulsion", path, "--json").json["result"]["fit"]["samples"]
+        path.write_text(path.read_text().replace("amplitude_deg", "ramp_s: 3.0, amplitude_deg"))
+        assert swimid("fit-propulsion", path, "--json").json["result"]["fit"]["samples"] == whole - 3 * 6

@@ -68,7 +68,7 @@ experiment: free-swim
 robot: boxfish
 trials:
   - log: a.csv
-    drive: {waveform: sine, frequency_hz: 2.0, amplitude_deg: 16, bias_deg: 0, asymmetry: 0.1, ramp_s: 1}
+    drive: {waveform: a-cpg, frequency_hz: 2.0, amplitude_deg: 16, bias_deg: 0, asymmetry: 0.1, ramp_s: 1}
 """
 ROBOT = b"""\
 format: swimid-robot/1

@@ -401,3 +401,186 @@ def test_the_manual_shows_what_the_command_prints(
     assert shown is not None
     ran = swimid("import", *shown.group(1).split(), "-o", tmp_path / "run.csv")
     assert ran.out.strip() == shown.group(2).strip()
+
+
+DROP = "t_s,x_px,y_px\n"
+
+
+def _falling(path: Path, *, rng: np.random.Generator) -> None:
+    """A body that falls in water along the picture's rows: v' = g' - k v |v|, by small Euler steps."""
+    dt, v, y, rows = 1e-4, 0.0, 0.0, []
+    for k in range(12_001):
+        if k % 200 == 0:
+            rows.append((k * dt, 300 + 0.2 * rng.normal(), -y / 0.001 + 0.2 * rng.normal()))
+        v += dt * (2.0 - 8.0 * v * abs(v))
+        y += dt * v
+    path.write_text(DROP + "".join(f"{1.0 + t:.4f},{x:.3f},{y:.3f}\n" for t, x, y in rows))
+
+
+def test_a_track_in_pixels_becomes_what_a_rig_fit_reads(swimid: Run, tmp_path: Path) -> None:
+    _falling(tmp_path / "film.csv", rng=np.random.default_rng(0))
+    ran = swimid(
+        *("import", tmp_path / "film.csv", "--scale", "0.001", "--along", "-y", "--start", "1.0"),
+        *("--end", "2.1", "-o", tmp_path / "drop.csv", "--json"),
+    )
+    assert ran.status == 0, ran.err
+    record = log.read(tmp_path / "drop.csv")
+    assert list(record.columns) == ["t_s", "x_m"]
+    assert (record.time_s[0], record.time_s[-1]) == pytest.approx((1.0, 2.1))
+    # falls 0.5 m/s in the end; two pixels' noise on the way of 0.1 s
+    last = record["x_m"][-1] - record["x_m"][-6]
+    assert last / 0.1 == pytest.approx(0.5, abs=4 * 0.2e-3 * np.sqrt(2) / 0.1)
+    (tmp_path / "robot.yaml").write_text(
+        "format: swimid-robot/1\nname: ball\nfluid: {density_kg_m3: 1000, gravity_m_s2: 9.81}\n"
+        "body: {inertial_mass_kg: 0.5}\n"
+    )
+    (tmp_path / "trials.yaml").write_text(
+        "format: swimid-trials/1\nexperiment: falling-weight\nrobot: robot.yaml\n"
+        "trials: [{id: drop, log: drop.csv, driving_force_N: 1.0}]\n"
+    )
+    fitted = swimid("fit-drag", tmp_path / "trials.yaml", "--fix", "added_mass=0", "-o", tmp_path / "d.yaml")
+    assert fitted.status == 0, fitted.err
+
+
+def test_a_swing_has_a_period(swimid: Run, tmp_path: Path) -> None:
+    t = np.arange(600) / 30
+    angle = 0.3 * np.exp(-t / 30) * np.cos(2 * np.pi * 0.7 * t)
+    noise = np.random.default_rng(0).normal(size=(2, len(t))) * 5e-4
+    x, z = 0.5 * np.sin(angle) + noise[0], -0.5 * np.cos(angle) + noise[1]
+    rows = "".join(f"{a:.4f},{b:.5f},{c:.5f}\n" for a, b, c in zip(t, x, z, strict=True))
+    (tmp_path / "p.csv").write_text("t_s,x_m,z_m\n" + rows)
+    ran = swimid("import", tmp_path / "p.csv", "--along", "line", "-o", tmp_path / "o.csv", "--json")
+    stroke = ran.json["result"]["stroke"]
+    assert stroke["period_s"] == pytest.approx(1 / 0.7, rel=0.01)
+    line = ran.json["result"]["line"]
+    assert abs(line["direction"][0]) > 0.99
+    assert line["across_rms"] < 0.1 * line["extent"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--along", "up"], "no direction"),
+        (["--along", "0,0"], "no direction"),
+        (["--along", "z"], "out of the plane"),
+        (["--start", "5", "--end", "1"], "before --start"),
+        (["--start", "50"], "0 samples lie between"),
+        (["--scale", "0.001"], "no column x_px"),
+        (["--scale", "-1"], "positive size"),
+        (["--stroke", "2", "1"], "the lower first"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_track(options: list[str], words: str, swimid: Run, tmp_path: Path) -> None:
+    t = np.arange(60) / 30
+    rows = "".join(f"{a:.4f},{0.1 * a:.5f},{0.01 * a:.5f}\n" for a in t)
+    (tmp_path / "p.csv").write_text("t_s,x_m,y_m\n" + rows)
+    ran = swimid("import", tmp_path / "p.csv", *options, "-o", tmp_path / "o.csv")
+    assert ran.status in (2, 3)
+    assert words in ran.err
+    assert not (tmp_path / "o.csv").exists()
+
+
+def _swimmer(path: Path, *, metre: float = 1.0, radian: float = 1.0) -> None:
+    t = np.arange(450) / 30
+    rng = np.random.default_rng(1)
+    x = metre * (0.15 * t + 0.0003 * rng.normal(size=len(t)))
+    y = metre * (0.004 * np.sin(2 * np.pi * 1.2 * t) + 0.0003 * rng.normal(size=len(t)))
+    yaw = radian * (0.15 * np.sin(2 * np.pi * 1.2 * t) + 0.002 * rng.normal(size=len(t)))
+    rows = "".join(f"{a:.4f},{b:.6f},{c:.6f},{d:.6f}\n" for a, b, c, d in zip(t, x, y, yaw, strict=True))
+    path.write_text("t_s,x_m,y_m,yaw_rad\n" + rows)
+
+
+@pytest.mark.parametrize(
+    ("units", "column"), [({}, None), ({"metre": 1000}, "x_m"), ({"radian": 57.3}, "yaw_rad")]
+)
+def test_values_no_swimmer_reaches_fail_a_check(
+    units: dict[str, float], column: str | None, swimid: Run, tmp_path: Path
+) -> None:
+    _swimmer(tmp_path / "s.csv", **units)
+    ran = swimid("import", tmp_path / "s.csv", "-o", tmp_path / "o.csv", "--json")
+    assert ran.json["result"]["verdict"]["level"] == ("good" if column is None else "bad")
+    check = next(c for c in ran.json["result"]["checks"] if c["name"] == "Values a swimmer reaches")
+    assert check["verdict"] == ("pass" if column is None else "fail")
+    assert (column or "") in check["text"]
+
+
+def test_a_fit_to_impossible_values_is_bad(swimid: Run, tmp_path: Path) -> None:
+    rig = ROOT / "sample_logs/rig"
+    for source in rig.iterdir():
+        text = source.read_text()
+        if source.name == "w10.csv":
+            lines = text.splitlines()
+            at = lines.index("t_s,x_m") + 1
+            lines[at:] = [f"{a},{1000 * float(b)}" for a, b in (line.split(",") for line in lines[at:])]
+            text = "\n".join(lines) + "\n"
+        (tmp_path / source.name).write_text(text)
+    ran = swimid("fit-drag", tmp_path / "trials.yaml", "-o", tmp_path / "d.yaml")
+    assert ran.status == 4 or "BAD" in ran.out
+
+
+def test_a_track_of_swimid_passes_without_a_word(swimid: Run, tmp_path: Path) -> None:
+    pool = ROOT / "sample_logs/pool"
+    tracked = swimid(
+        "track", "video", pool / "pool.mp4", "--setup", pool / "pool_setup.yaml", "-o", tmp_path / "run.csv"
+    )
+    assert tracked.status == 0, tracked.err
+    ran = swimid("import", tmp_path / "run.csv", "-o", tmp_path / "again.csv", "--json")
+    result = ran.json["result"]
+    assert "SWM" not in ran.err
+    record = log.read(tmp_path / "run.csv")
+    bridged = int(record["interpolated"].sum())
+    assert bridged > 0
+    # the noise is that of the positions before smoothing, which the track itself tells
+    stated = json.loads((tmp_path / "run.evidence.json").read_text())
+    noise = next(c["value"] for c in stated["checks"] if c["name"] == "Measurement noise")
+    assert result["speed"]["noise_m"] == pytest.approx(float(noise.split()[0]), rel=0.5)
+    assert result["track"]["gaps_s"], "what was bridged is no measurement"
+    assert result["stroke"]["frequency_hz"] == pytest.approx(1.1, abs=0.005)
+
+
+def _deeplabcut(path: Path) -> None:
+    rng = np.random.default_rng(1)
+    lines = [
+        "scorer" + ",DLC_resnet50_fishMay1" * 6,
+        "bodyparts,nose,nose,nose,tail,tail,tail",
+        "coords,x,y,likelihood,x,y,likelihood",
+    ]
+    for k in range(300):
+        phase = 2 * np.pi * 1.3 * k / 30
+        x, y = 100 + 3 * k, 200 + 8 * np.sin(phase)
+        cells = [x, y, x - 60, y + 15 * np.sin(phase - 1)] + 0.2 * rng.normal(size=4)
+        lines.append(
+            ",".join(f"{cell:.4f}" for cell in (k, *cells[:2], 0.99, *cells[2:], 0.95 + 0.001 * (k % 40)))
+        )
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_table_of_deeplabcut(swimid: Run, tmp_path: Path) -> None:
+    _deeplabcut(tmp_path / "dlc.csv")
+    assert swimid("import", tmp_path / "dlc.csv", "--guess", "-o", tmp_path / "map.yaml").status == 0
+    made = (
+        "import",
+        tmp_path / "dlc.csv",
+        "--map",
+        tmp_path / "map.yaml",
+        "-o",
+        tmp_path / "run.csv",
+        "--force",
+    )
+    ran = swimid(*made, "--json")
+    assert ran.status == 0, ran.err
+    # the table holds no frame rate: the one drafted is not taken for known
+    assert ran.json["result"]["verdict"]["level"] == "caution"
+    text = (tmp_path / "map.yaml").read_text()
+    text = text.replace("rate_hz: 100", "rate_hz: 30").replace("sample_rate: assumed", "")
+    (tmp_path / "map.yaml").write_text(text)
+    result = swimid(*made, "--json").json["result"]
+    assert result["verdict"]["level"] == "good"
+    assert result["speed"]["line_px_s"] == pytest.approx(90, rel=0.005)
+    assert result["stroke"]["frequency_hz"] == pytest.approx(1.3, rel=0.005)
+    record = log.read(tmp_path / "run.csv")
+    assert {"x_px", "y_px", "nose_likelihood", "tail_x_px", "tail_y_px", "tail_likelihood"} < set(
+        record.columns
+    )
+    # rows of a picture count downwards
+    assert record["y_px"].mean() == pytest.approx(-200, abs=1)

@@ -26,7 +26,8 @@ class TestTwoMinima:
     def test_the_global_one_is_found(self, rng: np.random.Generator) -> None:
         model = Toy(well, WELL)
         data = trials(model, [TRUTH], {"y": 0.1}, rng)
-        single = output_error.fit(model, data)
+        # one search, not held against restarts around its end
+        single = output_error.fit(model, data, tested=False)
         assert single.value("x") == pytest.approx(-1.0, abs=1e-3)
         best, ends = multistart(model, data, starts=8, seed=1)
         # 600 samples of 0.1 with slope 3 x^2 - 3

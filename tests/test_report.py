@@ -557,3 +557,32 @@ def test_a_null_or_an_empty_list_is_a_dash() -> None:
     """No cell of a table of details is empty."""
     found = dict(sections.leaves({"a": None, "b": [], "c": "", "d": {"e": [1.0, 2.5]}, "f": 0.0}))
     assert found == {"a": "–", "b": "–", "c": "–", "d.e": "1, 2.5", "f": 0.0}
+
+
+def test_records_of_a_fit_are_a_table(tmp_path: Path) -> None:
+    """A list of mappings is shown as rows and columns, never as the text of a dictionary."""
+    path = cases.drag(tmp_path, proof=False)
+    file = parameters.read(path)
+    assert file.fit is not None
+    points = [
+        {"fin": "large", "frequency_hz": 1.5, "efficiency": None, "strouhal": {"fin": 0.71, "axle": 0.84}},
+        {"fin": "small", "frequency_hz": 2.0, "efficiency": 0.31, "strouhal": {"fin": 0.69, "axle": 0.8}},
+    ]
+    fit = file.fit.model_copy(update={"operating_points": points, "tried": [{"order": [1, None]}, 3]})
+    parameters.write(path, file.model_copy(update={"fit": fit}))
+    with recorded():
+        section = results.load(path)
+    grid = next(b for b in section.blocks if isinstance(b, sections.Grid) and b.title == "Operating points")
+    assert grid.columns == ["fin", "frequency_hz", "efficiency", "strouhal.fin", "strouhal.axle"]
+    assert [[c.text for c in row] for row in grid.rows] == [
+        ["large", "1.5", "–", "0.71", "0.84"],
+        ["small", "2", "0.31", "0.69", "0.8"],
+    ]
+    shown = {c.text for b in section.blocks if isinstance(b, sections.Grid) for row in b.rows for c in row}
+    assert "order 1, –, 3" in shown
+    assert not any("{" in text for text in shown)
+
+
+def test_an_empty_text_of_a_table_is_a_dash() -> None:
+    table = evidence.Table(id="t", title="t", columns=["a", "b"], rows=[["x", ""], ["y", None]])
+    assert [row[1].text for row in sections.table_grid(table).rows] == ["–", "–"]

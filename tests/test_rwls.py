@@ -159,6 +159,42 @@ def test_other_logs_hold_out_and_trials_files_name_everything(tmp_path):
     assert listed["result"]["fit"]["rows"] == 2 * 1198
 
 
+def test_stretches_of_one_recording_are_fitted_and_held_out_apart(tmp_path):
+    # half the recording is of another robot: what is fitted there tells nothing of it
+    first, second = arx_columns(4), arx_columns(5, a=[-0.5, 0.2])
+    both = {name: np.concatenate([first[name], second[name]]) for name in first}
+    both["t_s"] = np.round(np.arange(2400) * 0.05, 6)
+    write_log(tmp_path / "run.csv", both)
+    write_log(tmp_path / "first.csv", first)
+    (tmp_path / "trials.yaml").write_text(
+        "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
+        "input: cmd1_rad\noutput: u_m_s\ntrials:\n"
+        "  - {id: early, log: run.csv, end_s: 59.95}\n"
+        "  - {id: late, log: run.csv, start_s: 60.0, role: validate}\n"
+    )
+    alone = run(tmp_path / "first.csv", *COLUMNS, "--na", 2, "--nb", 2)[1]
+    status, document, _ = run(tmp_path / "trials.yaml", "--na", 2, "--nb", 2)
+    assert status == 0
+    assert document["result"]["parameters"] == alone["result"]["parameters"]
+    assert document["result"]["fit"]["trials"] == ["early"]
+    fitted = document["result"]["fit"]["channels"]["u_m_s"]["free_run"]["fit_percent"]
+    held_out = document["result"]["fit"]["validation"]["u_m_s"]["data"]["late"]["free_run"]["fit_percent"]
+    assert fitted > 85.0 > 20.0 > held_out
+    assert "SWM015" in codes(document)
+
+
+def test_trials_files_that_contradict_each_other_are_refused(tmp_path):
+    for name, output in (("one", "u_m_s"), ("two", "v_m_s")):
+        write_log(tmp_path / f"{name}.csv", arx_columns(4))
+        (tmp_path / f"{name}.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
+            f"input: cmd1_rad\noutput: {output}\ntrials:\n  - {{log: {name}.csv}}\n"
+        )
+    status, document, _ = run(tmp_path / "one.yaml", tmp_path / "two.yaml", "--na", 2, "--nb", 2)
+    assert status == 3
+    assert "'v_m_s' contradicts 'u_m_s' of one.yaml" in document["error"]["message"]
+
+
 def test_gaps_are_counted_and_poison_nothing(tmp_path):
     columns = arx_columns(7)
     columns["u_m_s"][300:310] = np.nan

@@ -269,7 +269,9 @@ class TestCommand:
 
         out = tmp_path / "again.yaml"
         monkeypatch.setattr(sensitivity_outputs, "outputs", stopping)
-        assert swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options).status == 130
+        ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
+        assert ran.status == 130
+        assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err
         assert not out.exists()
         assert (tmp_path / "again.yaml.partial").exists()
         calls = 100

@@ -58,7 +58,12 @@ def test_tractor(tmp_path, proposed):
 def test_green_ball(tmp_path, proposed):
     """A ball held in and out of the picture: found when there, nothing invented when not."""
     log = tracked(tmp_path, "green_ball", "ball2.mp4", proposed)
-    assert 860 <= log.found.sum() <= 890
+    seen = log.filter(regex="(?<!^)_status$").iloc[:, 0] != "lost"
+    cut = log.filter(like="_at_edge").iloc[:, 0] == 1
+    assert 860 <= seen.sum() <= 890
+    # Cut by the edge of the picture it is seen, but not measured.
+    assert 20 <= cut.sum() <= 45
+    assert ((log.found == 1) == (seen & ~cut)).all()
     # Seen by eye: an empty wall.
     for start, end in ((0, 24), (470, 486), (794, 815), (972, 1004)):
         assert log.found[start:end].sum() == 0

@@ -110,6 +110,25 @@ def test_log_columns_and_evidence(pool):
     assert (folder / "run.evidence.json").stat().st_size < 3_000_000
 
 
+def test_speed_and_stroke_are_those_of_the_swim(pool):
+    """The evidence's table against the scene: the nose, averaged over a stroke, circles outside."""
+    scene, folder, _, _, output = pool
+    swim = scene.swims[0]
+    table = evidence.read(folder / "run.evidence.json").tables[0]
+    found = {row[0]: row[1:4] for row in table.rows}
+    nose = np.hypot(swim.speed_m_s, swim.turn_rad_s * SEPARATION_M / 2)
+    for name, truth, near in (
+        ("steady speed", nose, 0.005),
+        ("stroke frequency", swim.beat_hz, 0.01),
+        ("yaw amplitude", np.degrees(swim.beat_rad), 0.01),
+        ("sway amplitude", SEPARATION_M / 2 * swim.beat_rad, 0.03),
+    ):
+        value, low, high = found[name]
+        assert value == pytest.approx(truth, rel=near), name
+        assert low < value < high
+    assert "speed and stroke over" in output.output
+
+
 def test_overlay_is_a_video_of_the_same_length(pool):
     """One frame of the overlay for each of the film, with something drawn in it."""
     _, folder, log, _, _ = pool
@@ -280,3 +299,16 @@ def test_sample_is_small_and_tracks(tmp_path):
     seen = log.found == 1
     error = np.hypot(log.x_m - exact.x_m, log.y_m - exact.y_m)[seen]
     assert np.sqrt(np.mean(error**2)) < 0.0007
+
+
+def test_a_scale_a_thousand_times_too_large_is_bad(tmp_path):
+    """Corners given in millimetres as metres: a fish of 200 m/s."""
+    video, setup, _ = pool_video.write_scene(tmp_path, Scene(duration_s=1.0, dropout_s=None))
+    text = setup.read_text()
+    line = next(line for line in text.splitlines() if "points_m" in line)
+    key, numbers = line.split(":", 1)
+    points = [[1000 * float(x) for x in pair.split(",")] for pair in numbers.strip(" []").split("], [")]
+    setup.write_text(text.replace(line, f"{key}: {points}"))
+    output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    assert "SWM002" in output.output
+    assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"

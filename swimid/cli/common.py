@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -137,7 +139,7 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
     run = Run(shared)
     notices: list[Notice] = []
     try:
-        with recorded() as notices:
+        with _interrupts() as interrupts, recorded() as notices:
             yield run
     except SwimidError as error:
         if shared.debug:
@@ -146,7 +148,8 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
         _fail(verb, shared, error.to_dict(), f"Error: {error}", notices)
         sys.exit(error.exit_status)
     except KeyboardInterrupt:
-        _fail(verb, shared, _named("Interrupted", "interrupted", 130), "Interrupted.", notices)
+        text = f"interrupted; {_left(shared.output)}"
+        _fail(verb, shared, _named("Interrupted", text, 130), f"Error: {text}", notices)
         sys.exit(130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -171,6 +174,12 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
         sys.exit(1)
     assert run.outcome is not None
     _print_warnings(notices, shared)
+    if interrupts:
+        kept = ", ".join(str(path) for path in run.outcome.outputs)
+        wrote = f"wrote {kept}" if kept else "nothing was written"
+        text = f"interrupted; the result is of a search cut short: {wrote}"
+        _fail(verb, shared, _named("Interrupted", text, 130), f"Error: {text}", [])
+        sys.exit(130)
     if shared.as_json:
         document = {
             "schema": ENVELOPE,
@@ -186,6 +195,37 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
             click.echo(run.outcome.summary)
         for path in run.outcome.outputs:
             click.echo(f"wrote {path}", err=True)
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Every Ctrl-C while the work runs, also one that a search caught to go on with what it had."""
+    seen: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield seen
+        return
+
+    def note(number: int, frame: Any) -> None:
+        seen.append(number)
+        before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _left(output: Path | None) -> str:
+    """What an interrupted verb leaves behind."""
+    from swimid.formats.checkpoint import place
+
+    kept = None if output is None else place(output)
+    # a first line alone holds nothing yet
+    if kept is not None and kept.is_file() and len(kept.read_text(encoding="utf-8").splitlines()) > 1:
+        return f"{kept} keeps what was computed: the same command goes on from there"
+    return "nothing was written"
 
 
 def _named(kind: str, message: str, status: int) -> dict[str, Any]:

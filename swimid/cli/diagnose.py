@@ -13,7 +13,9 @@ from swimid.cli.parsing import named_word
 @click.command("diagnose", short_help="The unmodelled effect behind a gap between trials and simulation.")
 @click.argument("trials", type=click.Path(path_type=Path))
 @click.option(
-    "--params", type=click.Path(path_type=Path), required=True, help="Parameter file, of any model."
+    "--params",
+    type=click.Path(path_type=Path),
+    help="Parameter file, of any model. Default: the values of the robot file.",
 )
 @click.option(
     "--effects",
@@ -61,7 +63,7 @@ from swimid.cli.parsing import named_word
 @shared_options("Gap file to write (YAML).")
 def command(
     trials: Path,
-    params: Path,
+    params: Path | None,
     names: tuple[str, ...],
     own: tuple[Path, ...],
     max_causes: int,
@@ -75,21 +77,22 @@ def command(
 ) -> None:
     """Name the effect that a model lacks.
 
-    TRIALS is a trials file of any experiment; the parameter file says which model is to describe it. The
-    model is refitted alone and with every effect that applies to it; an effect counts by what it gains on
-    trials left out of the fit, against what noise alone would gain. The answer is one effect, a
-    combination, several that the trials cannot tell apart, or none. Every answer is a result: exit
-    status 0.
+    TRIALS is a trials file of any experiment; the parameter file says which model is to describe it, and
+    without one the robot file does. The model is refitted alone and with every effect that applies to it;
+    an effect counts by what it gains on trials left out of the fit, against what noise alone would gain.
+    The answer is one effect, a combination, several that the trials cannot tell apart, or none. Every
+    answer is a result: exit status 0.
 
     \b
     Examples:
+      swimid diagnose trials.yaml -o gap.yaml
       swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
       swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
       swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
       swimid report gap.yaml -o gap.html
     """
     with running("diagnose", shared) as run:
-        protect(shared.output, shared, inputs=(trials, params, *own))
+        protect(shared.output, shared, inputs=(trials, *([params] if params else []), *own))
         from swimid.verbs.diagnose import diagnose
 
         run.finish(

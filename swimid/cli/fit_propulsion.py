@@ -23,6 +23,13 @@ from swimid.cli.parsing import named_number
     help="Lever of the wake width in the Strouhal number: fin length, or axle to trailing edge.",
 )
 @click.option("--keep-departures", is_flag=True, help="Fit frequencies that depart from the law too.")
+@click.option(
+    "--start-state",
+    type=click.Choice(["auto", "rest", "estimate"]),
+    default="auto",
+    show_default=True,
+    help="Do straight free-swim trials start at rest? auto: their speed at the first beat is estimated.",
+)
 @click.option("--fix", "fixed", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
 @click.option(
     "--free", "freed", multiple=True, metavar="NAME", help="Estimate a parameter that is fixed by default."
@@ -33,6 +40,7 @@ def command(
     drag: Path | None,
     wake: str,
     keep_departures: bool,
+    start_state: str,
     fixed: tuple[str, ...],
     freed: tuple[str, ...],
     shared: Shared,
@@ -58,6 +66,7 @@ def command(
                 output=shared.output,
                 wake=wake,
                 keep_departures=keep_departures,
+                start_state=start_state,
                 fixed=named_number(fixed, "--fix"),
                 freed=freed,
                 progress=run.progress,

@@ -19,9 +19,35 @@ from swimid.cli.common import Shared, protect, running, shared_options
     default=None,
     help="Take repeats and jumps out of the track, or keep all  [default: clean a track of two coordinates].",
 )
+@click.option("--start", "start_s", type=float, help="Keep the log from here, s on its own clock.")
+@click.option("--end", "end_s", type=float, help="Keep the log up to here, s.")
+@click.option("--scale", type=float, metavar="M_PER_PX", help="Metres a pixel, for a track in pixels.")
+@click.option(
+    "--along",
+    metavar="LINE",
+    help="Put the way along a line in the place of the track, as x_m: line (the one it keeps closest to), "
+    "x, -y, z, or components as in 0.6,-0.8.",
+)
+@click.option(
+    "--stroke",
+    "stroke_hz",
+    type=float,
+    nargs=2,
+    metavar="LOW HIGH",
+    help="Frequencies between which the stroke is known to lie, Hz.",
+)
 @shared_options("The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.")
 def command(
-    files: tuple[Path, ...], map_path: Path | None, guess: bool, clean: bool | None, shared: Shared
+    files: tuple[Path, ...],
+    map_path: Path | None,
+    guess: bool,
+    clean: bool | None,
+    start_s: float | None,
+    end_s: float | None,
+    scale: float | None,
+    along: str | None,
+    stroke_hz: tuple[float, float] | None,
+    shared: Shared,
 ) -> None:
     """Import logs: delimited text, MATLAB, HDF5, Parquet, JSON lines, MCAP, ULog.
 
@@ -33,6 +59,7 @@ def command(
     Examples:
       swimid import field.csv --guess -o map.yaml
       swimid import field.csv --map map.yaml -o run.csv
+      swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
       swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
     """
     with running("import", shared) as run:
@@ -48,6 +75,7 @@ def command(
             run.finish(guess_mapping(files[0], output=shared.output))
             return
         from swimid.verbs.import_log import destinations, import_logs
+        from swimid.verbs.import_prepare import Request
 
         if shared.output is None:
             raise UsageError("say where the log goes", hint="add -o run.csv")
@@ -56,5 +84,12 @@ def command(
             protect(target, shared, inputs=inputs)
             protect(evidence.sidecar(target), shared, inputs=inputs)
         run.finish(
-            import_logs(files, map_path=map_path, output=shared.output, clean=clean, progress=run.progress)
+            import_logs(
+                files,
+                map_path=map_path,
+                output=shared.output,
+                clean=clean,
+                request=Request(start_s, end_s, along, scale, stroke_hz),
+                progress=run.progress,
+            )
         )

@@ -28,6 +28,10 @@ def track() -> None:
 @click.option(
     "--max-gap", "max_gap_s", type=float, help="Longest dropout to bridge, s  [default: the setup's]."
 )
+@click.option(
+    "--from", "from_s", type=float, help="Speeds and stroke from here on, s  [default: over the steady part]."
+)
+@click.option("--to", "to_s", type=float, help="Speeds and stroke up to here, s. The log holds every frame.")
 @shared_options("The log, CSV or Parquet by its ending.", required=True)
 def video_command(
     video: Path,
@@ -35,15 +39,20 @@ def video_command(
     overlay_path: Path | None,
     fps: float | None,
     max_gap_s: float | None,
+    from_s: float | None,
+    to_s: float | None,
     shared: Shared,
 ) -> None:
     """Track coloured markers in a video: a log of pose and speeds.
 
-    Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png).
+    VIDEO is a film; or a folder of pictures, or a pattern of their names, both with --fps.
+    Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints the path speed, the
+    steady speed, the stroke's frequency and amplitudes and the accelerations, each with its 95 % interval.
 
     \b
     Example:
       swimid track video pool.mp4 --setup setup.yaml -o run.csv --overlay overlay.mp4
+      swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
     """
     with running("track video", shared) as run:
         from swimid.verbs.track_video import track_video
@@ -59,6 +68,7 @@ def video_command(
                 overlay_path=overlay_path,
                 fps=fps,
                 max_gap_s=max_gap_s,
+                window_s=(from_s, to_s),
                 progress=run.progress,
             )
         )
@@ -91,7 +101,7 @@ class _Pick(click.ParamType):
     "markers",
     type=_Pick(),
     multiple=True,
-    help="Pick a marker by one of its pixels; head first, then tail.",
+    help="Pick a marker of any shade by one of its pixels; head first, then tail. Equal markers: one name.",
 )
 @click.option("--frame", type=int, default=0, show_default=True, help="Frame the --marker pixels are in.")
 @click.option("--metres-per-pixel", type=float, help="Scale as a factor.")

@@ -106,6 +106,11 @@ class FitResult:
         Derivatives of all residuals taken.
     start_states : mapping of label to float
         Per-trial parameters of validation trials, estimated from them with the shared ones held.
+    restarts : int or None
+        How often a start near the answer led to a better one, which then took its place; None where that was
+        not tested.
+    settled : bool
+        Whether in the end none did any more.
     """
 
     model: Model
@@ -130,6 +135,8 @@ class FitResult:
     loss: str = "linear"
     jacobians: int = 0
     start_states: Mapping[str, float] = field(default_factory=dict)
+    restarts: int | None = None
+    settled: bool = True
 
     def stderr(self, label: str) -> float | None:
         """Standard error of one estimate, or None where there is none."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -37,12 +37,15 @@ class Combination:
     Attributes
     ----------
     weights : dict of label to float
-        The largest is 1, where units differ that of the most important.
+        The largest is 1, where units differ that of the most important; those of the parameters over
+        :attr:`divisors` then.
     members : tuple of str
         The confounded parameters it belongs to, those of negligible weight too.
     value, stderr : float
     unit : str
-        Of the member whose weight is 1.
+        Of the member whose weight is 1; none where units differ.
+    divisors : dict of label to str
+        Where units differ, what each member is divided by to have none: its size, with its unit.
     """
 
     weights: dict[str, float]
@@ -50,17 +53,27 @@ class Combination:
     value: float
     stderr: float
     unit: str
+    divisors: dict[str, str] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
         """The sum in words, ``c_f0 + 0.31 c_f13 = 0.0123 ± 0.0002``."""
         terms = ""
         for label, weight in self.weights.items():
+            divisor = self.divisors.get(label, "")
+            label = f"{label}/({divisor})" if divisor else label
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             sign = ("-" if weight < 0 else "") if not terms else (" - " if weight < 0 else " + ")
             terms += f"{sign}{factor}{label}"
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{terms} = {_rounded(self.value, self.stderr)}{unit}"
+
+
+def _rounded_sizes(group: Sequence[str], size: Array, units: Sequence[str]) -> tuple[Array, dict[str, str]]:
+    """Sizes to two digits, so that the sum can be computed from its words, and those words."""
+    short = [f"{s:.2g}" for s in size]
+    words = [text if unit == "1" else f"{text} {unit}" for text, unit in zip(short, units, strict=True)]
+    return np.array([float(text) for text in short]), dict(zip(group, words, strict=True))
 
 
 def unidentifiable(result: FitResult) -> list[str]:
@@ -73,9 +86,10 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
 
     Each has an unidentifiable member and one that all trials share; others belong to it when they
     share its uncertainty and are themselves not known to :data:`VAGUE` of their size. A parameter
-    the trials do not see at all is in no group.
+    the trials do not see at all is in no group, nor is a random effect.
     """
-    index = _usable(result)
+    by_chance = {p.name for p in result.parameters if math.isfinite(p.spread)}
+    index = [i for i in _usable(result) if result.labels[i].split("[")[0] not in by_chance]
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
     if len(vague) < 2:
         return []
@@ -107,17 +121,20 @@ def combinations(result: FitResult) -> list[Combination]:
         kept = np.where(np.abs(vt[0]) < NEGLIGIBLE * np.abs(vt[0]).max(), 0.0, vt[0])
         direction = kept if _sd(kept, singular, vt) * singular[0] <= 1.1 else vt[0]
         units = [next(p.unit for p in result.parameters if p.name == g.split("[")[0]) for g in group]
+        # quantities of different units cannot be added: each is then counted in its own size
         alike = len(set(units)) == 1
-        first = int(np.argmax(np.abs(direction / size if alike else direction)))
-        one = direction[first] / size[first]
-        weights = direction / size / one
+        counted, divisors = (np.ones(len(group)), {}) if alike else _rounded_sizes(group, size, units)
+        weights = direction * counted / size
+        one = float(weights[np.argmax(np.abs(weights))])
+        weights /= one
         found.append(
             Combination(
                 weights={g: float(w) for g, w in zip(group, weights, strict=True) if w != 0},
                 members=group,
-                value=float(weights @ result.estimate[index]),
+                value=float(weights @ (result.estimate[index] / counted)),
                 stderr=_sd(direction, singular, vt) / abs(one),
-                unit=units[first],
+                unit=units[0] if alike else "1",
+                divisors=divisors,
             )
         )
     return found

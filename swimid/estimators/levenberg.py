@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
@@ -20,8 +20,11 @@ from swimid.models.base import Array
 
 #: Iterations after which a decrease that is small against the noise is small enough.
 PATIENCE = 12
+#: Steps that are looked at together where each may be small and all of them not: to see a search creep, and
+#: to see that it does no more than noise hides.
+STRIDE, BRIEF = 10, 5
 #: A search creeps that has taken so many steps, of which the last `STRIDE` together hardly lowered the cost.
-CREEPING, STRIDE = 40, 10
+CREEPING = 40
 
 #: A step that lowers the cost by less than this share of what it should have is corrected for curvature,
 #: by no more than this share of its length.
@@ -29,6 +32,12 @@ STRAIGHT, BENT = 0.9, 0.75
 #: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
 #: and over so many steps at most.
 FAITHFUL, LONGEST = 0.75, 5
+#: What is said of a search that ends: at rest, where no step helps, on an edge, in a valley.
+STILL = "cost and parameters no longer change"
+STUCK = "no step lowers the cost"
+HIDDEN = "cost and estimates change by less than noise shows"
+KINKED = "no step lowers the cost though the gradient does not vanish"
+CREPT = "the search creeps"
 #: Columns that are a handful.
 FEW = 16
 
@@ -47,6 +56,10 @@ class Solution:
     iterations : int
     crept : bool
         Given up though steps still lowered the cost a little.
+    lowered : float
+        What the last `STRIDE` steps together lowered the cost by; infinite where there were fewer.
+    moved : ndarray, shape (p,)
+        How far they went; infinite where there were fewer.
     """
 
     x: Array
@@ -55,6 +68,23 @@ class Solution:
     message: str
     iterations: int
     crept: bool = False
+    lowered: float = math.inf
+    moved: Array = field(default_factory=lambda: np.full(1, math.inf))
+
+
+class Unnoticed(NamedTuple):
+    """What noise hides: a search may end whose last `BRIEF` steps together did no more.
+
+    Attributes
+    ----------
+    cost : float
+        By which they lowered the cost.
+    move : ndarray, shape (p,)
+        By which they moved each parameter; infinite for those that nothing is claimed of.
+    """
+
+    cost: float
+    move: Array
 
 
 class _Tried(NamedTuple):
@@ -79,6 +109,7 @@ def minimise(
     tolerance: float = 1e-10,
     enough: float = 0.0,
     little: float = 0.0,
+    unnoticed: Unnoticed | None = None,
     max_iterations: int = 200,
     watch: Callable[[Array, float, int], None] | None = None,
     secant: Callable[[Array, Array, Array, Array], Array] | None = None,
@@ -100,6 +131,8 @@ def minimise(
     little : float
         Once `CREEPING` iterations are spent, stop when the last `STRIDE` together lowered the cost by less
         than this share of it.
+    unnoticed : Unnoticed, optional
+        Stop when the last `BRIEF` steps together did no more than this.
     watch : callable, optional
         Called with the parameters, their cost and the iteration at the start and after every
         step that lowers the cost.
@@ -131,7 +164,8 @@ def minimise(
     told = watch or _untold
     told(x, cost, 0)
     damping, growth = 1e-3, 2.0
-    costs = [cost]
+    path = [(x, cost)]
+    end = partial(_solution, path)
     iteration = 0
     while iteration < max_iterations:
         rows, age, renew = jacobian(x) * scale, 0, False
@@ -144,7 +178,7 @@ def minimise(
             # cosine between the residuals and each column
             slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
             if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
-                return Solution(x, cost, True, "the gradient vanishes", iteration)
+                return end(True, "the gradient vanishes", iteration)
             renew = True
             for _ in range(40):
                 weight, low, high = damping * size**2, (lower - x) / scale, (upper - x) / scale
@@ -164,29 +198,65 @@ def minimise(
                     damping = max(damping, 1e-12)
                     growth = 2.0
                     done = lowered <= tolerance * cost and predicted <= 10 * tolerance * cost
-                    done |= iteration > PATIENCE and max(lowered, predicted) < enough
+                    slight = iteration > PATIENCE and max(lowered, predicted) < enough
                     x, r, cost = tried.x, tried.residuals, tried.cost
+                    path.append((x, cost))
                     told(x, cost, iteration)
-                    if (done or small) and not age:
-                        return Solution(x, cost, True, "cost and parameters no longer change", iteration)
-                    costs.append(cost)
-                    if iteration > CREEPING and costs[-1 - STRIDE] - cost < little * cost:
-                        return Solution(x, cost, True, "the search creeps", iteration, crept=True)
-                    if secant is not None and gain > FAITHFUL and age < LONGEST and not (done or small):
+                    # derivatives carried along may be why it was small
+                    fresh = not age
+                    why = _reason(
+                        path, iteration, fresh and bool(done or small), fresh and slight, unnoticed, little
+                    )
+                    if why is not None:
+                        return end(True, why, iteration)
+                    if (
+                        secant is not None
+                        and gain > FAITHFUL
+                        and age < LONGEST
+                        and not (done or slight or small)
+                    ):
                         rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
                     break
                 if age:
                     # derivatives carried along may be what is wrong
                     break
                 if small or abs(predicted) <= 1e-3 * tolerance * cost:
-                    return Solution(x, cost, True, "no step lowers the cost", iteration)
+                    return end(True, STUCK, iteration)
                 damping *= growth
                 growth *= 2.0
             else:
-                return Solution(
-                    x, cost, False, "no step lowers the cost though the gradient does not vanish", iteration
-                )
-    return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
+                return end(False, KINKED, iteration)
+    return end(False, f"not converged after {max_iterations} iterations", max_iterations)
+
+
+def _reason(
+    path: list[tuple[Array, float]],
+    iteration: int,
+    still: bool,
+    slight: bool,
+    unnoticed: Unnoticed | None,
+    little: float,
+) -> str | None:
+    """Why to end a search after a step, if at all."""
+    if still:
+        return STILL
+    if slight:
+        return HIDDEN
+    x, cost = path[-1]
+    if unnoticed is not None and len(path) > BRIEF:
+        there, before = path[-1 - BRIEF]
+        if before - cost <= unnoticed.cost and np.all(np.abs(x - there) <= unnoticed.move):
+            return HIDDEN
+    if iteration > CREEPING and len(path) > STRIDE and path[-1 - STRIDE][1] - cost < little * cost:
+        return CREPT
+    return None
+
+
+def _solution(path: list[tuple[Array, float]], success: bool, message: str, iterations: int) -> Solution:
+    """The end of a path of points and their costs."""
+    x, cost = path[-1]
+    there, before = path[-1 - STRIDE] if len(path) > STRIDE else (np.full(len(x), math.inf), math.inf)
+    return Solution(x, cost, success, message, iterations, message == CREPT, before - cost, x - there)
 
 
 def _attempt(

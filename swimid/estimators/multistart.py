@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -65,7 +66,8 @@ def multistart(
     Returns
     -------
     best : FitResult
-        Of the converged fit with the least cost.
+        Of the converged fit with the least cost, tested as
+        :func:`swimid.estimators.output_error.held_to_restarts` does.
     ends : list of Start
         In the order they were run. After Ctrl-C those still to come are left out.
 
@@ -87,7 +89,7 @@ def multistart(
             begin = given[k] if k < len(given) else rng.uniform(low, high)
             try:
                 found = output_error.fit(
-                    model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin
+                    model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin, tested=False
                 )
             except KeyboardInterrupt:
                 if best is None:
@@ -108,7 +110,7 @@ def multistart(
     if best is None:
         assert failure is not None
         raise failure
-    return best, ends
+    return output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:

@@ -22,8 +22,9 @@ from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
 from swimid.estimators import noise as noise_model
-from swimid.estimators import sandwich
+from swimid.estimators import restarts, sandwich
 from swimid.estimators.fit_result import FitResult, Noise, Series
+from swimid.estimators.levenberg import KINKED, STRIDE, Unnoticed
 from swimid.estimators.problem import LITTLE, Problem
 from swimid.models.base import Array, Model, Parameter, Trial
 from swimid.notices import warn
@@ -39,12 +40,20 @@ COARSE, FINE = 1e-3, 1e-10
 #: An estimate at its bound that would lie beyond it by at most this many standard errors may
 #: be there by noise alone.
 BY_NOISE = 2.0
+#: A move by this share of a standard error is no news: the root of :data:`problem.IMMATERIAL`.
+SLIGHT = 0.03
+#: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
+#: what fits of right models take (6 to 25; 52 where simulations break down at the start).
+LONGEST, BUDGET = 200, 75
 #: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
 CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
 #: standard deviations of its noise, at most so many times.
 STEP_ERROR = 0.1
 MAX_REFINEMENTS = 6
+#: Restarts near an answer, at most, and how much they raise twice the log-likelihood to have been needed: as
+#: much as one standard error.
+RESTARTS, ANOTHER = 6, 1.0
 
 Loss = Literal["linear", "huber"]
 
@@ -58,6 +67,8 @@ def fit(
     jobs: int | None = None,
     loss: Loss = "linear",
     begin: Array | None = None,
+    tested: bool = True,
+    unfinished: bool = False,
 ) -> FitResult:
     """Estimate the free parameters of a model from all fit trials at once.
 
@@ -78,34 +89,136 @@ def fit(
     begin : ndarray, shape (p,), optional
         Where the search starts, one number per label of the result; default the parameters'
         start values.
+    tested : bool
+        Whether the answer is held against points and short searches around it, and the search begun again
+        where one of them lies lower (:mod:`swimid.estimators.restarts`).
+    unfinished : bool
+        Return what a search came to that does not converge within :data:`BUDGET` iterations, marked so; else
+        that is an error.
 
     Returns
     -------
     FitResult
         Ctrl-C during the search stops it: the result is then the best point so far, not
-        converged. A second Ctrl-C raises KeyboardInterrupt.
+        converged, and ``message`` says why. A second Ctrl-C raises KeyboardInterrupt.
 
     Raises
     ------
     NoTrustworthyResult
-        When the search does not converge, or there are fewer samples than unknowns.
+        When the search does not converge, the model cannot be simulated, or there are fewer samples than
+        unknowns.
 
     Notes
     -----
     Weighted nonlinear least squares by a bounded Levenberg-Marquardt method, reweighted by the
-    estimated noise until the weights settle. Covariance ``H^-1 M H^-1`` with ``H = J'J``
+    estimated noise until the weights settle. The search ends where five steps together neither lower
+    the squared residuals by more than one parameter takes up of noise alone (:attr:`Sandwich.gain`; half
+    a unit of log likelihood where noise is white) nor move a shared estimate by :data:`SLIGHT` of its
+    standard error: what a model misses leaves a valley along which smaller steps would go on for ever.
+    Covariance ``H^-1 M H^-1`` with ``H = J'J``
     and ``M = sum_trials J_k' R J_k``, R the correlation of the weighted residuals under an
     autoregression chosen by BIC; multiplied by the trials' scatter where they disagree. A
     parameter that its bound may hold by noise alone counts as free in it.
     """
     parameters = tuple(parameters or model.parameters)
+    threads = jobs or os.cpu_count() or 1
+    result = _refined(model, trials, parameters, progress, threads, loss, begin, unfinished)
+    # what did not converge is no answer yet
+    return held_to_restarts(result, jobs=threads) if tested and result.converged else result
+
+
+def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
+    """The answer of a fit, or a better one that restarts around it lead to; warns where they do.
+
+    Parameters
+    ----------
+    result : FitResult
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    FitResult
+        With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    """
+    first, count = result, 0
+    try:
+        while not result.interrupted:
+            with threadpool_limits(limits=1, user_api="blas"):
+                begin = restarts.better(result, jobs=jobs, seed=count)
+            if begin is None or count == RESTARTS:
+                result = replace(result, restarts=count, settled=begin is None)
+                break
+            again = _refined(
+                result.model, result.trials, result.parameters, silent, jobs, _loss(result), begin, True
+            )
+            if not _objective(again) < _objective(result):
+                result = replace(result, restarts=count, settled=True)
+                break
+            if not again.converged:
+                result = replace(again, restarts=count + 1, settled=False)
+                break
+            result, count = again, count + 1
+    except KeyboardInterrupt:
+        return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
+    if _objective(first) - _objective(result) > ANOTHER:
+        warn(
+            "SWM073",
+            f"the search had stopped short of the best fit: {count} restart{'s' if count > 1 else ''} near "
+            f"its answer lowered the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %"
+            + ("" if result.settled else ", and the last still did: the answer may not be the best one"),
+        )
+    return result
+
+
+def _loss(result: FitResult) -> Loss:
+    return "huber" if result.loss == "huber" else "linear"
+
+
+def _objective(result: FitResult) -> float:
+    """Twice the negative log-likelihood but for a constant, that of random effects included."""
+    chance = 0.0
+    for p in result.parameters:
+        if math.isfinite(p.spread):
+            mine = [j for j, label in enumerate(result.labels) if label.split("[")[0] == p.name]
+            chance += float(np.sum(((result.estimate[mine] - p.start) / p.spread) ** 2))
+    return result.samples * math.log(max(result.cost, 1e-300)) + chance
+
+
+def _refined(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    progress: Progress,
+    jobs: int,
+    loss: Loss,
+    begin: Array | None,
+    unfinished: bool,
+) -> FitResult:
+    """The fit, with the integration step halved until that changes nothing."""
     for _ in range(MAX_REFINEMENTS):
         # the matrices here are small: BLAS threads would only take the cores from the simulations
         with threadpool_limits(limits=1, user_api="blas"):
-            result = _fit_once(model, trials, parameters, progress, jobs or os.cpu_count() or 1, loss, begin)
+            result = _fit_once(
+                model,
+                trials,
+                parameters,
+                progress,
+                jobs,
+                loss,
+                begin,
+                budget=BUDGET if unfinished else LONGEST,
+            )
+        if not (result.converged or result.interrupted or unfinished):
+            raise NoTrustworthyResult(
+                f"the fit did not converge: {result.message}",
+                hint="check units and trial settings, or hold a parameter with --fix",
+            )
         finer = model.refined()
         if finer is None or result.interrupted:
             return result
+        if not result.converged:
+            return replace(result, step_error=_step_error(result, finer))
         result = replace(result, step_error=_step_error(result, finer))
         if result.step_error <= STEP_ERROR:
             return result
@@ -172,6 +285,7 @@ def _fit_once(
     begin: Array | None,
     *,
     search: bool = True,
+    budget: int = 0,
 ) -> FitResult:
     fitted = [t for t in trials if t.role == "fit"]
     if not fitted:
@@ -185,12 +299,16 @@ def _fit_once(
             hint="give longer logs or more trials, or fix some parameters",
         )
     try:
-        path = _Search(problem, start, loss)
+        path = _Search(problem, start, loss, budget)
         if search:
             path.run(progress)
         else:
             path.stay()
-        _insist(problem, path)
+        if not np.isfinite(path.theta).all():
+            raise NoTrustworthyResult(
+                f"the fit did not converge: {path.message}", hint="check units and trial settings"
+            )
+        _insist_unbroken(problem, path.theta)
         if path.crept:
             warn(
                 "SWM026",
@@ -198,7 +316,9 @@ def _fit_once(
                 f"ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
             )
         noise = noise_model.estimate(problem, path.theta, path.noise, robust=loss == "huber")
-        return _result(problem, path, noise, parameters, tuple(trials), loss)
+        result = _result(problem, path, noise, parameters, tuple(trials), loss)
+        why = None if path.interrupted or not search else _unfinished(path, result)
+        return result if why is None else replace(result, converged=False, message=why)
     finally:
         problem.close()
 
@@ -210,11 +330,14 @@ class _Search:
     problem: Problem
     theta: Array
     loss: Loss
+    budget: int
     converged: bool = False
     interrupted: bool = False
     crept: bool = False
     message: str = ""
     iterations: int = 0
+    lowered: float = math.inf
+    moved: Array | None = None
 
     def __post_init__(self) -> None:
         self.noise: dict[str, tuple[float, float]] = {}
@@ -228,7 +351,7 @@ class _Search:
             with progress("fitting", total=rounds) as step:
                 for round_ in range(rounds):
                     settled = round_ == rounds - 1 or (round_ > 0 and self._reweigh() < SETTLED)
-                    self._solve(FINE if settled else COARSE, lambda text: show(step, text))
+                    self._solve(settled, lambda text: show(step, text))
                     step()
                     if settled:
                         break
@@ -252,6 +375,7 @@ class _Search:
         fitted = self.problem.trials
         return (
             self.loss == "linear"
+            and not self.problem.random.any()
             and len({c for names in self.problem.channels for c in names}) == 1
             and not any(t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted)
         )
@@ -263,26 +387,62 @@ class _Search:
         self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
         return noise_model.far_apart(self.problem, before)
 
-    def _solve(self, tolerance: float, tell: Callable[[str], None]) -> None:
+    def _unnoticed(self) -> Unnoticed:
+        """What the last steps of a search may still do without being noticed."""
+        problem, theta = self.problem, self.theta
+        _insist_unbroken(problem, theta)
+        raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
+        residuals, factors = noise_model.influence(problem, raw)
+        jacobians = problem.trial_jacobians(theta)
+        rows = [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
+        found = sandwich.sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
+        errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
+        shared = np.array([owner is None for _, owner in problem.slots])
+        # numbers of single trials (start states) are no answer: they may go on creeping
+        known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
+        return Unnoticed(found.gain, np.where(known, SLIGHT * errors, math.inf))
+
+    def _solve(self, last: bool, tell: Callable[[str], None]) -> None:
         done = self.iterations
 
         def watch(x: Array, cost: float, iteration: int) -> None:
             self.theta, self.iterations, self.message = x, done + iteration, "searching"
             tell(f"iteration {self.iterations}, cost {cost:.5g}")
 
-        solution = self.problem.solve(self.theta, tolerance=tolerance, watch=watch)
+        solution = self.problem.solve(
+            self.theta,
+            tolerance=FINE if last else COARSE,
+            unnoticed=self._unnoticed() if last and done else None,
+            max_iterations=max(self.budget - done, 1),
+            watch=watch,
+        )
         self.theta, self.iterations = solution.x, done + solution.iterations
         self.converged, self.message, self.crept = solution.success, solution.message, solution.crept
+        self.lowered, self.moved = solution.lowered, solution.moved
 
 
-def _insist(problem: Problem, search: _Search) -> None:
-    """Raise where there is nothing to go on from."""
-    if not (search.converged or search.interrupted) or not np.isfinite(search.theta).all():
-        raise NoTrustworthyResult(
-            f"the fit did not converge: {search.message}",
-            hint="check units and trial settings, or hold a parameter with --fix",
-        )
-    _insist_unbroken(problem, search.theta)
+def _unfinished(search: _Search, result: FitResult) -> str | None:
+    """Why the end of a search is no minimum, in words; None where it is one as far as noise tells."""
+    moving = {}
+    if search.moved is not None and not (search.converged and not search.crept):
+        for label, move in zip(result.labels, search.moved, strict=True):
+            error = result.stderr(label)
+            if "[" not in label and result.status[label] == "estimated" and error:
+                moving[label] = abs(float(move)) / error
+    worst = max(moving, key=lambda label: moving[label], default=None)
+    still = worst is not None and moving[worst] > STRIDE * SLIGHT
+    if search.converged and not still:
+        return None
+    if search.message == KINKED:
+        said = f"kinks: after {search.iterations} iterations no step lowers the cost as its slope promises"
+    elif search.lowered <= LITTLE * result.samples:
+        said = f"a flat valley: after {search.iterations} iterations steps hardly lower the cost"
+    else:
+        said = f"after {search.iterations} iterations steps still lower the cost"
+    if still and worst is not None and math.isfinite(moving[worst]):
+        said += f", and the last {STRIDE} moved {worst} by {moving[worst]:.2g} standard errors"
+    bound = [label for label in result.labels if "[" not in label and result.status[label] == "at-bound"]
+    return said + (f"; {', '.join(bound)} at a bound" if bound else "")
 
 
 def _insist_unbroken(problem: Problem, theta: Array) -> None:
@@ -309,6 +469,9 @@ def _result(
     residuals, factors = noise_model.influence(problem, raw)
     rows = [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
     autoregressions = noise_model.autoregressions(problem, residuals)
+    priors = problem.priors(theta)
+    rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
+    residuals = [np.concatenate((a, b)) for a, (b, _) in zip(residuals, priors, strict=True)]
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.estimators.levenberg import Solution, minimise
+from swimid.estimators.levenberg import Solution, Unnoticed, minimise
 from swimid.models.base import Array, Model, Parameter, Trial
 
 #: Simulations that take longer than this, s, are shared among threads.
@@ -52,6 +52,9 @@ class Problem:
         depend on it. :meth:`close` ends them.
     near : float
         As :data:`NEAR`, of this problem.
+    random : ndarray of bool, length p
+        Numbers that are random effects (:attr:`Parameter.spread`): each adds its distance from the middle, in
+        standard deviations, to the weighted residuals of its trial.
     """
 
     def __init__(
@@ -101,6 +104,9 @@ class Problem:
         self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
         starts = np.array([self._start_of(i, owner) for i, owner in self.slots])
         self.start = np.clip(starts, self.lower, self.upper)
+        self._spread = np.array([self.parameters[i].spread for i, _ in self.slots])
+        self._middle = np.array([self.parameters[i].start for i, _ in self.slots])
+        self.random = np.isfinite(self._spread)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
@@ -168,8 +174,19 @@ class Problem:
         return np.where(np.isfinite(values), values, BROKEN)
 
     def residuals(self, theta: Array) -> Array:
-        """Weighted residuals of all trials, shape (n,)."""
-        return np.concatenate([self.trial_residuals(theta, k) for k in range(len(self.trials))])
+        """Weighted residuals of all trials, and of the random effects behind them, shape (n,)."""
+        parts = [self.trial_residuals(theta, k) for k in range(len(self.trials))]
+        return np.concatenate([*parts, *(r for r, _ in self.priors(theta))])
+
+    def priors(self, theta: Array) -> list[tuple[Array, Array]]:
+        """Residuals of each trial's random effects, shape (m_k,), and their derivatives, shape (m_k, p)."""
+        found = []
+        for k in range(len(self.trials)):
+            mine = [j for j in self.own(k) if self.random[j]]
+            rows = np.zeros((len(mine), len(theta)))
+            rows[range(len(mine)), mine] = 1.0 / self._spread[mine]
+            found.append(((theta[mine] - self._middle[mine]) / self._spread[mine], rows))
+        return found
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Derivative of each trial's residuals, shape (n_k, p) each.
@@ -196,14 +213,20 @@ class Problem:
 
     def jacobian(self, theta: Array) -> Array:
         """Derivative of all residuals, shape (n, p)."""
-        return np.concatenate(self.trial_jacobians(theta))
+        return np.concatenate([*self.trial_jacobians(theta), *(rows for _, rows in self.priors(theta))])
 
     def solve(
-        self, theta: Array, *, tolerance: float, watch: Callable[[Array, float, int], None] | None = None
+        self,
+        theta: Array,
+        *,
+        tolerance: float,
+        unnoticed: Unnoticed | None = None,
+        max_iterations: int = 200,
+        watch: Callable[[Array, float, int], None] | None = None,
     ) -> Solution:
-        """Minimise the squared residuals from ``theta`` on, inside the bounds.
+        """Minimise the squared residuals from ``theta`` on, inside the bounds, in at most so many iterations.
 
-        ``watch`` is called as :func:`swimid.estimators.levenberg.minimise` does.
+        The options are those of :func:`swimid.estimators.levenberg.minimise`.
         """
         return minimise(
             self.residuals,
@@ -215,6 +238,8 @@ class Problem:
             tolerance=tolerance,
             enough=IMMATERIAL,
             little=LITTLE,
+            unnoticed=unnoticed,
+            max_iterations=max_iterations,
             watch=watch,
         )
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from swimid.estimators.fit_result import FitResult
-from swimid.estimators.problem import Problem
-from swimid.models.base import Parameter
+from swimid.estimators.restarts import weighted
 
 
 def profile_interval(
@@ -29,7 +28,7 @@ def profile_interval(
     stderr = result.stderr(name)
     if stderr is None:
         return None, None
-    whole = weighted_problem(result, result.parameters)
+    whole = weighted(result, result.parameters)
     best = whole.residuals(result.estimate)
     cost = float(best @ best)
     rows = whole.jacobian(result.estimate)
@@ -42,7 +41,7 @@ def profile_interval(
 
     def excess(value: float) -> float:
         held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
-        return weighted_problem(result, held).solve(others, tolerance=1e-8).cost - cost - limit
+        return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
 
     parameter = next(p for p in result.parameters if p.name == name)
     ends: list[float | None] = []
@@ -58,12 +57,3 @@ def profile_interval(
             near = far
         ends.append(end)
     return ends[0], ends[1]
-
-
-def weighted_problem(result: FitResult, parameters: tuple[Parameter, ...]) -> Problem:
-    """The fit's problem with its final weights, for other choices of parameters."""
-    problem = Problem(result.model, parameters, [t for t in result.trials if t.role == "fit"])
-    known = {(s.trial, s.channel): s.sd for s in result.series}
-    for k, trial in enumerate(problem.trials):
-        problem.sd[k] = [known[trial.id, channel] for channel in problem.channels[k]]
-    return problem

@@ -53,7 +53,7 @@ def correlated_rows(
     Parameters
     ----------
     jacobians : list of ndarray, each shape (n_k, p)
-        Of the weighted residuals of each trial.
+        Of the weighted residuals of each trial. Rows beyond its samples, of random effects, are white.
     autoregressions : dict of channel name to ndarray
 
     Returns
@@ -73,7 +73,7 @@ def correlated_rows(
             if len(autoregressions[channel]):
                 rows = matmul_toeplitz(rho[channel][: len(mask)], rows)
             parts.append(rows[mask])
-        products.append(np.concatenate(parts) if parts else np.zeros((0, jacobian.shape[1])))
+        products.append(np.concatenate([*parts, jacobian[at:]]))
     return products
 
 
@@ -93,6 +93,9 @@ class Sandwich:
         stays accurate where that is singular.
     step : ndarray, shape (p,)
         The Gauss-Newton step from here to the minimum without bounds.
+    gain : float
+        Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
+        unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
     scatter : float
         At least 1.
     scatter_p : float
@@ -104,6 +107,7 @@ class Sandwich:
     null: NDArray[np.bool_]
     root: Array
     step: Array
+    gain: float
     scatter: float
     scatter_p: float
 
@@ -157,6 +161,8 @@ def sandwich(
         null=null,
         root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
         step=-outer @ (u[:, good].T @ r),
+        # the mean of r' U U' r over noise r of correlation R, for each of the columns of U
+        gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
         scatter=scatter,
         scatter_p=p_value,
     )

@@ -12,6 +12,9 @@ from swimid.formats.trials import Arma as ArmaTrials
 from swimid.models.arx import Arma
 from swimid.models.base import Trial
 
+#: The keys of a trials file that are used, by experiment.
+USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
+
 
 def model_of(file: ParameterFile, path: Path) -> Arma:
     """The model a parameter file holds.
@@ -30,7 +33,7 @@ def model_of(file: ParameterFile, path: Path) -> Arma:
 def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experiment:
     """Read trials of the experiment ``arma`` for the model of a parameter file.
 
-    Input and output are the columns the model was fitted with.
+    Input and output are the columns the model was fitted with; a trials file that names others is refused.
 
     Raises
     ------
@@ -38,9 +41,17 @@ def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experi
         For anything wrong in the trials file, the parameter file or a log.
     """
     path = Path(path)
-    entries = trials_format.read(path, ArmaTrials)
+    entries = trials_format.read(path, ArmaTrials, uses=USES)
     robot = trials_format.robot_of(entries, path)
     model = model_of(file, parameters_path)
+    for key, mine in (("input", None if model.sine else model.source), ("output", model.output)):
+        named = getattr(entries, key)
+        if mine is not None and named is not None and named != mine:
+            raise InputError(
+                f"these trials name the {key} '{named}', the parameters are of '{mine}'",
+                file=path,
+                column=key,
+            )
     wanted = [model.output] if model.sine else [model.source, model.output]
     trials, logs = [], []
     for entry in entries.trials:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError
 from swimid.experiments import arma, propulsion, rig, swimmer
 from swimid.experiments.applied import Applied
 from swimid.experiments.base import Experiment
@@ -51,7 +51,7 @@ def read_parameters(path: str | Path) -> ParameterFile:
 
 def load(
     trials_file: str | Path,
-    parameters: str | Path,
+    parameters: str | Path | None,
     *,
     robot: str | None = None,
     chosen: dict[str, float] | None = None,
@@ -62,7 +62,9 @@ def load(
 
     Parameters
     ----------
-    trials_file, parameters : path
+    trials_file : path
+    parameters : path or None
+        Without a file, the values of the robot file, or the model's start values where it has none.
     robot : str, optional
         Accept the parameters for this robot although the file names another one.
     chosen : dict of str to float, optional
@@ -78,7 +80,11 @@ def load(
         For anything wrong in one of the files: another experiment than the parameters' model
         describes, another robot, missing columns.
     """
-    trials_path, path = Path(trials_file), Path(parameters)
+    trials_path = Path(trials_file)
+    if parameters is None:
+        experiment = _of_trials(trials_path, readings, max_step)
+        return Loaded(experiment, Applied(experiment.model, chosen=chosen or {}))
+    path = Path(parameters)
     file = read_parameters(path)
     entries: Any = trials_format.read(trials_path)
     if entries.experiment not in EXPERIMENTS[file.model]:
@@ -100,6 +106,24 @@ def load(
         experiment = _propulsion(trials_path, file, path)
     experiment = replace(experiment, inputs=[*experiment.inputs, path])
     return Loaded(experiment, Applied(experiment.model, file, path, chosen or {}))
+
+
+def _of_trials(path: Path, readings: dict[str, str] | None, max_step: float) -> Experiment:
+    """The model that a trials file and its robot suggest: of links where the robot has any."""
+    entries: Any = trials_format.read(path)
+    if entries.experiment == "arma":
+        raise UsageError(
+            "a black-box model has no values but those of a fit: give them with --params",
+            hint="swimid rwls makes them",
+        )
+    robot = trials_format.robot_of(entries, path)
+    if entries.experiment == "multibody" or (
+        entries.experiment == "free-swim" and (robot.multilink is not None or robot.multibody is not None)
+    ):
+        return swimmer.load(path, readings=readings, max_step=max_step)
+    if entries.experiment in ("cruise", "free-swim"):
+        return propulsion.load(path)
+    return rig.load(path)
 
 
 def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
@@ -188,4 +212,13 @@ def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experimen
     experiment = propulsion.load(trials_path)
     assert isinstance(experiment.model, SurgeModel)
     set_references(experiment.model, file, path)
+    for key in ("waveform", "asymmetry"):
+        fitted, here = file.settings.get(key), experiment.facts[key]
+        if fitted is not None and fitted != here:
+            raise InputError(
+                f"these trials were driven with the {key} {here}, those of the parameters with {fitted}: "
+                "each has a thrust of its own",
+                file=trials_path,
+                column=f"drive.{key}",
+            )
     return experiment

@@ -17,7 +17,7 @@ from swimid.formats import trials as trials_format
 from swimid.formats.log import Log
 from swimid.formats.parameters import ParameterFile
 from swimid.formats.robot import Robot
-from swimid.formats.trials import Cruise, Drive, FreeSwim
+from swimid.formats.trials import Cruise, Drive, FreeSwim, StrokeDrive
 from swimid.models.base import Trial
 from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.notices import warn
@@ -27,6 +27,14 @@ from swimid.signals.beat import TOLERANCE, find_beat
 #: beside it: they set how runs weigh against each other, the overall size is estimated.
 STOP_WATCH_SD_S = 0.1
 SPEED_SCATTER = 0.01
+#: The keys of a trials file that are used, by experiment. The phase of the drive does not touch
+#: averages over beats; a stroke is refused by name.
+USES = {
+    "cruise": frozenset({"format", "experiment", "robot", "table", "drag"}),
+    "free-swim": trials_format.EVERYWHERE
+    | {"trials.drive"}
+    | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
+}
 
 
 def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
@@ -43,7 +51,7 @@ def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
         For anything wrong in one of the files.
     """
     path = Path(path)
-    entries = trials_format.read(path, Cruise, FreeSwim)
+    entries = trials_format.read(path, Cruise, FreeSwim, uses=USES)
     robot = trials_format.robot_of(entries, path)
     if isinstance(entries, FreeSwim):
         return _free_swim(path, entries, robot)
@@ -147,6 +155,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
     trials, logs = [], []
     found: dict[str, dict[str, float | str | None]] = {}
     turning = []
+    waveforms: dict[tuple[str, float], str] = {}
     for entry in entries.trials:
         drive = entry.drive
         if not isinstance(drive, Drive):
@@ -166,11 +175,17 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
+        waveforms.setdefault(_waveform(drive), entry.id)
         frequency = beat.frequency_hz if beat is not None else drive.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
+        # the law knows the full stroke only; a ramp that nobody stated is none of a measured log
+        ramp = drive.ramp_s if "ramp_s" in drive.model_fields_set else 0.0
+        full = time - 0.5 / frequency >= ramp - 1e-9
+        time, speed = time[full], speed[full]
         whole = int(np.isfinite(speed).sum())
         if whole < 4:
-            raise InputError(f"holds {whole} whole beats; at least 4 are needed", file=log.path)
+            after = "" if full.all() else f" after the drive's ramp of {ramp:g} s"
+            raise InputError(f"holds {whole} whole beats{after}; at least 4 are needed", file=log.path)
         trials.append(
             Trial(
                 id=entry.id,
@@ -192,6 +207,15 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         )
     if not trials:
         raise InputError("no straight trial (bias_deg 0) is left", file=path, column="trials")
+    if len(waveforms) > 1:
+        (one, first), (other, second) = list(waveforms.items())[:2]
+        raise InputError(
+            f"'{first}' swims with the drive {_said(one)}, '{second}' with {_said(other)}: each has a thrust "
+            "of its own",
+            file=path,
+            column="drive.waveform",
+            hint="write a trials file for each",
+        )
     if any(t.settings["amplitude_rad"] <= 0 for t in trials):
         raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
     # frequencies measured as one setting scatter by their error: take the settings' medians
@@ -201,9 +225,26 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         frequencies_hz=[t.settings["frequency_hz"] for t in trials],
         speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
     )
+    waveform, asymmetry = next(iter(waveforms))
     return Experiment(
-        "free-swim", robot, model, trials, input_files(path, entries.robot, logs), facts={"beats": found}
+        "free-swim",
+        robot,
+        model,
+        trials,
+        input_files(path, entries.robot, logs),
+        facts={"beats": found, "waveform": waveform, "asymmetry": asymmetry},
     )
+
+
+def _waveform(drive: Drive) -> tuple[str, float]:
+    """What makes the thrust of one stroke another's; on its limit cycle the Hopf oscillator is the sine."""
+    if drive.waveform == "a-cpg" and drive.asymmetry != 0:
+        return "a-cpg", drive.asymmetry
+    return "sine", 0.0
+
+
+def _said(waveform: tuple[str, float]) -> str:
+    return waveform[0] if waveform[1] == 0 else f"{waveform[0]} of asymmetry {waveform[1]:g}"
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:

@@ -20,6 +20,16 @@ from swimid.models import rig
 from swimid.models.base import Array, Trial
 from swimid.notices import warn
 
+_INERTIA = "trials.inertial_mass_kg"
+_DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
+#: The keys of a trials file that are used, by experiment.
+USES = {
+    "falling-weight": trials_format.EVERYWHERE
+    | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
+    "towed": trials_format.EVERYWHERE | {_INERTIA, *_DRAG},
+    "free-decay": trials_format.EVERYWHERE | {_INERTIA},
+}
+
 
 def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
     """Read a trials file of one of the rig experiments.
@@ -35,7 +45,7 @@ def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
         For anything wrong in the trials file, the robot file or a log.
     """
     path = Path(path)
-    entries = trials_format.read(path, FallingWeight, Towed, FreeDecay)
+    entries = trials_format.read(path, FallingWeight, Towed, FreeDecay, uses=USES)
     robot = trials_format.robot_of(entries, path)
     if coordinate is not None and not isinstance(entries, FreeDecay):
         warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
@@ -68,6 +78,14 @@ def _area_factor(entry: RigTrial, robot: Robot) -> float | None:
 
 def _area_factors(entries: list[Any], robot: Robot, path: Path) -> list[float | None]:
     factors = [_area_factor(e, robot) for e in entries]
+    for entry, factor in zip(entries, factors, strict=True):
+        if factor is None and entry.fluid_density_kg_m3 is not None:
+            raise InputError(
+                f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
+                file=path,
+                column="fluid_density_kg_m3",
+                hint="give frontal_area_m2 in the trial or in the robot file",
+            )
     known = [f is not None for f in factors]
     if any(known) and not all(known):
         missing = entries[known.index(False)].id
@@ -354,6 +372,13 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
                 "a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg"
             )
         return mass
+    if entry.inertial_mass_kg is not None:
+        raise InputError(
+            f"the mass of '{entry.id}' has no effect on a free decay in {axis}",
+            file=path,
+            column="inertial_mass_kg",
+            hint=f"the inertia is {axis}_inertia_kg_m2 of the robot file",
+        )
     inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
     if not inertia:
         warn(

@@ -40,6 +40,13 @@ MIN_OPENING = 7
 BETTER = 6.0
 #: Share of the drive's ramp after which a log that begins there begins in motion.
 UNDER_WAY = 0.3
+#: The keys of a trials file that are used, by experiment.
+USES = dict.fromkeys(
+    ("free-swim", "multibody"),
+    trials_format.EVERYWHERE
+    | {"trials.coefficients", "trials.drive"}
+    | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
+)
 #: The beat is looked for up to this multiple of the stated frequency.
 BEAT_RANGE = 8.0
 
@@ -102,7 +109,7 @@ def load(
         For a channel the robot does not have.
     """
     path = Path(path)
-    entries = trials_format.read(path, FreeSwim, Multibody)
+    entries = trials_format.read(path, FreeSwim, Multibody, uses=USES)
     assert isinstance(entries, FreeSwim | Multibody)
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
     _check_channels(model, channels)

@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from swimid.errors import InputError
 from swimid.formats import atomic
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
+#: Name of the check that fails where a unit cannot be right.
+POSSIBLE = "Values a swimmer reaches"
 #: A trace longer than this is reduced to its envelope before it is stored.
 MAX_POINTS = 2000
 
@@ -179,6 +181,18 @@ class Evidence(_Part):
     references: list[str] = []
     #: The same block as the ``provenance`` of the result.
     provenance: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _nothing_impossible(self) -> Evidence:
+        """A result that rests on values no swimmer reaches is not to be relied on."""
+        impossible = [notice.text for notice in self.notices if notice.code == "SWM002"]
+        if impossible and not any(check.name == POSSIBLE for check in self.checks):
+            self.checks.append(
+                Check(name=POSSIBLE, value="beyond", verdict="fail", text="; ".join(impossible))
+            )
+            text = f"{self.verdict.text} Values that no swimmer reaches: {'; '.join(impossible)}."
+            self.verdict = Verdict(level="bad", text=text)
+        return self
 
 
 def sidecar(result: str | Path) -> Path:

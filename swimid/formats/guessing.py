@@ -44,6 +44,10 @@ _TIME = re.compile(
     r"(t|time|(time)?[ _.]?stamp|timestamp|zeit|temps|seconds|log_time|header[ _.]stamp|sampletime(fine)?|"
     r"epoch)"
 )
+#: Names of columns that count samples and are no time.
+_COUNT = re.compile(r"frame([ _.]?(number|no|index))?|index|sample|n|unnamed: 0|column 1")
+#: A point of a tracker of pictures, in pixels where the table tells how likely each one is.
+_POINT = re.compile(r"(?P<point>[A-Za-z]\w*)_(?P<what>x|y|likelihood)")
 _UNIT = re.compile(r"[\[(/]\s*(?P<unit>[^\])\d][^\])]*)\s*[\])]?\s*$")
 #: Correlation from which on a column is the rate of change of another.
 ALIKE = 0.8
@@ -62,6 +66,8 @@ class Guess:
     target : str or None
         Column of the log format, ``t_s`` for the time; None where nothing is known.
     unit : str or None
+    factor : float
+        Beside that of the unit.
     why : list of str
         The evidence.
     """
@@ -69,6 +75,7 @@ class Guess:
     source: str
     target: str | None = None
     unit: str | None = None
+    factor: float = 1.0
     why: list[str] | None = None
 
     def say(self, reason: str) -> None:
@@ -92,6 +99,7 @@ def guess(columns: Mapping[str, Array], written: Mapping[str, str], *, headed: b
     if headed:
         for found in guesses:
             _by_name(found, written.get(found.source))
+        _points(guesses)
     time = _find_time(guesses, columns)
     if time is not None:
         _time_unit(time, columns[time.source])
@@ -100,6 +108,27 @@ def guess(columns: Mapping[str, Array], written: Mapping[str, str], *, headed: b
     _units_by_values(guesses, columns)
     _unique(guesses)
     return guesses
+
+
+def _points(guesses: Sequence[Guess]) -> None:
+    """Points of a table of a picture tracker: each with its likelihood; the first is the track."""
+    parts = {g.source: _POINT.fullmatch(g.source.strip()) for g in guesses}
+    sure = [m["point"] for m in parts.values() if m is not None and m["what"] == "likelihood"]
+    for g in guesses:
+        match = parts[g.source]
+        if match is None or match["point"] not in sure:
+            continue
+        point, what = match["point"], match["what"]
+        name = re.sub(r"[^A-Za-z0-9]+", "_", point)
+        g.unit = None
+        if what == "likelihood":
+            g.target, g.why = f"{name}_likelihood", ["its name"]
+        else:
+            g.target = f"{what}_px" if point == sure[0] else f"{name}_{what}_px"
+            g.why = [f"{what} of the point {point}, with a likelihood: pixels"]
+            if what == "y":
+                g.factor = -1.0
+                g.say("rows count downwards")
 
 
 def _by_name(found: Guess, written: str | None) -> None:
@@ -169,7 +198,11 @@ def _fits(unit: str, target: str) -> bool:
 
 def _find_time(guesses: list[Guess], columns: Mapping[str, Array]) -> Guess | None:
     named = [g for g in guesses if g.target == "t_s"]
-    growing = [g for g in guesses if _grows(columns[g.source])]
+    growing = [
+        g
+        for g in guesses
+        if g.target in (None, "t_s") and _grows(columns[g.source]) and not _counts(g, columns[g.source])
+    ]
     # when it was measured before when it was recorded
     named.sort(key=lambda g: "header" not in g.source)
     chosen = next((g for g in named if g in growing), None)
@@ -181,6 +214,14 @@ def _find_time(guesses: list[Guess], columns: Mapping[str, Array]) -> Guess | No
         if other is not chosen:
             other.target = None
     return chosen
+
+
+def _counts(found: Guess, values: Array) -> bool:
+    """Whether a column numbers the samples."""
+    known = values[np.isfinite(values)]
+    return bool(
+        _COUNT.fullmatch(found.source.strip().lower()) and len(known) > 1 and np.all(np.diff(known) == 1)
+    )
 
 
 def _grows(values: Array) -> bool:

@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.formats import atomic, yamlio
+from swimid.formats import atomic, plausible, yamlio
 from swimid.formats.delimited import MISSING, column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
@@ -62,6 +62,11 @@ class Log:
     def line(self, row: int) -> int | None:
         """Line of the file that holds sample ``row``; None for Parquet."""
         return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
+
+
+def written_by(metadata: Mapping[str, Any], program: str) -> bool:
+    """Whether ``swimid`` (or one of its verbs, ``swimid track``) wrote a log, by its metadata."""
+    return str(metadata.get("made_by", "")).startswith(program)
 
 
 def read(
@@ -330,34 +335,9 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def warn_units(log: Log) -> None:
-    """Values no swimming robot reaches in the unit the column claims."""
-    time = log.time_s
-    if len(time) > 2 and np.median(np.diff(time)) >= 5 and np.ptp(time) >= 2000:
-        warn("SWM002", f"{log.path.name}, 't_s': the steps look like milliseconds (a factor of 1000)")
-    for name, values in log.columns.items():
-        ends = _ends(values)
-        largest = max(-ends[0], ends[1])
-        tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
-        if name.endswith("_rad") and (
-            tilted
-            or max(_ends(np.diff(values))) > 2.2 * np.pi
-            or (name[:3] in ("joi", "cmd") and largest > 2 * np.pi)
-        ):
-            warn("SWM002", f"{log.path.name}, '{name}': looks like degrees (a factor of 57.3)")
-        elif name.endswith("_rad_s") and largest > 60:
-            warn("SWM002", f"{log.path.name}, '{name}': looks like degrees per second (a factor of 57.3)")
-        elif name in ("x_m", "y_m", "z_m") and ends[1] - ends[0] > 100:
-            warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres (a factor of 1000)")
-        elif name.endswith("_m_s") and largest > 20:
-            warn("SWM002", f"{log.path.name}, '{name}': looks like millimetres per second (a factor of 1000)")
-
-
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Smallest and largest value, zeros where there is none."""
-    if len(values) == 0:
-        return 0.0, 0.0
-    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-    return (0.0, 0.0) if np.isnan(low) else (low, high)
+    """Warn of values no swimmer reaches in the unit the column claims."""
+    for doubt in plausible.doubts(log.time_s, log.columns):
+        warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
 
 # ---------------------------------------------------------------- writing

@@ -20,7 +20,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from swimid.errors import InputError, nearest
 from swimid.formats import units, yamlio
 from swimid.formats.foreign import Options, Source, open_source
-from swimid.formats.log import TIME, metadata_of
+from swimid.formats.log import TIME, metadata_of, written_by
 from swimid.progress import Progress, silent
 
 FORMAT = "swimid-mapping/1"
@@ -202,7 +202,7 @@ def identity(path: str | Path, *, progress: Progress = silent) -> MappedLog:
         found = _mapped(read_as, path, source, progress)
     finally:
         source.close()
-    if text:
+    if text and not written_by(found.metadata, "swimid"):
         found.notes.append(f"columns of text left out: {', '.join(text)}")
     return found
 

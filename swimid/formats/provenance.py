@@ -6,7 +6,7 @@ import hashlib
 import os
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,17 @@ def sha256(path: str | Path) -> str:
 def digests_of(inputs: Iterable[str | Path]) -> dict[str, str]:
     """SHA-256 of each file, by its name relative to the working folder."""
     return {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+
+
+def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
+    """One SHA-256 for many files under one name: that of their digests, each with its file's name.
+
+    A single file has its own.
+    """
+    if len(files) == 1:
+        return {os.path.relpath(name): sha256(files[0])}
+    lines = "".join(f"{sha256(file)}  {Path(file).name}\n" for file in files)
+    return {os.path.relpath(name): hashlib.sha256(lines.encode()).hexdigest()}
 
 
 def collect(

@@ -196,7 +196,8 @@ class Setup(Document):
 
     format: Literal["swimid-setup/1"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
-    #: The marker whose path is the log's (the nose), and the one behind it.
+    #: The marker whose path is the log's (the nose), and the one behind it. Of markers of one kind the first
+    #: is the head unless said otherwise, and they need no tail.
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
@@ -232,7 +233,7 @@ class Setup(Document):
             raise ValueError("tail is given without head")
         if self.head is not None and self.head == self.tail:
             raise ValueError(f"head and tail are both '{self.head}'")
-        if self.head is None and len(names) > 1:
+        if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.reference_offset_m != (0.0, 0.0) and (self.tail is None or self.scale is None):
             raise ValueError("reference_offset_m needs a head, a tail and a scale")
@@ -294,7 +295,7 @@ def read(path: str | Path) -> Setup:
     """
     data = yamlio.load(path)
     setup = yamlio.validate(data, Setup, path)
-    if setup.plane == "vertical" and setup.tail is None and len(setup.marker_names) > 1:
+    if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
         raise InputError(
             "plane: vertical with several markers needs a tail for the pitch", file=path, column="tail"
         )

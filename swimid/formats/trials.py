@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import filecmp
+import itertools
+import math
+import os
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -10,6 +15,7 @@ from pydantic import Discriminator, Field, PositiveFloat, Tag, model_validator
 from swimid.errors import InputError, nearest
 from swimid.formats import robot as robot_format
 from swimid.formats import yamlio
+from swimid.notices import warn
 
 FORMAT = "swimid-trials/1"
 
@@ -25,6 +31,12 @@ class Drive(yamlio.Document):
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
     #: Phase of the beat at t = 0.
     phase_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _asymmetric(self) -> Drive:
+        if self.asymmetry != 0 and self.waveform != "a-cpg":
+            raise ValueError(f"'asymmetry' belongs to the waveform a-cpg; a {self.waveform} has none")
+        return self
 
 
 class StrokeDrive(yamlio.Document):
@@ -168,13 +180,27 @@ EXPERIMENTS: dict[str, type[_Trials]] = {
 T = TypeVar("T", bound=_Trials)
 
 
-def read(path: str | Path, *experiments: type[T]) -> T:
+#: Keys that every reader of trials uses; those of a trial and of its drive with their path.
+EVERYWHERE = frozenset(
+    {"format", "experiment", "robot", "trials"}
+    | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
+)
+
+
+def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[str]] | None = None) -> T:
     """Read a trials file of one of the given experiments.
+
+    Parameters
+    ----------
+    uses : mapping, optional
+        By experiment, the keys that the caller uses (``trials.drive.ramp_s``): any other that the file
+        sets is an error. Who computes anything from the trials gives it.
 
     Raises
     ------
     InputError
-        For broken YAML, unknown keys, another experiment than those, repeated trial ids.
+        For broken YAML, unknown or unused keys, another experiment than those, repeated trial ids, rows
+        of a log that are both fitted and held out.
     """
     path = Path(path)
     data = yamlio.of_format(path, FORMAT, "trials file")
@@ -192,13 +218,101 @@ def read(path: str | Path, *experiments: type[T]) -> T:
             hint=f"did you mean '{close}'?" if close else None,
         )
     trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path)  # type: ignore[assignment]
+    if uses is not None:
+        _refuse_unused(trials, path, uses[experiment], data)
+    listed: list[Trial] = getattr(trials, "trials", [])
     seen: set[str] = set()
-    for index, trial in enumerate(getattr(trials, "trials", [])):
+    for index, trial in enumerate(listed):
         if trial.id in seen:
-            line = data["trials"].lc.item(index)[0] + 1
-            raise InputError(f"two trials have the id '{trial.id}'", file=path, line=line, column="id")
+            raise InputError(
+                f"two trials have the id '{trial.id}'", file=path, line=_line(data, index), column="id"
+            )
         seen.add(trial.id)
+    for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
+        if _same_recording(path.parent / one.log, path.parent / other.log):
+            check_apart(one, other, path, _line(data, index))
     return trials
+
+
+def _same_recording(one: Path, other: Path) -> bool:
+    """Whether two logs are one file, or one is a copy of the other under another name."""
+    if os.path.normpath(one) == os.path.normpath(other):
+        return True
+    if not (one.is_file() and other.is_file()) or one.stat().st_size != other.stat().st_size:
+        return False
+    return filecmp.cmp(one, other, shallow=False)
+
+
+def _line(data: Any, trial: int) -> int:
+    return int(data["trials"].lc.item(trial)[0]) + 1
+
+
+def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key that a document and the ones within it set, with its path, to other than its default."""
+    for name in type(document).model_fields:
+        value = getattr(document, name)
+        if name not in document.model_fields_set or value == type(document).model_fields[name].default:
+            continue
+        yield prefix + name, value
+        for part in value if isinstance(value, list) else [value]:
+            if isinstance(part, yamlio.Document):
+                yield from given(part, f"{prefix}{name}.")
+
+
+def _refuse_unused(trials: _Trials, path: Path, uses: Collection[str], data: Any) -> None:
+    unused = [key for key, _ in given(trials) if key not in uses]
+    if not unused:
+        return
+    key = unused[0].removeprefix("trials.")
+    for index, trial in enumerate(getattr(trials, "trials", [])):
+        if key in dict(given(trial)):
+            where, line = f"the trial '{trial.id}' sets", _line(data, index)
+            break
+    else:
+        where, line = "sets", data.lc.key(key)[0] + 1
+    raise InputError(
+        f"{where} '{key}', which has no effect here",
+        file=path,
+        line=line,
+        column=key,
+        hint="leave it out if it does not matter, else this is not the fit for these trials",
+    )
+
+
+def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
+    """Refuse rows of one log that are both fitted and held out; warn of rows fitted twice.
+
+    Neighbours may share the row between them.
+
+    Parameters
+    ----------
+    one, other : Trial
+        Two stretches of the same log.
+    file, line
+        What to name.
+
+    Raises
+    ------
+    InputError
+    """
+    low = max((t.start_s for t in (one, other) if t.start_s is not None), default=-math.inf)
+    high = min((t.end_s for t in (one, other) if t.end_s is not None), default=math.inf)
+    if low >= high:
+        return
+    rows = "its rows"
+    if math.isfinite(low) or math.isfinite(high):
+        ends = [f"{word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
+        rows = f"its rows {' '.join(ends)}"
+    text = f"the trials '{one.id}' and '{other.id}' are of the same log and share {rows}"
+    if one.role != other.role:
+        raise InputError(
+            f"{text}: what is held out must not be fitted",
+            file=file,
+            line=line,
+            hint="part them with start_s and end_s, or hold out another log",
+        )
+    if one.role == "fit":
+        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors come out too small")
 
 
 def robot_of(trials: _Trials, path: str | Path) -> robot_format.Robot:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial.attitude import Source
+from swimid.inertial.attitude import QUATERNIONS, Source
 from swimid.inertial.errorstate import ALONE, BG, CLOCK, LEVER, MOUNT, Observation, P, T, V, cross_matrix
 from swimid.inertial.record import Array, Record
 from swimid.inertial.rest import Noise, Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
 from swimid.inertial.smoother import Aid, Nominal
+from swimid.signals.rotation import angles
 
 #: Time between repeated observations of one thing, s.
 EVERY_S = 0.5
@@ -78,7 +79,7 @@ def attitudes(source: Source, sd: float) -> Aid:
         axes = slice(0, 3 if source.heading else 2)
         at = rows[nodes]
         off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()
-        own = source.kind == "quaternion columns"
+        own = source.kind == QUATERNIONS
         memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
         wide = sd * np.sqrt(2 * memory)
         h = np.zeros((3, states))
@@ -150,9 +151,13 @@ class Fixes:
     rotation : Rotation or None
         Body to world, m of them.
     turns : ndarray of bool, shape (m, 3)
-        Which turns about world axes were measured.
+        Which of roll, pitch and yaw were measured.
     rotation_sd : float
         rad.
+    place_weight, turn_weight : ndarray, shape (m,)
+        Weight of each position and each attitude, at most 1: a stray one's deviation is larger by its root.
+    counted : ndarray of bool, shape (m,)
+        Those whose likelihood is compared between clocks.
     """
 
     time_s: Array
@@ -161,54 +166,110 @@ class Fixes:
     rotation: Rotation | None
     turns: np.ndarray
     rotation_sd: float
+    place_weight: Array
+    turn_weight: Array
+    counted: np.ndarray
+
+    def take(self, rows: np.ndarray) -> Fixes:
+        """Only these, shape (m,) of bool."""
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            position=self.position[rows],
+            rotation=None if self.rotation is None else self.rotation[rows],
+            turns=self.turns[rows],
+            place_weight=self.place_weight[rows],
+            turn_weight=self.turn_weight[rows],
+            counted=self.counted[rows],
+        )
 
 
-def fixes(seen: Fixes) -> Aid:
-    """Poses another log measured."""
+@dataclass(frozen=True)
+class Seen:
+    """One fix against the path: which of them, and the observation it makes."""
+
+    index: int
+    observation: Observation
+
+
+def fixes(seen: Fixes, gate: float = np.inf) -> Aid:
+    """Poses another log measured; those beyond ``gate`` deviations are not used."""
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        t = path.time_s
-        clock_times = seen.time_s + path.clock_s
-        inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
-        when = clock_times[inside]
-        velocity = np.column_stack([np.interp(when, t, column) for column in path.velocity.T])
-        place = np.column_stack([np.interp(when, t, column) for column in path.position.T])
-        row = np.clip(np.searchsorted(t, when), 1, len(t) - 1)
-        row -= (when - t[row - 1]) < (t[row] - when)
-        turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
-        rotation = path.rotation[row] * turn
-        lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
-        node = np.clip(np.searchsorted(t[rows], when), 1, len(rows) - 1)
-        node -= (when - t[rows[node - 1]]) < (t[rows[node]] - when)
-        matrices, arms = rotation.as_matrix(), cross_matrix(lever)
-        found = []
-        for k, index in enumerate(inside):
-            there = np.isfinite(seen.position[index])
-            if there.any():
-                h = np.zeros((3, states))
-                h[:, P] = np.eye(3)
-                h[:, V] = np.eye(3) * (when[k] - t[rows[node[k]]])
-                h[:, T] = -arms[k]
-                if states > ALONE:
-                    h[:, LEVER] = matrices[k]
-                    h[:, CLOCK] = velocity[k] + np.cross(spin[k], lever[k])
-                off = seen.position[index] - place[k] - lever[k]
-                found.append(
-                    Observation(int(node[k]), "position", off[there], h[there], seen.position_sd[there], GATE)
-                )
-            turned = seen.turns[index]
-            if seen.rotation is not None and turned.any():
-                h = np.zeros((3, states))
-                h[:, T] = np.eye(3)
-                if states > ALONE:
-                    h[:, MOUNT] = matrices[k]
-                    h[:, CLOCK] = spin[k]
-                off = (seen.rotation[index] * (rotation[k] * path.mount).inv()).as_rotvec()
-                sd = np.full(int(turned.sum()), seen.rotation_sd)
-                found.append(Observation(int(node[k]), "orientation", off[turned], h[turned], sd, GATE))
-        return found
+        return [one.observation for one in against(seen, path, rows, states, gate)]
 
     return make
+
+
+def against(seen: Fixes, path: Nominal, rows: np.ndarray, states: int, gate: float = np.inf) -> list[Seen]:
+    """Every fix within a path as an observation of its errors."""
+    t = path.time_s
+    clock_times = seen.time_s + path.clock_s
+    inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
+    when = clock_times[inside]
+    velocity = np.column_stack([np.interp(when, t, column) for column in path.velocity.T])
+    place = np.column_stack([np.interp(when, t, column) for column in path.position.T])
+    row = np.clip(np.searchsorted(t, when), 1, len(t) - 1)
+    row -= (when - t[row - 1]) < (t[row] - when)
+    turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
+    rotation = path.rotation[row] * turn
+    lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
+    node = np.clip(np.searchsorted(t[rows], when), 1, len(rows) - 1)
+    node -= (when - t[rows[node - 1]]) < (t[rows[node]] - when)
+    matrices, arms = rotation.as_matrix(), cross_matrix(lever)
+    turned = _turned(seen, inside, rotation * path.mount)
+    place_sd = seen.position_sd / np.sqrt(seen.place_weight[inside])[:, None]
+    turn_sd = seen.rotation_sd / np.sqrt(seen.turn_weight[inside])
+    by_place = np.zeros((len(inside), 3, states))
+    by_place[:, :, P] = np.eye(3)
+    by_place[:, :, V] = np.eye(3) * (when - t[rows[node]])[:, None, None]
+    by_place[:, :, T] = -arms
+    if states > ALONE:
+        by_place[:, :, LEVER] = matrices
+        by_place[:, :, CLOCK] = velocity + np.cross(spin, lever)
+    away = seen.position[inside] - place - lever
+    measured, counted = np.isfinite(away), seen.counted[inside].tolist()
+    found = []
+    for k, index in enumerate(inside.tolist()):
+        there = measured[k]
+        if there.any():
+            off, h = away[k, there], by_place[k, there]
+            place_seen = Observation(int(node[k]), "position", off, h, place_sd[k, there], gate, counted[k])
+            found.append(Seen(index, place_seen))
+        axes = seen.turns[index]
+        if turned is not None and axes.any():
+            off, by_turn = turned[0][k, axes], turned[1][k][axes]
+            h = np.zeros((len(off), states))
+            h[:, T] = by_turn
+            if states > ALONE:
+                h[:, MOUNT] = by_turn @ matrices[k]
+                h[:, CLOCK] = by_turn @ spin[k]
+            sd = np.full(len(off), turn_sd[k])
+            found.append(Seen(index, Observation(int(node[k]), "orientation", off, h, sd, gate, counted[k])))
+    return found
+
+
+def _turned(seen: Fixes, inside: np.ndarray, body: Rotation) -> tuple[Array, Array] | None:
+    """Measured less reckoned attitude, shape (k, 3), and what a small turn does to it, (k, 3, 3).
+
+    Three angles together make a small turn about world axes. One alone is compared as an angle: of a body
+    that tilts, the yaw is not its turn about the vertical.
+    """
+    if seen.rotation is None:
+        return None
+    measured = seen.rotation[inside]
+    if seen.turns[inside].sum(axis=1).max(initial=0) == 3:
+        return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(inside), 3, 3))
+    roll, pitch, yaw = angles(body)
+    off = np.column_stack(angles(measured)) - np.column_stack([roll, pitch, yaw])
+    off = np.angle(np.exp(1j * off))
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))
+    # a turn about the vertical is yaw; about the heading it rolls, and yaws by the tangent of the dip
+    along = np.stack([c, s, zero], -1)
+    level = np.maximum(np.cos(pitch), 0.1)[:, None]
+    rolls, pitches = along / level, np.stack([s, -c, zero], -1)
+    yaws = np.stack([zero, zero, zero + 1], -1) - np.sin(pitch)[:, None] * rolls
+    return off, np.stack([rolls, pitches, yaws], axis=1)
 
 
 def rest_nodes(rest: Rest, rows: np.ndarray) -> np.ndarray:

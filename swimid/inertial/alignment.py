@@ -88,8 +88,8 @@ class Fit:
     scale: float = 1.0
 
 
-def fit_clocks(record: Record, source: Source, poses: Poses, *, widest_s: float | None = None) -> Fit:
-    """Clock offset, and with it what the turns tell of the mounting.
+def fit_clocks(record: Record, source: Source, poses: Poses, *, widest_s: float | None = None) -> list[Fit]:
+    """Clock offsets by turns and by the path, the surest first, and what turns tell of the mounting.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def fit_clocks(record: Record, source: Source, poses: Poses, *, widest_s: float 
             "their clocks cannot be set",
             hint="are they of the same trial, with units and axes right? --clock-offset-s gives the offset",
         )
-    return min(good, key=lambda fit: fit.offset.stderr_s)
+    return sorted(good, key=lambda fit: fit.offset.stderr_s)
 
 
 def fit_at(record: Record, source: Source, poses: Poses, offset_s: float) -> Fit:

@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from swimid.inertial.record import Array, Record, rotations
 from swimid.inertial.rest import Rest
 
+#: An attitude that the log itself brings.
+QUATERNIONS = "quaternion columns"
+
 
 @dataclass(frozen=True)
 class Source:
@@ -39,7 +42,7 @@ def estimate(record: Record, rests: list[Rest]) -> Source:
     or magnetic where there is a field.
     """
     if record.quaternion is not None:
-        return Source(rotations(record.quaternion), True, "quaternion columns")
+        return Source(rotations(record.quaternion), True, QUATERNIONS)
     import vqf
 
     step = record.step_s
@@ -59,10 +62,10 @@ def estimate(record: Record, rests: list[Rest]) -> Source:
 
 
 def still_rate(record: Record, rests: list[Rest]) -> Array:
-    """Mean turn rate of the still stretches, shape (3,); 0 where there are none."""
+    """Turn rate of the still stretches, the median of their means, shape (3,); 0 where there are none."""
     if not rests:
         return np.zeros(3)
-    return np.asarray(np.vstack([record.rate[r.rows] for r in rests]).mean(axis=0))
+    return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
 
 
 def _even(record: Record) -> tuple[Array, bool]:

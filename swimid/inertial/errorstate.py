@@ -1,9 +1,9 @@
 """Kalman filter and Rauch-Tung-Striebel smoother of the errors of a dead-reckoned path.
 
 States are the true minus the reckoned: position, velocity and attitude (a small turn about world
-axes), the biases of accelerometer and gyroscope (sensor axes), and for fusion the lever from the
-sensor to the reference point, the mounting turn, the tilt of the world against gravity, and the offset
-between the clocks.
+axes), the biases of accelerometer and gyroscope (sensor axes) and their errors of scale and alignment, and
+for fusion the lever from the sensor to the reference point, the mounting turn, the tilt of the world against
+gravity, and the offset between the clocks.
 
 Sources: error equations after Groves (2013), Principles of GNSS, Inertial, and Multisensor
 Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not turn; smoother after Rauch,
@@ -21,9 +21,13 @@ from swimid.inertial.record import GRAVITY_M_S2, Array
 
 P, V, T = slice(0, 3), slice(3, 6), slice(6, 9)
 BA, BG = slice(9, 12), slice(12, 15)
-LEVER, MOUNT, TILT, CLOCK = slice(15, 18), slice(18, 21), slice(21, 23), 23
+#: Errors of scale and alignment of accelerometer and gyroscope, matrices by rows.
+SA, SG = slice(15, 24), slice(24, 33)
+LEVER, MOUNT, TILT, CLOCK = slice(33, 36), slice(36, 39), slice(39, 41), 41
 #: States without and with another log.
-ALONE, FUSED = 15, 24
+ALONE, FUSED = 33, 42
+#: States that move from node to node by themselves; the others stay or wander.
+MOVING = 9
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,8 @@ class Observation:
         Standard deviations, independent of each other.
     gate : float
         A residual beyond this many deviations is an outlier and not used; infinite for none.
+    counted : bool
+        Whether it counts in the likelihood; one that another clock leaves outside the record does not.
     """
 
     node: int
@@ -50,6 +56,7 @@ class Observation:
     sensitivity: Array
     sd: Array
     gate: float = np.inf
+    counted: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,8 @@ class Errors:
     ----------
     mean : ndarray, shape (nodes, states)
     covariance : ndarray, shape (nodes, states, states)
+    likelihood : float
+        Log likelihood of the observations that were used and count.
     scores : dict of str to ndarray
         Normalised innovations of every kind of observation, one row each (NaN beyond its width).
     rejected : dict of str to int
@@ -86,20 +95,38 @@ class Errors:
 
     mean: Array
     covariance: Array
+    likelihood: float
     scores: dict[str, Array]
     rejected: dict[str, int]
 
 
-def transitions(time_s: Array, turn: Array, specific_force_w: Array, states: int) -> Array:
-    """Transition matrices of the errors from node to node.
+@dataclass(frozen=True)
+class Steps:
+    """Means over the steps between nodes, of which transitions are made.
 
-    Parameters
+    Attributes
     ----------
-    time_s : ndarray, shape (nodes,)
-    turn : ndarray, shape (nodes - 1, 3, 3)
-        Mean rotation matrix, sensor to world, over each step.
-    specific_force_w : ndarray, shape (nodes - 1, 3)
-        Mean specific force over each step, world axes, m/s^2.
+    turn : ndarray, shape (steps, 3, 3)
+        Rotation matrix, sensor to world.
+    specific_force_w : ndarray, shape (steps, 3)
+        World axes, m/s^2.
+    turn_by_force, turn_by_rate : ndarray, shape (steps, 3, 3, 3)
+        Every column of the rotation matrix (last index but one) times every component of specific force,
+        and of the turn rate (last index; sensor axes).
+    defect : ndarray, shape (steps, 9)
+        Position, velocity and turn that the samples make of a step, less those of the nominal path: 0 for a
+        path that was reckoned from the samples.
+    """
+
+    turn: Array
+    specific_force_w: Array
+    turn_by_force: Array
+    turn_by_rate: Array
+    defect: Array
+
+
+def transitions(time_s: Array, steps: Steps, states: int) -> Array:
+    """Transition matrices of the errors from node to node.
 
     Returns
     -------
@@ -109,16 +136,20 @@ def transitions(time_s: Array, turn: Array, specific_force_w: Array, states: int
     dt = np.diff(time_s)
     n = len(dt)
     f = np.zeros((n, states, states))
-    eye = np.eye(3)
-    f[:, P, V] = eye
-    f[:, V, T] = -cross_matrix(specific_force_w)
-    f[:, V, BA] = -turn
-    f[:, T, BG] = -turn
+    f[:, P, V] = np.eye(3)
+    f[:, V, T] = -cross_matrix(steps.specific_force_w)
+    f[:, V, BA] = -steps.turn
+    f[:, V, SA] = -steps.turn_by_force.reshape(n, 3, 9)
+    f[:, T, BG] = -steps.turn
+    f[:, T, SG] = -steps.turn_by_rate.reshape(n, 3, 9)
     if states > ALONE:
-        f[:, 3, 21] = f[:, 4, 22] = -GRAVITY_M_S2
+        f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
     f *= dt[:, None, None]
-    square = f @ f
-    return np.eye(states) + f + square / 2 + square @ f / 6
+    moving = f[:, :MOVING, :MOVING]
+    square = moving @ f[:, :MOVING]
+    out = np.broadcast_to(np.eye(states), f.shape).copy()
+    out[:, :MOVING] += f[:, :MOVING] + square / 2 + moving @ square / 6
+    return out
 
 
 def driving_noise(time_s: Array, driving: Driving, states: int) -> Array:
@@ -136,7 +167,12 @@ def driving_noise(time_s: Array, driving: Driving, states: int) -> Array:
 
 
 def smooth(
-    start_mean: Array, start: Array, transition: Array, noise: Array, observations: list[Observation]
+    start_mean: Array,
+    start: Array,
+    transition: Array,
+    noise: Array,
+    observations: list[Observation],
+    defect: Array,
 ) -> Errors:
     """Filter forwards and smooth backwards.
 
@@ -146,13 +182,20 @@ def smooth(
         Mean and covariance of the errors at the first node before anything is seen.
     transition, noise : ndarray, shape (nodes - 1, states, states)
     observations : list of Observation
+    defect : ndarray, shape (nodes - 1, 9)
+        What each step adds to the errors of position, velocity and attitude besides.
     """
     with threadpool_limits(1):  # threads cost more than they bring at this size
-        return _smooth(start_mean, start, transition, noise, observations)
+        return _smooth(start_mean, start, transition, noise, observations, defect)
 
 
 def _smooth(
-    start_mean: Array, start: Array, transition: Array, noise: Array, observations: list[Observation]
+    start_mean: Array,
+    start: Array,
+    transition: Array,
+    noise: Array,
+    observations: list[Observation],
+    defect: Array,
 ) -> Errors:
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
@@ -164,37 +207,44 @@ def _smooth(
     means, covs = np.empty((nodes, states)), np.empty((nodes, states, states))
     scores: dict[str, list[Array]] = {}
     rejected: dict[str, int] = {}
+    likelihood = 0.0
     for k in range(nodes):
         if k:
             mean = transition[k - 1] @ mean
+            mean[:MOVING] += defect[k - 1]
             cov = transition[k - 1] @ cov @ transition[k - 1].T + noise[k - 1]
         predicted[k], predicted_cov[k] = mean, cov
         for seen in at.get(k, ()):
-            mean, cov, score = _update(mean, cov, seen)
+            mean, cov, score, likely = _update(mean, cov, seen)
             if score is None:
                 rejected[seen.kind] = rejected.get(seen.kind, 0) + 1
             else:
                 scores.setdefault(seen.kind, []).append(score)
+                likelihood += likely if seen.counted else 0.0
         means[k], covs[k] = mean, cov
     for k in range(nodes - 2, -1, -1):
         gain = np.linalg.solve(predicted_cov[k + 1] + 1e-18 * np.eye(states), transition[k] @ covs[k]).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         covs[k] = 0.5 * (covs[k] + covs[k].T)
-    return Errors(means, covs, {kind: _padded(rows) for kind, rows in scores.items()}, rejected)
+    return Errors(means, covs, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected)
 
 
-def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None]:
+def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
     h = seen.sensitivity
     innovation = seen.residual - h @ mean
-    spread = h @ cov @ h.T + np.diag(seen.sd**2)
+    shared = h @ cov
+    spread = shared @ h.T + np.diag(seen.sd**2)
     score = innovation / np.sqrt(np.diag(spread))
     if np.any(np.abs(score) > seen.gate):
-        return mean, cov, None
-    gain = np.linalg.solve(spread, h @ cov).T
+        return mean, cov, None, 0.0
+    inverse = np.linalg.inv(spread)
+    gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
     cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive
-    return mean + gain @ innovation, 0.5 * (cov + cov.T), score
+    size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
+    likely = -0.5 * float(size + innovation @ inverse @ innovation)
+    return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
 
 
 def _padded(rows: list[Array]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -43,6 +43,24 @@ class Motion:
     velocity_sd: Array
     body_velocity_sd: Array
     angle_sd: Array
+
+
+def without(motion: Motion, rows: np.ndarray) -> Motion:
+    """The same with position and velocity, and their deviations, missing in these rows, shape (n,)."""
+    empty = np.where(rows[:, None], np.nan, 0.0)
+    names = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
+    return replace(motion, **{name: getattr(motion, name) + empty for name in names})
+
+
+def of_attitude(
+    time_s: Array, rotation: Rotation, rate: Array, acceleration: Array, attitude_sd: float
+) -> Motion:
+    """A motion of which only the attitude is known; shapes and units as in :class:`Motion`."""
+    missing = np.full((len(time_s), 3), np.nan)
+    sd = np.full((len(time_s), 3), attitude_sd)
+    return Motion(
+        time_s, rotation, missing, missing, missing, rate, acceleration, missing, missing, missing, sd
+    )
 
 
 def at_reference(smoothed: Smoothed) -> Motion:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Array, Record, level
-from swimid.inertial.rest import Rest, mean_acceleration
+from swimid.inertial.rest import Rest, mean_accelerations
 from swimid.inertial.sensor import DEG
 from swimid.signals.rotation import from_angles
 
@@ -43,15 +43,19 @@ def settle(
 ) -> tuple[Mount, list[Finding]]:
     """Body to sensor before any other log is looked at.
 
-    Quaternion columns turn the body to the world, so that with them the sensor's axes are the body's.
+    Quaternion columns turn the body to the world, so that with them the sensor's axes are the body's. A body
+    that came to rest lying otherwise than it began tells nothing of its mounting there: then the first rest
+    does.
 
     Raises
     ------
     InputError
         When gravity points down the z axis: an accelerometer with the wrong sign, or upside down.
     """
-    mean = mean_acceleration(record, rests)
-    up = mean / np.linalg.norm(mean)
+    seen = mean_accelerations(record, rests)
+    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    up = seen[0] if np.min(seen @ seen[0]) < np.cos(UPRIGHT) else seen.mean(axis=0)
+    up = up / np.linalg.norm(up)
     if mount_deg is not None:
         return Mount(given(mount_deg), "given", up), []
     if record.quaternion is not None:

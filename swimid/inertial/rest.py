@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swimid.errors import InputError
 from swimid.formats.log import runs
 from swimid.inertial.record import Array, Flags, Record
 
@@ -19,6 +20,8 @@ LOUDER = 2.0
 LEAST_ACCELERATION, LEAST_RATE = 0.03, 0.01
 #: No sensor at rest is as loud as this: m/s^2 and rad/s.
 LOUDEST_ACCELERATION, LOUDEST_RATE = 0.25, 0.05
+#: No gyroscope at rest shows more than this on average: 20 deg/s on each axis (InvenSense MPU-6050), rad/s.
+LARGEST_RATE = 20 * np.sqrt(3) * np.pi / 180
 
 
 @dataclass(frozen=True)
@@ -69,18 +72,31 @@ def find(record: Record) -> list[Rest]:
     return _stretches(still, record, size)
 
 
-def mean_acceleration(record: Record, rests: list[Rest]) -> Array:
-    """Over the still stretches, shape (3,); over everything where there are none."""
-    still = np.vstack([record.acceleration[r.rows] for r in rests]) if rests else record.acceleration
-    return np.asarray(still.mean(axis=0))
+def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
+    """Of every still stretch, shape (stretches, 3); of everything where there are none."""
+    parts = [record.acceleration[r.rows] for r in rests] or [record.acceleration]
+    return np.array([part.mean(axis=0) for part in parts])
 
 
 def declared(record: Record, windows: list[tuple[float, float]]) -> list[Rest]:
-    """The stretches a user named by their times, s."""
+    """The stretches a user named by their times, s.
+
+    Raises
+    ------
+    InputError
+        The sensor turns in one of them as no gyroscope at rest shows it.
+    """
     found = []
     for start, end in windows:
         first, last = np.searchsorted(record.time_s, [start, end])
         if last - first >= 4:
+            turning = float(np.mean(np.linalg.norm(record.rate[first:last], axis=1)))
+            if turning > LARGEST_RATE:
+                raise InputError(
+                    f"turns at {turning:.1f} rad/s from {start:g} to {end:g} s, which is named as a rest",
+                    file=record.name,
+                    hint="name a stretch in which the robot rests, or leave --still out",
+                )
             found.append(Rest(int(first), int(last), _place(int(first), int(last), len(record)), True))
     return found
 

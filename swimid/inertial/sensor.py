@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ class Sensor:
         Shang et al.) and 0.02 deg/s.
     scale_sd : float
         Error of scale and alignment of both sensors, 0.5 %.
+    bending_sd : float
+        What a scale changes by with the reading itself (nonlinearity), both sensors, 0.2 %.
     attitude_sd : float or None
         Of attitudes in the log, or of the filter's, rad; None: 2 deg (Table I) and 1 deg.
     """
@@ -40,9 +42,35 @@ class Sensor:
     acceleration_drift: float = 0.2 * MILLI_G
     rate_drift: float = 0.02 * DEG
     scale_sd: float = 0.005
+    bending_sd: float = 0.002
     attitude_sd: float | None = None
 
+    def classes(self) -> dict[str, Sensor]:
+        """The same with the errors of other classes of sensor where nothing is stated, by name."""
+        usual = Sensor()
 
+        def of(errors: dict[str, float]) -> Sensor:
+            return replace(self, **{k: v for k, v in errors.items() if getattr(self, k) == getattr(usual, k)})
+
+        return {CHIP_NAME: of(CHIP), WARMING_NAME: of(CHIP | WARMING)}
+
+
+#: Errors of chips as they are soldered: limits of their data sheets over sqrt(3), as of what is even within.
+#: InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %, cross-axis
+#: +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg, +-3 deg/s),
+#: ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, their biases are as steady as those of better units.
+CHIP: dict[str, float] = {
+    "acceleration_bias_sd": 30 * MILLI_G,
+    "rate_bias_sd": 5.0 * DEG,
+    "scale_sd": 0.015,
+}
+#: What their biases change by in 100 s while they warm: ten degrees in five minutes, at 0.5 mg and 0.16 deg/s
+#: for each (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125).
+WARMING: dict[str, float] = {"acceleration_drift": 1.7 * MILLI_G, "rate_drift": 0.5 * DEG}
+CHIP_NAME = "a consumer's chip (biases of 30 mg, scales off by 1.5 %)"
+WARMING_NAME = (
+    "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)"
+)
 #: Noise densities where nothing tells: m/s^2/sqrt(Hz), rad/s/sqrt(Hz).
 SHEET_ACCELERATION_NOISE = 0.4 * MILLI_G
 SHEET_RATE_NOISE = 3.5 * DEG / 60.0

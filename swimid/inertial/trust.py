@@ -38,13 +38,15 @@ def horizon(time_s: Array, position: Array, position_sd: Array, moving_from_s: f
     Parameters
     ----------
     position, position_sd : ndarray, shape (n, 3)
+        Missing (NaN) counts as not to be trusted.
     moving_from_s : float
         End of the rest at the start.
     """
     half = BAND * np.max(position_sd[:, :2], axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position[:, :2], axis=0).T))])
-    beyond = np.flatnonzero(half > np.maximum(WIDTH_M, SHARE * travelled))
-    widest = float(np.max(half))
+    within = half <= np.maximum(WIDTH_M, SHARE * travelled)
+    beyond = np.flatnonzero(~within)
+    widest = float(np.nanmax(half)) if np.isfinite(half).any() else np.inf
     if not len(beyond):
         return Trust(None, None, widest)
     until = float(time_s[beyond[0]])

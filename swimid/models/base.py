@@ -45,6 +45,12 @@ class Parameter:
         For the report.
     known : float, optional
         What it was elsewhere: published, or measured otherwise.
+    spread : float
+        A number of each trial that differs by chance is a random effect: normal about the start with this
+        standard deviation. Infinite where nothing is known of it beforehand.
+    kinked : bool
+        The motion has corners in it (a body that sticks and slips), so that searches are begun from several
+        sizes.
     """
 
     name: str
@@ -58,6 +64,8 @@ class Parameter:
     meaning: str = ""
     source: str = ""
     known: float | None = None
+    spread: float = math.inf
+    kinked: bool = False
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:

@@ -20,6 +20,7 @@ import numba
 import numpy as np
 
 from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.models.dry_friction import MOST_EVENTS, breakaway
 from swimid.models.hooks import MOST_FORCES, Hooks, no_force
 from swimid.models.rig_forced import integrate_forced, step_ends
 
@@ -59,6 +60,45 @@ def _rk4(x, v, side, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest
 
 
 @numba.njit(cache=True, nogil=True)
+def _with_friction(x, v, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest):  # type: ignore[no-untyped-def]
+    """One step under dry friction, cut where the body stops and where it gets loose again."""
+    slope = (f1 - f0) / h
+    done = 0.0
+    for _ in range(MOST_EVENTS):
+        f = f0 + slope * done
+        if v == 0.0:
+            after, side = breakaway(f - stiffness * (x - rest), slope, dry, h - done)
+            if side == 0.0:
+                return x, v
+            done += after
+            f = f0 + slope * done
+        else:
+            side = 1.0 if v > 0 else -1.0
+        left = h - done
+        x1, v1 = _rk4(x, v, side, left, f, f1, inertia, quadratic, linear, dry, stiffness, rest)
+        if v1 * side >= 0.0:
+            return x1, v1
+        low, high = 0.0, left
+        cut = left * v / (v - v1) if v != 0.0 else 0.5 * left
+        for _ in range(40):
+            x1, v1 = _rk4(
+                x, v, side, cut, f, f + slope * cut, inertia, quadratic, linear, dry, stiffness, rest
+            )
+            if v1 * side > 0:
+                low = cut
+            else:
+                high = cut
+            if high - low < 1e-14:
+                break
+            cut = 0.5 * (low + high)
+        x, v = x1, 0.0
+        done += cut
+        if h - done <= 1e-14:
+            break
+    return x, v
+
+
+@numba.njit(cache=True, nogil=True)
 def integrate(  # type: ignore[no-untyped-def]
     time, start, max_step, force, inertia, quadratic, linear, dry, stiffness, rest, x0, v0
 ):
@@ -85,7 +125,9 @@ def integrate(  # type: ignore[no-untyped-def]
     Notes
     -----
     Dry friction holds its sign within a step; a step in which the speed would change sign is
-    cut at the reversal, where the body sticks while the net force is below the friction.
+    cut at the reversal, where the body sticks while the net force is below the friction, and where
+    it gets loose again. Both instants move with the parameters: kept to the grid of steps, the
+    motion would be a staircase of the friction, and its derivative wrong.
     """
     n = len(time)
     positions = np.empty(n)
@@ -105,36 +147,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 if dry == 0.0:
                     x, v = _rk4(x, v, 0.0, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest)
                     continue
-                left = h
-                for _ in range(3):
-                    push = f0 - stiffness * (x - rest)
-                    if v == 0.0:
-                        if abs(push) <= dry:
-                            break
-                        side = 1.0 if push > 0 else -1.0
-                    else:
-                        side = 1.0 if v > 0 else -1.0
-                    x1, v1 = _rk4(x, v, side, left, f0, f1, inertia, quadratic, linear, dry, stiffness, rest)
-                    if v1 * side >= 0.0:
-                        x, v = x1, v1
-                        break
-                    low, high = 0.0, left
-                    cut = left * v / (v - v1)
-                    for _ in range(30):
-                        x1, v1 = _rk4(
-                            x, v, side, cut, f0, f0, inertia, quadratic, linear, dry, stiffness, rest
-                        )
-                        if v1 * side > 0:
-                            low = cut
-                        else:
-                            high = cut
-                        if high - low < 1e-12:
-                            break
-                        cut = 0.5 * (low + high)
-                    x, v = x1, 0.0
-                    left -= cut
-                    if left <= 1e-12:
-                        break
+                x, v = _with_friction(x, v, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest)
             now = time[i]
         positions[i] = x
         speeds[i] = v
@@ -434,7 +447,9 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
         drag,
         Parameter("added_mass", "kg", 0.0, inf, 0.5 * scale, 0.5 * scale, meaning="added mass"),
         Parameter("linear_drag", "N s/m", 0.0, inf, 0.0, 1.0, free=False, meaning="linear drag"),
-        Parameter("dry_friction", "N", 0.0, inf, 0.0, 0.2 * force_N, free=False, meaning="dry friction"),
+        Parameter(
+            "dry_friction", "N", 0.0, inf, 0.0, 0.2 * force_N, free=False, meaning="dry friction", kinked=True
+        ),
         Parameter(
             "force_offset", "N", -inf, inf, 0.0, 0.1 * force_N, free=False, meaning="force sensor offset"
         ),
@@ -506,7 +521,15 @@ def free_decay(
             meaning="restoring stiffness",
         ),
         Parameter(
-            "dry_friction", force, 0.0, inf, 0.0, 0.01 * guess * amplitude, free=False, meaning="dry friction"
+            "dry_friction",
+            force,
+            0.0,
+            inf,
+            0.0,
+            0.01 * guess * amplitude,
+            free=False,
+            meaning="dry friction",
+            kinked=True,
         ),
         Parameter(
             "rest_position", unit, -inf, inf, 0.0, 0.05 * amplitude, per_trial=True, meaning="rest position"

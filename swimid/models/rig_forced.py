@@ -12,6 +12,8 @@ import math
 import numba
 import numpy as np
 
+from swimid.models.dry_friction import MOST_EVENTS, breakaway
+
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
@@ -83,36 +85,42 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra, scratch):  # type: ignore[n
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra, scratch):  # type: ignore[no-untyped-def]
-    """One step under dry friction, cut where the speed changes its sign."""
+    """One step under dry friction, cut where the body stops and where it gets loose again."""
     inertia, dry = c[0], c[3]
-    left = h
-    for _ in range(3):
+    slope = (f1 - f0) / h
+    done = 0.0
+    for _ in range(MOST_EVENTS):
+        f, w = f0 + slope * done, w0 + dw * done
         if v == 0.0:
-            push = inertia * _acceleration(t, x, v, 0.0, f0, w0, dw, c, extra, scratch)
-            if abs(push) <= dry:
-                break
-            side = 1.0 if push > 0 else -1.0
+            # forces of other kinds are taken as linear in what is left of the step
+            left = h - done
+            push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra, scratch)
+            end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra, scratch)
+            after, side = breakaway(push, (end - push) / left, dry, left)
+            if side == 0.0:
+                return x, v
+            done += after
+            f, w = f0 + slope * done, w0 + dw * done
         else:
             side = 1.0 if v > 0 else -1.0
-        x1, v1 = _rk4(t, x, v, side, left, f0, f1, w0, dw, c, extra, scratch)
+        left = h - done
+        x1, v1 = _rk4(t + done, x, v, side, left, f, f1, w, dw, c, extra, scratch)
         if v1 * side >= 0.0:
             return x1, v1
         low, high = 0.0, left
-        cut = left * v / (v - v1)
-        for _ in range(30):
-            x1, v1 = _rk4(t, x, v, side, cut, f0, f0, w0, dw, c, extra, scratch)
+        cut = left * v / (v - v1) if v != 0.0 else 0.5 * left
+        for _ in range(40):
+            x1, v1 = _rk4(t + done, x, v, side, cut, f, f + slope * cut, w, dw, c, extra, scratch)
             if v1 * side > 0:
                 low = cut
             else:
                 high = cut
-            if high - low < 1e-12:
+            if high - low < 1e-14:
                 break
             cut = 0.5 * (low + high)
         x, v = x1, 0.0
-        t += cut
-        w0 += cut * dw
-        left -= cut
-        if left <= 1e-12:
+        done += cut
+        if h - done <= 1e-14:
             break
     return x, v
 

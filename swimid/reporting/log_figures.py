@@ -231,9 +231,9 @@ def spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
     }
     if stroke is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
-        across = rhythm.sway(record.columns)
-        if stroke.channel == "sway" and across is not None:
-            signals = {"sway_m": across, **signals}
+        track = rhythm.swing(record.columns)
+        if stroke.channel in track:
+            signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
     panels = []
     for name in list(signals)[:MAX_SPECTRA]:
         drawn = _spectrum(record.time_s, signals[name], stroke)

@@ -7,7 +7,7 @@ blocks and needs no drawing code.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -101,9 +101,9 @@ class Section:
 
 
 def cell(value: str | float | int | bool | None) -> Cell:
-    """A value of a table as it is shown; numbers to four significant digits."""
+    """A value of a table as it is shown; numbers to four significant digits, nothing as a dash."""
     if isinstance(value, str):
-        return Cell(value)
+        return Cell(value or numbers.NOTHING)
     return Cell(numbers.number(value), numeric=not isinstance(value, bool))
 
 
@@ -131,21 +131,48 @@ def mapping_grid(title: str, entries: dict[str, Any], caption: str = "") -> Grid
     return Grid(title, ["Quantity", "Value"], rows, caption, folded=True)
 
 
+def records_grid(title: str, records: Sequence[dict[str, Any]]) -> Grid:
+    """A table of several mappings of one kind, one a row: a column for each leaf that any of them has."""
+    flat = [dict(leaves(record)) for record in records]
+    names = list(dict.fromkeys(name for record in flat for name in record))
+    rows: list[list[str | float | None]] = [[record.get(name) for name in names] for record in flat]
+    return replace(table_grid(Table(id="", title=title, columns=names, rows=rows)), folded=True)
+
+
+def is_records(value: Any) -> bool:
+    """Whether a value is a list of mappings."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(v, dict) for v in value)
+
+
 def leaves(entries: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, str | float]]:
-    """Names and values of the leaves of a nested mapping; ``a.b`` for a value inside ``a``."""
+    """Names and values of the leaves of a nested mapping.
+
+    ``a.b`` is a value inside ``a``, ``a[1].b`` one inside the first of several mappings in ``a``.
+    """
     for key, value in entries.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
             yield from leaves(value, f"{name}.")
+        elif is_records(value):
+            for number, record in enumerate(value, 1):
+                yield from leaves(record, f"{name}[{number}].")
         elif isinstance(value, list | tuple):
-            listed = ", ".join(numbers.number(v) if isinstance(v, int | float) else str(v) for v in value)
-            yield name, listed or numbers.NOTHING
-        elif value is None or value == "":
-            yield name, numbers.NOTHING
-        elif isinstance(value, str | int | float):
+            yield name, ", ".join(_leaf(v) for v in value) or numbers.NOTHING
+        elif isinstance(value, str | int | float) and value != "":
             yield name, value
         else:
-            yield name, str(value)
+            yield name, _leaf(value)
+
+
+def _leaf(value: Any) -> str:
+    """A value within a text."""
+    if value is None or isinstance(value, int | float):
+        return numbers.number(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_leaf(v)}" for name, v in leaves(value))
+    if isinstance(value, list | tuple):
+        return f"({', '.join(_leaf(v) for v in value)})"
+    return str(value) or numbers.NOTHING
 
 
 def words(key: str) -> str:

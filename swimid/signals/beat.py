@@ -6,13 +6,35 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal
+from scipy import linalg, signal, stats
 
 Array = NDArray[np.float64]
-
+Complex = NDArray[np.complex128]
 
 #: Steps that differ by less than this share of their mean are even.
 EVEN = 1e-3
+#: Cycles of the short windows a beat is fitted in; they overlap by all but one cycle.
+WINDOW = 2
+#: Order of the polynomial fitted with it in each window: drift and turns are slower than two cycles.
+DRIFT = 3
+#: Fewest cycles from which a frequency is told: with fewer a line cannot be told from the noise about it.
+FEWEST_CYCLES = 4.0
+#: Time-bandwidth product and number of the tapers of the line test, and the most cycles it is made for: in
+#: longer records a rhythm wanders, and windows have power enough.
+BAND, TAPERS, LINE_CYCLES = 3.0, 5, 30.0
+#: Share of a record that must be known for it.
+KNOWN = 0.8
+#: Chance that noise of any colour, without a beat, is said to beat.
+FALSE_ALARM = 0.01
+#: A beat explains at least this share of what moves faster than the drift; beside a harmonic larger than
+#: itself at least the lower one.
+SHARE, FAINTEST = 0.1, 0.02
+#: Peaks of the spectrum that are looked at.
+CANDIDATES = 6
+#: Windows whose phases are regressed; of more, only so many are spread over the record.
+MOST_WINDOWS = 120
+#: Fewest samples a window needs.
+SAMPLES = DRIFT + 5
 
 
 @dataclass(frozen=True)
@@ -25,13 +47,24 @@ class Beat:
     amplitude : float
         Of the fundamental, in the channel's unit.
     share : float
-        Part of the detrended variance that the fundamental explains.
+        Part of the variance about the drift that the fundamental explains.
+    cycles : float
+        How many the record holds.
+    amplitude_stderr : float
     """
 
     frequency_hz: float
     stderr_hz: float
     amplitude: float
     share: float
+    cycles: float = np.inf
+    amplitude_stderr: float = 0.0
+
+    @property
+    def interval_hz(self) -> tuple[float, float]:
+        """95 % interval (Student's t over the cycles), Hz."""
+        half = float(stats.t.ppf(0.975, max(self.cycles - WINDOW - 1.0, 1.0))) * self.stderr_hz
+        return self.frequency_hz - half, self.frequency_hz + half
 
 
 #: A beat frequency this far from the stated one, as a share of it, contradicts it.
@@ -61,58 +94,232 @@ def find_beat(
     time_s, values : ndarray, shape (n,)
         Uneven steps and NaN are allowed.
     lowest_hz, highest_hz : float, optional
-        Range searched; default two periods in the record to half the sample rate.
+        Range searched; default :data:`FEWEST_CYCLES` in the record to half the sample rate. Fewer cycles
+        than that tell no frequency, whatever is asked for.
 
     Returns
     -------
     Beat or None
-        None when the record is too short or no line explains 20 % of the variance.
+        None where the record is too short, or nothing in it keeps its phase from window to window.
 
     Notes
     -----
-    The peak of the Lomb-Scargle spectrum of the record less a cubic, refined by fitting a sine.
-    Standard error from the sine's fit (Cramer-Rao bound at the residual variance), doubled for a
-    drifting rhythm.
+    Candidates are the peaks of the Lomb-Scargle spectrum and of that of the derivative. Each is fitted as a
+    sine beside a cubic in windows of two cycles, so that drift and turns drop out, and harmonics are
+    orthogonal to it. A beat keeps its phase: the coherence of amplitudes two windows apart has a known
+    distribution for noise of any colour (Goodman 1963: its square is Beta(1, m - 1) over m independent
+    pairs), and must exceed its quantile for all frequencies searched. In a record of few cycles Thomson's F
+    test (1982) tells a line from the noise about it, too. The frequency is the slope of the windows' phases
+    over time, by generalised least squares; the phases scatter by noise and wander like a random walk, in a
+    proportion that restricted likelihood tells, so that the standard error is that of a clock for a clock,
+    and that of a wandering rhythm for one.
     """
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
-    if len(t) < 16:
+    if len(t) < 2 * SAMPLES:
         return None
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
-    low = lowest_hz or 2.0 / duration
+    low = max(lowest_hz or 0.0, FEWEST_CYCLES / duration)
     # no more frequencies than an even record of as many samples has, however uneven this one is
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
-    if high <= low:
+    if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return None
-    centred = t - t.mean()
-    x = x - np.polyval(np.polyfit(centred, x, 3), centred)
-    if np.std(x) == 0:
+    found = []
+    for candidate in (_examined(t, x, f) for f in _peaks(t, x, low, high, duration)):
+        if candidate is None or candidate.chance >= FALSE_ALARM or candidate.share < FAINTEST:
+            continue
+        beat = _beat(candidate, duration)
+        # Phases that turn round over the record are those of another frequency, leaking; and a frequency is
+        # known where the number of cycles in the record is, to one.
+        resolved = beat.interval_hz[1] - beat.frequency_hz < 1.0 / duration
+        if resolved and abs(beat.frequency_hz - candidate.frequency_hz) < 1.0 / duration:
+            found.append((candidate.chance, beat))
+    limit = FALSE_ALARM / max(duration * (high - low), 1.0)
+    sure = [beat for chance, beat in found if chance < limit and beat.share >= SHARE]
+    if not sure:
         return None
-    grid = np.arange(low, high, 0.1 / duration)
+    largest = max(sure, key=lambda beat: beat.amplitude)
+    # a harmonic may be larger than the stroke itself, which then is there as well
+    below = [
+        beat
+        for _, beat in found
+        if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
+    ]
+    return max(below, key=lambda beat: beat.amplitude, default=largest)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Amplitudes of a frequency in windows, and the chance that noise makes them as coherent."""
+
+    frequency_hz: float
+    time_s: Array
+    amplitude: Complex
+    chance: float
+    share: float
+
+
+def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
+    """Frequencies of the highest peaks of the spectrum, and of the derivatives', where drift is small."""
+    # from below, so that the flank of something slower is no peak
+    grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
     if len(grid) < 4:
-        return None
-    tapered = x * signal.windows.tukey(len(x), 0.2)
+        return []
+    centred = t - t.mean()
+    level = x - np.polyval(np.polyfit(centred / duration, x, 3), centred / duration)
+    tapered = level * signal.windows.tukey(len(x), 0.2)
     power = _power(t, tapered - tapered.mean(), grid)
-    guess = float(grid[np.argmax(power)])
+    chosen: list[float] = []
+    for spectrum in (power * grid**4, power * grid**2, power):
+        tops = [k for k in signal.find_peaks(spectrum)[0] if grid[k] >= low]
+        ranked = sorted(tops, key=lambda k: -spectrum[k])[:CANDIDATES]
+        chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
+    return chosen
 
-    def left(frequency: float) -> float:
-        return float(np.sum((x - _sine(t, x, frequency)[0]) ** 2))
 
-    width = 0.3 / duration
-    found = optimize.minimize_scalar(
-        left,
-        bounds=(max(guess - width, 0.5 * low), guess + width),
-        method="bounded",
-        options={"xatol": 1e-6 * guess},
-    )
-    frequency = float(found.x)
-    model, amplitude = _sine(t, x, frequency)
-    residual = float(np.var(x - model))
-    share = 1.0 - residual / float(np.var(x))
-    if share < 0.2:
+def _examined(t: Array, x: Array, frequency: float) -> _Candidate | None:
+    """Fit a sine beside a polynomial in windows of two cycles."""
+    # coarser sampling needs longer windows
+    step = float(np.median(np.diff(t)))
+    hop = max(1.0, np.ceil(SAMPLES * step * frequency / WINDOW)) / frequency
+    width = WINDOW * hop
+    count = int((t[-1] - t[0] - width) / hop * (1 + 1e-9)) + 1
+    if count < 3:
         return None
-    stderr = 2.0 * np.sqrt(6.0 * residual / (len(t) * amplitude**2)) / (np.pi * duration)
-    return Beat(frequency, float(stderr), amplitude, share)
+    starts = t[0] + hop * np.arange(count)
+    if count > MOST_WINDOWS:
+        # pairs of windows that follow each other without overlap, spread over the record
+        first = np.linspace(0, count - WINDOW - 1, MOST_WINDOWS // 2).astype(int)
+        starts = starts[np.unique(np.concatenate((first, first + WINDOW)))]
+    ends = np.searchsorted(t, np.column_stack((starts, starts + width)))
+    enough = ends[:, 1] - ends[:, 0] >= max(SAMPLES, 0.5 * width / step)
+    if enough.sum() < 3:
+        return None
+    time = starts[enough] + 0.5 * width
+    amplitude, share = _fitted(t, x, ends[enough], time, width, frequency)
+    chance = min(2.0 * _incoherent(time, amplitude, width, hop), 2.0 * _no_line(t, x, frequency), 1.0)
+    return _Candidate(frequency, time, amplitude, chance, share)
+
+
+def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
+    """Chance that noise of any colour agrees as well from window to window."""
+    pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
+    pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
+    if len(pairs) < 2:
+        return 1.0
+    i, j = np.array(pairs).T
+    inner = abs(np.vdot(amplitude[i], amplitude[j]))
+    size = float(np.sqrt(np.sum(np.abs(amplitude[i]) ** 2) * np.sum(np.abs(amplitude[j]) ** 2)))
+    coherence = min(inner / max(size, 1e-300), 1.0)
+    # windows that overlap by a half count as two thirds of one
+    independent = len(pairs) * 2.0 / 3.0
+    return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
+
+
+def _no_line(t: Array, x: Array, frequency: float) -> float:
+    """Chance that noise, alike over :data:`BAND` cycles a record to either side, looks as much like a line.
+
+    Thomson's F test of the amplitudes under orthogonal tapers; the line is sought within a tenth of a cycle.
+    """
+    duration = float(t[-1] - t[0])
+    if frequency * duration > LINE_CYCLES:
+        return 1.0
+    count = round(duration / float(np.median(np.diff(t)))) + 1
+    even = np.linspace(t[0], t[-1], count)
+    u = 2.0 * (even - t[0]) / duration - 1.0
+    values = np.interp(even, t, x)
+    # a hole of more than a quarter of a cycle is filled with the line itself, and tells nothing
+    after = np.clip(np.searchsorted(t, even), 1, len(t) - 1)
+    known = t[after] - t[after - 1] <= 0.25 / frequency
+    if known.mean() < KNOWN:
+        return 1.0
+    turn = 2 * np.pi * frequency * even
+    design = np.column_stack([u**k for k in range(DRIFT + 1)] + [np.cos(turn), np.sin(turn)])
+    weights = np.linalg.lstsq(design[known], values[known], rcond=None)[0]
+    values = np.where(known, values, design @ weights)
+    values = values - np.polyval(np.polyfit(u, values, DRIFT), u)
+    tapers = signal.windows.dpss(count, BAND, TAPERS)
+    sums = tapers.sum(axis=1)
+    best = 0.0
+    for near in frequency + np.array([-0.1, -0.05, 0.0, 0.05, 0.1]) / duration:
+        tapered = tapers @ (values * np.exp(-2j * np.pi * near * (even - t[0])))
+        line = sums @ tapered / (sums @ sums)
+        left = float(np.sum(np.abs(tapered - line * sums) ** 2))
+        best = max(best, (TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
+    best *= float(known.mean())
+    return float(stats.f.sf(best, 2, 2 * TAPERS - 2))
+
+
+def _fitted(
+    t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
+) -> tuple[Complex, float]:
+    """Complex amplitude of a frequency in each window, and its share of the variance about the drift."""
+    rows = ends[:, :1] + np.arange(int(np.max(ends[:, 1] - ends[:, 0])))
+    inside = rows < ends[:, 1:]
+    rows = np.minimum(rows, len(t) - 1)
+    u = (t[rows] - middles[:, None]) / (0.5 * width)
+    drift = [np.polynomial.legendre.legval(u, np.eye(DRIFT + 1)[k]) for k in range(DRIFT + 1)]
+    phase = 2 * np.pi * frequency * (t[rows] - t[0])
+    design = np.stack([*drift, np.cos(phase), -np.sin(phase)], axis=-1) * inside[..., None]
+    values = np.where(inside, x[rows] - np.mean(x[rows], axis=1, keepdims=True), 0.0)
+    normal = np.einsum("wli,wlj->wij", design, design)
+    normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[1])
+    right = np.einsum("wli,wl->wi", design, values)[..., None]
+    weights = np.linalg.solve(normal, right)[..., 0]
+    amplitude = weights[:, DRIFT + 1] + 1j * weights[:, DRIFT + 2]
+    # what the sine explains beyond the drift
+    d = DRIFT + 1
+    level = np.linalg.solve(normal[:, :d, :d], right[:, :d])
+    drifted = float(np.sum(right[:, :d] * level))
+    whole = float(np.sum(values**2)) - drifted
+    return amplitude, (float(np.sum(right[..., 0] * weights)) - drifted) / max(whole, 1e-300)
+
+
+def _beat(found: _Candidate, duration: float) -> Beat:
+    """Frequency and amplitude with their errors from the amplitudes in windows."""
+    time, amplitude, frequency = found.time_s, found.amplitude, found.frequency_hz
+    turned = np.unwrap(np.angle(amplitude))
+    slope, stderr = _slope(time, turned, np.abs(amplitude))
+    size = np.abs(amplitude)
+    spread = float(np.std(size, ddof=1)) * np.sqrt(1.5 / len(size))
+    cycles = (frequency + slope / (2 * np.pi)) * duration
+    return Beat(
+        frequency + slope / (2 * np.pi),
+        stderr / (2 * np.pi),
+        float(np.mean(size)),
+        found.share,
+        cycles,
+        spread,
+    )
+
+
+def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
+    """Slope of phases over time and its standard error, by restricted maximum likelihood.
+
+    The phases' covariance is that of overlapping windows of white noise, each as noisy as its amplitude is
+    small, and of a random walk, in a proportion that the likelihood tells.
+    """
+    n = len(time)
+    hop = float(np.min(np.diff(time)))
+    apart = np.abs(time[:, None] - time[None, :]) / hop
+    noise = np.clip(1.0 - apart / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
+    walk = np.minimum.outer(time, time) - time[0]
+    walk = walk / hop
+    # in coordinates where both covariances are diagonal
+    shares, axes = linalg.eigh(walk, noise + 1e-9 * np.eye(n))
+    design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
+    turned = axes.T @ phase
+    found = []
+    for ratio in (0.0, *np.logspace(-4, 4, 25)):
+        cover = 1.0 + ratio * np.maximum(shares, 0.0)
+        scaled = design / cover[:, None]
+        (a, b), (_, d) = inner = design.T @ scaled
+        determinant = a * d - b * b
+        weights = np.linalg.solve(inner, scaled.T @ turned)
+        variance = float(np.sum((turned - design @ weights) ** 2 / cover)) / max(n - 2, 1)
+        misfit = (n - 2) * np.log(max(variance, 1e-300)) + float(np.sum(np.log(cover))) + np.log(determinant)
+        found.append((misfit, float(weights[1]), float(np.sqrt(max(variance, 0.0) * a / determinant))))
+    return min(found)[1:]
 
 
 def _power(t: Array, x: Array, grid: Array) -> Array:
@@ -123,10 +330,3 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
         return np.asarray(signal.lombscargle(t, x, 2 * np.pi * grid))
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
     return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)
-
-
-def _sine(t: Array, x: Array, frequency: float) -> tuple[Array, float]:
-    phase = 2 * np.pi * frequency * t
-    design = np.column_stack((np.cos(phase), np.sin(phase), np.ones_like(t)))
-    weights = np.linalg.lstsq(design, x, rcond=None)[0]
-    return design @ weights, float(np.hypot(weights[0], weights[1]))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
-from swimid.signals.beat import Beat, find_beat
+from swimid.signals.beat import FEWEST_CYCLES, TOLERANCE, Beat, find_beat
 from swimid.signals.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -23,8 +24,12 @@ PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
 TOGETHER = 0.03
 #: Rate above which a channel is averaged before its beat is sought, Hz.
 FASTEST_HZ = 60.0
-#: Highest harmonic reported, and how many standard errors its amplitude must exceed.
-HARMONICS, CLEAR = 5, 3.0
+#: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
+WHOLE, MOST = 0.8, 20_000
+#: Highest harmonic reported, and how many standard errors its amplitude must exceed: noise, whose amplitude
+#: is Rayleigh's, does so in one of a hundred records.
+HARMONICS = 5
+CLEAR = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
 
 
 @dataclass(frozen=True)
@@ -70,25 +75,62 @@ class Rhythm:
     @property
     def interval_hz(self) -> tuple[float, float]:
         """95 % interval of the stroke frequency, Hz."""
-        half = 1.96 * self.beat.stderr_hz
-        return self.beat.frequency_hz - half, self.beat.frequency_hz + half
+        return self.beat.interval_hz
+
+    @property
+    def period_s(self) -> tuple[float, float]:
+        """Period and its standard error, s."""
+        period = 1.0 / self.beat.frequency_hz
+        return period, period**2 * self.beat.stderr_hz
 
 
-def sway(columns: Mapping[str, Array]) -> Array | None:
-    """Distance of a track from the line it keeps to, m; None without two coordinates."""
-    names = [name for name in ("x_m", "y_m", "z_m") if name in columns]
-    if len(names) < 2:
-        return None
-    place = np.column_stack([columns[name] for name in names[:2]])
+def swing(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """How a track swings about the path it keeps to, in the track's unit.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``); a lone one swings along itself.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``sway`` across the path and ``surge`` along it, both about the mean of a quarter of the record: the
+        fewest cycles of a stroke that is told. Of a body that stays in its place, which has no path,
+        ``long_axis`` and ``short_axis``. Empty without a track.
+    """
+    units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
+    names = next((found for found in units if found), [])[:2]
+    if not names:
+        return {}
+    place = np.column_stack([columns[name] for name in names])
     there = np.isfinite(place).all(axis=1)
-    if there.sum() < 3 or not np.ptp(place[there], axis=0).any():
-        return None
-    centred = place - place[there].mean(axis=0)
-    across = np.linalg.svd(centred[there], full_matrices=False)[2][-1]
-    return centred @ across
+    if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
+        return {}
+    if len(names) == 1:
+        return {"surge": place[:, 0]}
+    width = max(int(there.sum() / FEWEST_CYCLES) | 1, 5)
+    path, tangent = (signal.savgol_filter(place[there], width, 1, deriv=k, axis=0) for k in (0, 1))
+    about = place[there] - path
+    ways = ("surge", "sway")
+    if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
+        ways = ("long_axis", "short_axis")
+        tangent = np.broadcast_to(np.linalg.svd(about, full_matrices=False)[2][0], about.shape)
+    tangent = tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    found = {way: np.full(len(place), np.nan) for way in ways}
+    for way, axis in zip(ways, (tangent, normal), strict=True):
+        found[way][there] = np.sum(about * axis, axis=1)
+    return found
 
 
-def find(time_s: Array, columns: Mapping[str, Array]) -> Rhythm | None:
+def find(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    *,
+    range_hz: tuple[float, float] | None = None,
+    stated_hz: float | None = None,
+) -> Rhythm | None:
     """The stroke a log shows, or None where it shows none.
 
     Parameters
@@ -96,6 +138,11 @@ def find(time_s: Array, columns: Mapping[str, Array]) -> Rhythm | None:
     time_s : ndarray, shape (n,)
     columns : mapping of str to ndarray, each shape (n,)
         NaN where missing. Names of the log format tell which swing once a stroke.
+    range_hz : (float, float), optional
+        Where the stroke is known to lie.
+    stated_hz : float, optional
+        What the robot was driven at. Where nothing is found freely, it is looked for there alone, which
+        takes less evidence.
 
     Notes
     -----
@@ -103,16 +150,24 @@ def find(time_s: Array, columns: Mapping[str, Array]) -> Rhythm | None:
     drag follow both half strokes. Of the channels at it the one with the smallest standard error
     gives the value; they are not independent, so nothing is averaged.
     """
-    offered = {name: values for name, values in columns.items() if SIDEWAYS.fullmatch(name)}
-    across = sway(columns)
-    if across is not None:
-        offered["sway"] = across
-    beats = _beats(time_s, offered)
-    double = not beats
-    if double:
-        beats = _beats(time_s, {name: v for name, v in columns.items() if PUSHED.fullmatch(name)})
-    if not beats:
-        return None
+    track = swing(columns)
+    once = {name: values for name, values in columns.items() if SIDEWAYS.fullmatch(name)}
+    once |= {name: values for name, values in track.items() if name == "sway"}
+    twice = {name: values for name, values in columns.items() if PUSHED.fullmatch(name)}
+    twice |= {name: values for name, values in track.items() if name != "sway"}
+    ranges = [range_hz]
+    if stated_hz is not None and range_hz is None:
+        ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
+    for within in ranges:
+        for offered in (once, twice):
+            beats = _beats(time_s, offered, within)
+            if beats:
+                return _chosen(time_s, offered, beats, offered is twice)
+    return None
+
+
+def _chosen(time_s: Array, offered: Mapping[str, Array], beats: dict[str, Beat], double: bool) -> Rhythm:
+    """The stroke that most channels support, in the channel that tells it best."""
 
     def support(frequency: float) -> float:
         return sum(
@@ -128,25 +183,49 @@ def find(time_s: Array, columns: Mapping[str, Array]) -> Rhythm | None:
         if abs(beat.frequency_hz / chosen.frequency_hz - 1) < TOGETHER
     }
     channel = min(at_it, key=lambda name: at_it[name].stderr_hz)
-    values = offered.get(channel, columns.get(channel))
-    assert values is not None
+    values = _unwrapped(offered[channel]) if channel.endswith("_rad") else offered[channel]
     harmonics = _harmonics(*_as_logged(time_s, values), at_it[channel].frequency_hz)
     return Rhythm(at_it[channel], channel, harmonics, beats, double)
 
 
-def _beats(time_s: Array, columns: Mapping[str, Array]) -> dict[str, Beat]:
+def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
+    """Why :func:`find` finds no stroke, in words."""
+    if not swing(columns) and not any(SIDEWAYS.fullmatch(n) or PUSHED.fullmatch(n) for n in columns):
+        return "no channel of it swings with the stroke"
+    duration = float(np.ptp(time_s)) if len(time_s) else 0.0
+    return (
+        f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more"
+        f" (in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on)"
+    )
+
+
+def _beats(
+    time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
+) -> dict[str, Beat]:
+    low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
-        time, prepared = _prepared(time_s, values)
-        beat = find_beat(time, prepared) if len(time) else None
+        time, prepared = _prepared(time_s, _unwrapped(values) if name.endswith("_rad") else values)
+        beat = find_beat(time, prepared, lowest_hz=low, highest_hz=high) if len(time) else None
         if beat is not None:
             found[name] = beat
     return found
 
 
+def _unwrapped(angle: Array) -> Array:
+    """An angle without its jumps by a turn."""
+    known = np.isfinite(angle)
+    smooth = angle.copy()
+    smooth[known] = np.unwrap(angle[known])
+    return smooth
+
+
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """The longest stretch of a channel, evenly sampled and not faster than a stroke needs."""
+    """A channel not faster than a stroke needs: its longest stretch, evenly; or all of it, with its gaps."""
     time, even = longest_even(time_s, values, FASTEST_HZ)
+    there = np.isfinite(values)
+    if len(time) < WHOLE * there.sum() <= MOST and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0:
+        time, even = time_s[there], values[there]
     known = np.isfinite(even)
     if known.sum() < 16 or np.ptp(even[known]) == 0:
         return np.empty(0), np.empty(0)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, stats
+from scipy import interpolate
 
+from swimid.signals.interval import Estimate, mean_of_blocks
 from swimid.signals.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
@@ -23,17 +24,6 @@ STRENGTHS = np.logspace(-4, 6, 11)
 FOLDS = 5
 #: Samples that suffice to choose it.
 ENOUGH = 600
-#: Blocks whose means tell how sure the mean of all is.
-BLOCKS = 12
-
-
-@dataclass(frozen=True)
-class Speed:
-    """A mean speed with its 95 % interval, m/s."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -42,10 +32,10 @@ class TrackSpeed:
 
     Attributes
     ----------
-    path : Speed
-        Mean of the speed along the path, sway and turns included.
-    line : Speed
-        Mean of the velocity along the straight line from start to end.
+    path : Estimate
+        Mean of the speed along the path, sway and turns included; m/s.
+    line : Estimate
+        Mean of the velocity along the straight line from start to end; m/s.
     naive_m_s : float
         Mean of ``|dx/dt|`` over all samples as they stand in the file.
     straightness : float
@@ -58,8 +48,8 @@ class TrackSpeed:
         Smoothed velocity at every sample, NaN where no good one is; m/s.
     """
 
-    path: Speed
-    line: Speed
+    path: Estimate
+    line: Estimate
     naive_m_s: float
     straightness: float
     noise_m: float
@@ -93,7 +83,7 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     Every stretch between gaps is smoothed by a cubic spline; how smooth, cross-validation on the
     longest tells [1]_. Noise lengthens a path: the smoothed path with its own noise put
     on is smoothed again, and what that adds is taken off (parametric bootstrap [2]_). The interval is
-    Student's over the means of :data:`BLOCKS` blocks of equal duration: it holds noise and the
+    that of :func:`swimid.signals.interval.mean_of_blocks`: it holds noise and the
     unsteadiness of the swimming.
 
     References
@@ -127,8 +117,8 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     along = np.linalg.norm(velocity[used], axis=1)
     mean = weights[used] @ velocity[used] / covered
     direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    path = _with_interval(along, weights[used], -excess / covered)
-    line = _with_interval(velocity[used] @ direction, weights[used], 0.0)
+    path = mean_of_blocks(along, weights[used], -excess / covered)
+    line = mean_of_blocks(velocity[used] @ direction, weights[used], 0.0)
     return TrackSpeed(
         path,
         line,
@@ -187,20 +177,3 @@ def _weights(t: Array) -> Array:
     """Time that each sample stands for (trapezoidal rule)."""
     steps = np.diff(t)
     return 0.5 * (np.concatenate((steps, [0.0])) + np.concatenate(([0.0], steps)))
-
-
-def _with_interval(values: Array, weights: Array, shift: float) -> Speed:
-    value = float(weights @ values / weights.sum())
-    block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
-    totals = np.bincount(block, weights, BLOCKS)
-    held = totals > 0
-    means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
-    half = 0.0  # of the block means; what noise adds is as uncertain as it is large
-    if len(means) > 1:
-        # neighbouring blocks are not independent: their correlation widens the interval
-        off = means - means.mean()
-        together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
-        widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
-    half = float(np.hypot(half, shift))
-    return Speed(value + shift, value + shift - half, value + shift + half)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,15 +12,18 @@ from numpy.typing import NDArray
 from swimid.formats.evidence import Check
 from swimid.formats.setup import Setup
 from swimid.notices import warn
-from swimid.tracking.pose import Pose
+from swimid.tracking import camera, motion
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 from swimid.tracking.rawtrack import RawTrack
-from swimid.tracking.reader import irregular
+from swimid.tracking.reader import Frame, irregular
 
 Grade = Literal["pass", "warn", "fail"]
 Array = NDArray[np.float64]
 
 #: Normalised innovation from which on a measurement counts as a jump.
 JUMP_SIGMA = 6.0
+#: Share of frames with a marker hidden in part that is worth saying: chance exceeds three sigma in 0.1 %.
+HIDDEN_SHARE = 0.01
 
 
 def _grade(value: float, good: float, bearable: float) -> Grade:
@@ -36,20 +40,58 @@ def gaps(track_found: NDArray[np.bool_], times: Array) -> list[tuple[float, floa
     return [(float(times[seen[k]]), float(times[seen[k + 1]])) for k in holes]
 
 
-def run(track: RawTrack, pose: Pose, setup: Setup) -> list[Check]:
-    """Every self-check of a track, in the order a reader wants them."""
+@dataclass(frozen=True)
+class Presence:
+    """From when to when the body is measured.
+
+    Attributes
+    ----------
+    first, last : int
+        Frames of the first and of the last measurement.
+    enters, leaves : bool
+        In the frame before the first, after the last, the edge of the picture cuts a marker: there the body
+        is not lost but out of the picture.
+    """
+
+    first: int
+    last: int
+    enters: bool
+    leaves: bool
+
+
+def presence(track: RawTrack, pose: Pose, setup: Setup) -> Presence:
+    """From when to when the body is measured, and whether it swims in or out of the picture."""
+    first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
+    cut: NDArray[np.bool_] = np.any(track.at_edge[_roles(track, setup)], axis=0)
+    return Presence(first, last, bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any()))
+
+
+def _roles(track: RawTrack, setup: Setup) -> list[int]:
+    """Rows of the markers the pose needs."""
+    return [track.names.index(name) for name in (setup.head_name, setup.tail) if name is not None]
+
+
+def run(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None) -> list[Check]:
+    """Every self-check of a track, in the order a reader wants them; ``kept`` are some of its frames."""
+    span = presence(track, pose, setup)
     found = [
-        _found(pose),
+        _found(pose, span),
+        _in_the_picture(track, pose, setup, span),
         _longest_gap(pose, setup),
+        _motion(track, pose, setup),
+        *_camera(kept or {}),
+        *_others(track, setup),
         *_separation(pose),
         *_against_robot(pose, setup),
         *_facing(pose, setup),
         _timing(pose),
         _edges(track, setup),
+        _hidden(track, pose, setup),
         _jumps(pose),
         *_calibration(pose),
         _noise(pose),
     ]
+    found += [_mistaken(track, name) for name in track.mistaken]
     for name, drift in track.drift.items():
         text = (
             f"hue {2 * drift[0]:+.0f} deg, saturation {drift[1] / 255:+.2f}, value {drift[2] / 255:+.2f} "
@@ -67,13 +109,18 @@ def run(track: RawTrack, pose: Pose, setup: Setup) -> list[Check]:
     return found
 
 
-def _found(pose: Pose) -> Check:
+def _found(pose: Pose, span: Presence) -> Check:
     count, total = int(pose.measured.sum()), len(pose.times)
-    lost = 1 - count / total
+    # Out of the picture a body is not lost; but a film that shows it for a part only is never all good.
+    inside = slice(span.first if span.enters else 0, span.last + 1 if span.leaves else total)
+    lost = 1 - float(pose.measured[inside].mean())
+    grade = _grade(lost, 0.05, 0.5)
+    if grade == "pass" and count < 0.95 * total:
+        grade = "warn"
     if count < total:
         warn(
             "SWM040",
-            f"{total - count} of {total} frames show no marker (or not all of them): "
+            f"{total - count} of {total} frames show no marker (not all of them, or not whole): "
             f"{int(pose.interpolated.sum())} are bridged and flagged interpolated, "
             f"{int((pose.segment == 0).sum())} are empty",
         )
@@ -81,8 +128,32 @@ def _found(pose: Pose) -> Check:
         name="Frames found",
         value=f"{count} of {total} ({100 * count / total:.1f} %)",
         limit=">= 95 %",
-        verdict=_grade(lost, 0.05, 0.5),
-        text="Frames in which every marker the pose needs was really seen.",
+        verdict=grade,
+        text="Frames in which every marker the pose needs was really seen, and whole."
+        + (f" While it was in the picture: {100 * (1 - lost):.1f} %." if span.enters or span.leaves else ""),
+    )
+
+
+def _in_the_picture(track: RawTrack, pose: Pose, setup: Setup, span: Presence) -> Check:
+    """What is missing at the beginning and at the end is no gap between sights: it has its own line."""
+    t, head = pose.times, track.names.index(setup.head_name)
+
+    def place(frame: int) -> str:
+        return f"frame {frame}, at {track.x[head, frame]:.0f}, {track.y[head, frame]:.0f} px"
+
+    late, early = t[span.first] - t[0] > setup.max_gap_s, t[-1] - t[span.last] > setup.max_gap_s
+    if late:
+        came = "cut by the edge of the picture before" if span.enters else "nothing of it before"
+        warn("SWM065", f"first seen at {t[span.first]:.2f} s ({place(span.first)}; {came})")
+    if early:
+        went = "then it left the picture" if span.leaves else "then it is lost for good"
+        warn("SWM065", f"last seen at {t[span.last]:.2f} s of {t[-1]:.2f} s ({place(span.last)}; {went})")
+    return Check(
+        name="First and last sight",
+        value=f"{t[span.first]:.2f} s and {t[span.last]:.2f} s of {t[-1]:.2f} s",
+        limit=f"within {setup.max_gap_s:g} s of the ends",
+        verdict="warn" if late or early else "pass",
+        text="Before and after them nothing is measured, nor bridged.",
     )
 
 
@@ -100,31 +171,99 @@ def _longest_gap(pose: Pose, setup: Setup) -> Check:
         value=f"{longest:.3f} s" if holes else "none",
         limit=f"<= {setup.max_gap_s:g} s",
         verdict="pass" if segments == 1 else "warn",
-        text=f"{len(holes)} gaps; the track has {segments} segment{'s' if segments > 1 else ''}.",
+        text=f"{len(holes)} gaps between the first and the last sight; the track has {segments} "
+        f"segment{'s' if segments > 1 else ''}.",
     )
 
 
-def separation_noise(separation: Array) -> tuple[float, float]:
-    """Slow-free scatter of the marker separation and its median.
+def _motion(track: RawTrack, pose: Pose, setup: Setup) -> Check:
+    """Whether what was followed moves: a still thing is found in every frame and passes all else."""
+    reaches = {n: motion.reach(track, n) for n in (setup.head_name, setup.tail) if n is not None}
+    name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
+    noise = math.hypot(farthest.noise_px, SYSTEMATIC_PX)
+    still = farthest.away_px <= motion.NOISE_SIGMA * noise
+    if still or not farthest.moves:
+        warn(
+            "SWM067",
+            f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of "
+            f"its radius{', which is its noise' if still else ''}: is it the marker, or a still thing of "
+            "its colour?",
+        )
+    return Check(
+        name="Motion",
+        value=f"{farthest.away_px:.3g} px away, {farthest.radii:.2g} radii of '{name}'",
+        limit=f">= {motion.LEAST_RADII:g} radius, and beyond {motion.NOISE_SIGMA * noise:.2g} px of noise",
+        verdict="fail" if still else "pass" if farthest.moves else "warn",
+        text="How far the marker gets from its usual place. What stays within its own size cannot be told "
+        "from a still thing that ripples or is half covered at times.",
+    )
 
-    The scatter is that of second differences (over sqrt 6), which slow changes by lens and
-    height leave alone.
-    """
-    known = separation[np.isfinite(separation)]
-    if len(known) < 5:
-        return math.nan, float(np.median(known)) if len(known) else math.nan
-    second = known[2:] - 2 * known[1:-1] + known[:-2]
-    scatter = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
-    return scatter, float(np.median(known))
+
+def _camera(kept: dict[int, Frame]) -> list[Check]:
+    """Whether the camera stood still, where most of the scene can be recognised."""
+    shift = camera.shifts(list(kept.values()))
+    if np.isfinite(shift[:, 0]).sum() < 2:
+        return []
+    largest = float(np.nanmax(np.hypot(*shift.T)))
+    limit = camera.limit_px(next(iter(kept.values())).shape[1])
+    if largest > limit:
+        warn(
+            "SWM068",
+            f"the whole scene shifts by {largest:.1f} px in the film: the camera moves, and so do positions "
+            "and speeds in the log",
+        )
+    return [
+        Check(
+            name="Camera",
+            value=f"the scene shifts by {largest:.1f} px",
+            limit=f"<= {limit:.1f} px",
+            verdict="pass" if largest <= limit else "warn",
+            text="Most corners of the scene, compared between a few frames: positions are seen from the "
+            "camera.",
+        )
+    ]
+
+
+def _others(track: RawTrack, setup: Setup) -> list[Check]:
+    """How often the markers are seen that the pose does not need."""
+    names = [n for n in track.names if n not in (setup.head_name, setup.tail)]
+    if not names:
+        return []
+    shares = {n: float(track.found[track.names.index(n)].mean()) for n in names}
+    worst = min(shares, key=lambda n: shares[n])
+    still = [n for n in names if shares[n] > 0 and not motion.reach(track, n).moves]
+    if still:
+        warn(
+            "SWM067",
+            f"marker{'s' if len(still) > 1 else ''} {', '.join(still)} never left the radius of one place: "
+            "still things of that colour?",
+        )
+    return [
+        Check(
+            name="Other markers found",
+            value=f"{worst} in {100 * shares[worst]:.1f} %"
+            + (f", the rest of {len(names)} in more" if len(names) > 1 else ""),
+            limit=">= 95 %",
+            verdict=_grade(1 - shares[worst], 0.05, 0.5),
+            text="Markers besides head and tail: their columns are empty where they were not seen.",
+        ),
+        Check(
+            name="Other markers move",
+            value=f"all but {', '.join(still)}" if still else f"all {len(names)}",
+            limit=f">= {motion.LEAST_RADII:g} radius",
+            verdict="warn" if still else "pass",
+            text="What stays in place while others move may be a still thing of the colour.",
+        ),
+    ]
 
 
 def _separation(pose: Pose) -> list[Check]:
     if pose.separation is None:
         return []
     separation = np.where(pose.measured, pose.separation, np.nan)
-    noise, middle = separation_noise(separation)
-    unit = pose.plane.unit
     known = np.isfinite(separation)
+    noise, middle = motion.scatter(separation[known]), float(np.nanmedian(separation))
+    unit = pose.plane.unit
     spread = 1.4826 * float(np.median(np.abs(separation[known] - middle))) / middle
     design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
@@ -142,8 +281,8 @@ def _separation(pose: Pose) -> list[Check]:
         Check(
             name="Marker separation",
             value=f"{middle:.4g} {unit}, spread {100 * spread:.2f} %",
-            limit="spread <= 2 %",
-            verdict=_grade(spread, 0.02, 0.06),
+            limit=f"spread <= {100 * motion.KEPT[0]:g} %",
+            verdict=_grade(spread, *motion.KEPT),
             text="Two markers on one rigid part keep their distance. Frame to frame it scatters by "
             f"{noise:.2g} {unit}, so one centroid by about {noise / math.sqrt(2):.2g} {unit}.",
         ),
@@ -221,21 +360,57 @@ def _timing(pose: Pose) -> Check:
 
 
 def _edges(track: RawTrack, setup: Setup) -> Check:
-    roles = [track.names.index(n) for n in (setup.head_name, setup.tail) if n is not None]
+    roles = _roles(track, setup)
     count = int(np.any(track.at_edge[roles], axis=0).sum())
-    share = count / max(int(track.found[roles].any(axis=0).sum()), 1)
+    share = count / max(int(track.seen[roles].any(axis=0).sum()), 1)
     if count:
         warn(
             "SWM045",
-            f"in {count} frames a marker is cut by the edge of the picture and its centre is biased inwards; "
-            "these frames carry little weight",
+            f"in {count} frames a marker is cut by the edge of the picture; its centre cannot be told there, "
+            "so these frames count as not found",
         )
     return Check(
         name="At the edge of the picture",
         value=f"{count} frames ({100 * share:.1f} %)",
         limit="<= 1 %",
-        verdict=_grade(share, 0.01, 0.2),
-        text="A marker cut by the edge has a biased centre.",
+        verdict="pass" if share <= 0.01 else "warn",
+        text="A marker cut by the edge is seen and followed, but not measured.",
+    )
+
+
+def _hidden(track: RawTrack, pose: Pose, setup: Setup) -> Check:
+    off = pose.hidden[_roles(track, setup)].max(axis=0)
+    count = int(np.sum(off > 0))
+    share = count / max(int(pose.measured.sum()), 1)
+    worst = f"; the centre may be {off.max():.1f} px off in frame {int(np.argmax(off))}" if count else ""
+    if share > HIDDEN_SHARE:
+        warn(
+            "SWM066",
+            f"in {count} frames a marker looks smaller than it is, hidden in part or seen aslant{worst}. The "
+            "stated deviations contain that",
+        )
+    return Check(
+        name="Hidden in part",
+        value=f"{count} frames ({100 * share:.1f} %){worst}",
+        limit=f"<= {100 * HIDDEN_SHARE:g} %",
+        verdict="pass" if share <= HIDDEN_SHARE else "warn",
+        text="The centre of what is seen of a marker is not the marker's.",
+    )
+
+
+def _mistaken(track: RawTrack, name: str) -> Check:
+    """Something else came before the marker: which of the two is the marker is for the reader to say."""
+    count, area = track.mistaken[name]
+    now = float(np.nanmedian(track.area[track.names.index(name)]))
+    text = f"{count} sights of a thing of {area:.0f} px, then one of {now:.0f} px"
+    warn("SWM064", f"marker '{name}' was first taken for another thing: {text}, which stayed longer")
+    return Check(
+        name=f"What is {name}",
+        value=text,
+        limit="one thing",
+        verdict="warn",
+        text="The first thing of the marker's colour was given up for one that moved and stayed longer. Look "
+        "at the overlay; area_px in the setup tells them apart.",
     )
 
 

@@ -16,8 +16,12 @@ ADAPTATION = 0.12
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
 #: Drift worth a warning, same units.
 NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
+#: So far outside the range in saturation and value (of 255) pixels count where they touch pixels inside it.
+SLACK = 20.0
 #: Half a turn of hue in OpenCV's 8-bit scale.
 _HALF, _TURN = 90.0, 180.0
+#: Chroma (saturation times value, of 255) below which hue is noise.
+_LEAST_CHROMA = 24.0
 #: Saturation (of 255) below which a pixel is grey.
 _GREY = 30.0
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -54,6 +58,7 @@ class ColourModel:
         )
         self._lower = 255 * np.array([colours.saturation[0], colours.value[0]])
         self._upper = 255 * np.array([colours.saturation[1], colours.value[1]])
+        self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
         self._first: NDArray[np.float64] | None = None
         self.drift = np.zeros(3)
         self.largest_drift = np.zeros(3)
@@ -72,6 +77,11 @@ class ColourModel:
         near = cv2.dilate(strong, _TOUCH)
         return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
 
+    def holds(self, hsv: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether single colours, shape (n, 3) on OpenCV's scale, count where they touch the range's."""
+        pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
+        return np.asarray(_within(pixels, self._weak)[0] > 0)
+
     def distance(self, hsv: NDArray[np.float64]) -> float:
         """How far a mean colour is from the middle of the range: 0 centre, 1 rim."""
         centre = self._centre + self.drift
@@ -83,8 +93,9 @@ class ColourModel:
         """Move the model a little towards the mean colour of a marker just seen."""
         if self._first is None:
             self._first = hsv.copy()
-        offset = hsv - self._first
-        offset[0] = hue_difference(hsv[0], self._first[0])
+        offset = colour_difference(hsv, self._first)
+        # Of a channel that may be anything nothing needs to be followed: of grey the hue is noise.
+        offset[self._any] = 0.0
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
 
@@ -92,6 +103,12 @@ class ColourModel:
         """Move a little back to the setup's colours, while the marker is lost."""
         if self.drift.any():
             self._move(self.drift * (1 - 0.2 * ADAPTATION))
+
+    def restart(self) -> None:
+        """Go back to the setup's colours: what was followed was another thing."""
+        self._first = None
+        self.largest_drift = np.zeros(3)
+        self._move(np.zeros(3))
 
     def _move(self, drift: NDArray[np.float64]) -> None:
         changed = np.any(np.round(drift) != np.round(self.drift))
@@ -102,7 +119,7 @@ class ColourModel:
 
     def _refresh(self) -> None:
         self._strong = self._arcs(0.0, 0.0)
-        self._weak = self._arcs(0.25 * self._half_width + 3.0, 20.0)
+        self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
     def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
         """Bounds for ``cv2.inRange``: one box of colours, or two where the hue arc crosses 0."""
@@ -149,6 +166,25 @@ def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray
     out = a - b
     out[0] = hue_difference(a[0], b[0])
     return out
+
+
+def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
+    """Whether colours differ from a usual one by no more than a hue and a share of its saturation.
+
+    Parameters
+    ----------
+    hsv : ndarray, shape (3,) or (3, n)
+        On OpenCV's scale.
+    usual : ndarray, shape (3,)
+        Where it is nearly grey its hue is noise and not compared, and saturations are as they come with so
+        little chroma.
+    hue, saturation : float
+    """
+    least = 255 * _LEAST_CHROMA / max(float(usual[2]), 1.0)
+    saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
+    if usual[1] < least:
+        return saturated
+    return saturated & (np.abs(hue_difference(hsv[0], usual[0])) <= hue)
 
 
 def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:

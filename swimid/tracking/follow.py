@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from swimid.formats.setup import Marker, Setup
-from swimid.tracking import detect
-from swimid.tracking.colour import ColourModel, colour_difference
+from swimid.tracking import detect, search
+from swimid.tracking.colour import ColourModel, same_hue_and_saturation
 from swimid.tracking.detect import Blob
 from swimid.tracking.rawtrack import (
     FULL,
@@ -26,88 +26,22 @@ from swimid.tracking.rawtrack import (
     drop_strangers,
 )
 from swimid.tracking.reader import Frame
+from swimid.tracking.search import Kind, Search, is_new, same_place
+from swimid.tracking.target import Bond, Challenger, Target
 
 #: Area without one in the setup: px, and share of the picture.
 SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
-#: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
-DECIMATION = 4
-#: In a window the mask is made of every n-th pixel at most.
-MASK_STEP = 4
 #: Frames between steps of the colour model.
 ADAPT_EVERY = 5
 #: Frames between looks for other things of the marker's colour.
 LOOK_AROUND_FRAMES = 180
 #: Earlier frames kept, and how often, to see whether a thing was there before the marker was lost.
 MEMORIES, MEMORY_FRAMES = 2, 120
-#: Two markers whose distance spreads by less than this share over so many frames are rigid.
-RIGID_FRAMES, RIGID_SPREAD = 20, 0.06
 #: Of equal markers, one this far (as a share) from its partner's distance is another's.
 RIGID_LIMIT = 0.3
 _NO = 1e6
 _NOT_SEEN = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
-
-
-@dataclass
-class Target:
-    """What is known of one marker while it is followed. Lengths in px, times in s."""
-
-    name: str
-    x: float = math.nan
-    y: float = math.nan
-    vx: float = 0.0
-    vy: float = 0.0
-    time: float = -math.inf
-    sights: int = 0
-    missed: int = 0
-    radius: float = 0.0
-    area: float = 0.0
-    contrast: float = 0.0
-    surprise: float = 0.0
-    #: Slow averages: what it usually is, not what it was last.
-    pace: float = 0.0
-    usual_area: float = 0.0
-    colour: NDArray[np.float64] | None = None
-
-    def predicted(self, time: float) -> tuple[float, float]:
-        """Where it should be, with its last speed."""
-        dt = time - self.time
-        return self.x + self.vx * dt, self.y + self.vy * dt
-
-    def reach(self, dt: float) -> float:
-        """How far beyond the marker's own size it may be from the prediction after ``dt``."""
-        steps = 1 + self.missed
-        moved = math.hypot(self.vx, self.vy) * dt
-        start = 12.0 + self.radius if self.sights < 3 else 6.0
-        return start + (0.3 * moved + 3.0 * self.surprise) + (steps - 1) * 0.5 * self.radius
-
-    def see(self, blob: Blob, time: float) -> None:
-        """Take a sighting: move there, learn speed, size and contrast."""
-        if self.sights and time > self.time:
-            dt = time - self.time
-            px, py = self.predicted(time)
-            error = math.hypot(blob.x - px, blob.y - py)
-            if self.sights == 1:
-                self.vx, self.vy = (blob.x - self.x) / dt, (blob.y - self.y) / dt
-            elif error > 8 * self.radius + 40:
-                self.vx = self.vy = 0.0  # found again elsewhere: its speed is not known
-            else:
-                self.vx += 0.5 * (blob.x - px) / dt
-                self.vy += 0.5 * (blob.y - py) / dt
-            self.surprise += 0.3 * (min(error, 4 * self.radius + 20) - self.surprise)
-            self.pace = max(self.pace + 0.05 * (math.hypot(self.vx, self.vy) - self.pace), 0.0)
-        blend = 0.15 if self.sights else 1.0
-        if not blob.at_edge or not self.sights:
-            slow = max(0.01, 1 / (self.sights + 1))
-            self.usual_area += slow * (blob.area - self.usual_area)
-            old = blob.hsv if self.colour is None else self.colour
-            self.colour = old + slow * colour_difference(blob.hsv, old)
-        if not blob.at_edge or not self.sights:
-            self.contrast += blend * (blob.contrast - self.contrast)
-        self.area += blend * (blob.area - self.area)
-        self.radius += blend * (blob.radius - self.radius)
-        self.x, self.y, self.time = blob.x, blob.y, time
-        self.sights += 1
-        self.missed = 0
+_KNOWN = {field.name for field in fields(Target)}
 
 
 @dataclass
@@ -115,37 +49,14 @@ class _Group:
     """Markers of one colour."""
 
     marker: Marker
-    model: ColourModel
+    kind: Kind
     targets: list[Target]
-    area_px: tuple[float, float]
     #: Other things of the colour at the last look around, and where the markers were then.
     rivals: list[Blob] = field(default_factory=list)
     seen_from: list[tuple[float, float]] = field(default_factory=list)
-    #: Those that stood still between two looks while a marker moved: part of the scene.
-    scenery: list[Blob] = field(default_factory=list)
     most_rivals: int = 0
     next_look: int = 0
     pause: int = 12
-
-
-@dataclass
-class _Bond:
-    """Distance between two markers, to find out whether they sit on one rigid part."""
-
-    count: int = 0
-    mean: float = 0.0
-    squares: float = 0.0
-
-    def add(self, distance: float) -> None:
-        self.count += 1
-        delta = distance - self.mean
-        self.mean += delta / self.count
-        self.squares += delta * (distance - self.mean)
-
-    @property
-    def rigid(self) -> bool:
-        spread = math.sqrt(self.squares / max(self.count - 1, 1))
-        return self.count >= RIGID_FRAMES and spread < RIGID_SPREAD * self.mean
 
 
 class Follower:
@@ -160,26 +71,30 @@ class Follower:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
-        self.size = (width, height)
+        self._search = Search(setup, width, height)
         self.groups = [
             _Group(
                 marker,
-                ColourModel(marker.colour_range()),
+                Kind(
+                    ColourModel(marker.colour_range()),
+                    marker.area_px or (SMALLEST_AREA_PX, LARGEST_AREA_SHARE * width * height),
+                ),
                 [Target(name) for name in marker.names],
-                marker.area_px or (SMALLEST_AREA_PX, LARGEST_AREA_SHARE * width * height),
             )
             for marker in setup.markers
         ]
         #: Between markers of different colours, where some colour is worn by several.
-        self._bonds: dict[tuple[str, str], _Bond] = {}
+        self._bonds: dict[tuple[str, str], Bond] = {}
         self._targets = [t for g in self.groups for t in g.targets]
         if any(len(g.targets) > 1 for g in self.groups):
             for k, one in enumerate(self.groups):
                 for other in self.groups[k + 1 :]:
-                    self._bonds |= {(a.name, b.name): _Bond() for a in one.targets for b in other.targets}
+                    self._bonds |= {(a.name, b.name): Bond() for a in one.targets for b in other.targets}
         #: Earlier frames, and where the markers were in them.
         self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=MEMORIES)
         self._rows: list[list[tuple[float, ...]]] = []
+        #: Whole sights that were taken back as another thing's, and its area.
+        self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
         self._frame = 0
 
@@ -199,15 +114,12 @@ class Follower:
                     target.missed += 1
                     row.append(_NOT_SEEN)
                     continue
-                usual = target.usual_area or blob.area
-                likeness = min(blob.area / usual, usual / blob.area)
+                row.append(_row(target, blob, status))
                 target.see(blob, time)
-                sure = blob.confidence * likeness**0.5
-                row.append((blob.x, blob.y, blob.area, sure, status, blob.at_edge, *blob.hsv))
                 if self._frame % ADAPT_EVERY == 0 and blob.confidence > 0.3 and not blob.at_edge:
-                    group.model.adapt(blob.hsv)
+                    group.kind.model.adapt(blob.hsv)
             if not sights:
-                group.model.forget()
+                group.kind.model.forget()
         for (one, other), bond in self._bonds.items():
             a, b = self._target(one), self._target(other)
             if a.time == time == b.time:
@@ -257,8 +169,9 @@ class Follower:
             confidence=table[:, :, 3].T.copy(),
             status=table[:, :, 4].T.astype(int),
             at_edge=table[:, :, 5].T.astype(bool),
-            drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
+            drift={g.marker.name: g.kind.model.largest_drift for g in self.groups if g.kind.model.drifted},
             rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
+            mistaken=self._mistaken,
         )
         for i in range(len(names)):
             drop_strangers(track, i, table[:, i, 6:])
@@ -270,18 +183,27 @@ class Follower:
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
         lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
-        if lost:
+        unsure = [t for t in known if t.name in sights and not t.whole]
+        if lost or unsure:
             taken = [blob for blob, _ in sights.values()]
-            for target, blob in self._in_picture(group, lost, taken, time, frame):
+            area = max((t.area for t in lost), default=0.0)
+            blobs = [b for b in self._search.picture(group.kind, frame, area) if is_new(b, taken)]
+            for target, blob in self._in_picture(group, lost, blobs, time):
                 sights[target.name] = (blob, FULL)
+                blobs = [b for b in blobs if b is not blob]
+            for target in (t for t in known if t.name not in sights or t in unsure):
+                winner = self._contest(group, target, blobs, time)
+                if winner is not None:
+                    sights[target.name] = (winner, FULL)
+                    blobs = [b for b in blobs if b is not winner]
         for target in known:
             if (
                 target.missed
                 and target.name in sights
                 and self._was_there(group, target, sights[target.name][0])
             ):
-                group.scenery.append(sights.pop(target.name)[0])
-        if not lost and self._frame >= group.next_look:
+                group.kind.scenery.append(sights.pop(target.name)[0])
+        if not lost and not unsure and self._frame >= group.next_look:
             self._look_around(group, [blob for blob, _ in sights.values()], frame)
         return sights
 
@@ -314,7 +236,9 @@ class Follower:
         away = math.hypot(blob.x - px, blob.y - py)
         if away > allowed + target.radius or not self._alike(group, target, blob):
             return _NO
-        cost = (away / allowed) ** 2 + 0.3 * abs(math.log(blob.area / target.area))
+        cost = (away / allowed) ** 2
+        if target.whole and not blob.at_edge:
+            cost += 0.3 * abs(math.log(blob.area / target.area))
         return min(cost + self._misfit(target, blob, time), _NO)
 
     def _window(self, group: _Group, target: Target, time: float, frame: Frame) -> tuple[list[Blob], int]:
@@ -322,9 +246,9 @@ class Follower:
         cx, cy = target.predicted(time)
         half = 1.3 * target.radius + target.reach(time - target.time) + 4
         status = WINDOW
-        step = max(min(int(target.radius / 6), MASK_STEP), 1)
+        step = max(min(int(target.radius / 6), search.MASK_STEP), 1)
         for _ in range(3):
-            blobs, cut = self._blobs(group, frame, cx, cy, half, step)
+            blobs, cut = self._search.window(group.kind, frame, cx, cy, half, step)
             if any(self._alike(group, target, blob) for blob in blobs):
                 return blobs, status
             if cut is not None:
@@ -333,62 +257,23 @@ class Follower:
             status = GROWN
         return [], LOST
 
-    def _blobs(
-        self, group: _Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
-    ) -> tuple[list[Blob], tuple[int, int, int, int] | None]:
-        """Whole blobs in a window, and the box of the largest one the window cuts.
-
-        The colour of every ``step``-th pixel says what is marker; its centre is taken from all.
-        """
-        width, height = self.size
-        x0, x1 = max(int(cx - half), 0), min(int(cx + half) + 2, width)
-        y0, y1 = max(int(cy - half), 0), min(int(cy + half) + 2, height)
-        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
-            return [], None
-        window = frame[y0:y1, x0:x1]
-        mask = detect.marker_mask(detect.thinned(window, step), group.model)
-        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found = detect.patches(mask, group.area_px, step=step, inside=inside)
-        blobs = []
-        cut: detect.Patch | None = None
-        for patch in found:
-            if patch.clipped:
-                cut = patch if cut is None or patch.area > cut.area else cut
-                continue
-            blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
-            if (
-                blob is not None
-                and self._allowed(blob)
-                and not any(_same_place(blob, s) for s in group.scenery)
-            ):
-                blobs.append(blob)
-        box = None
-        if cut is not None:
-            box = (x0 + step * cut.left, y0 + step * cut.top, x0 + step * cut.right, y0 + step * cut.bottom)
-        return blobs, box
-
-    def _allowed(self, blob: Blob) -> bool:
-        region = self.setup.region_px
-        if region is not None and not _within(blob, region):
-            return False
-        return not any(_within(blob, box) for box in self.setup.ignore_px)
-
     def _alike(self, group: _Group, target: Target, blob: Blob, gone: float = 0.0) -> bool:
-        """Whether a blob may be the target by its size and contrast."""
-        if not target.sights:
-            return True
+        """Whether a blob may be the target by its size and contrast, as far as these are known."""
+        if not target.whole:
+            # Equal markers are of one size; else a blob of any the setup allows may be it.
+            like = [t.usual_area for t in group.targets if t.whole]
+            return not like or blob.at_edge or 0.5 < blob.area / max(like) < 2.0
         alone = len(group.targets) == 1
         # Equal markers that touch look like one of twice the size, half hidden ones are off centre.
         low, high = (0.3, 3.0) if alone else (0.7, 1.4)
         ratio = blob.area / (target.usual_area if gone or not alone else target.area)
         if blob.at_edge:
-            low = 0.1
+            low = 0.0
         if not low <= ratio <= high or blob.contrast < 0.4 * target.contrast:
             return False
         if not gone or target.colour is None:
             return True
-        hue, saturation, _ = colour_difference(blob.hsv, target.colour)
-        return abs(hue) <= RETURN_HUE and abs(saturation) <= RETURN_SATURATION * target.colour[1]
+        return bool(same_hue_and_saturation(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def _drop_merged(self, known: list[Target], found: dict[str, tuple[Blob, int]], time: float) -> None:
         """Where equal markers meet and fewer blobs than markers are seen, none of them is known."""
@@ -429,21 +314,18 @@ class Follower:
             x, y = places[target.name]
             if math.hypot(blob.x - x, blob.y - y) < 2 * max(target.radius, blob.radius) + 4:
                 continue
-            old, _ = self._blobs(group, frame, blob.x, blob.y, 1.3 * blob.radius + detect.MARGIN)
+            old, _ = self._search.window(group.kind, frame, blob.x, blob.y, 1.3 * blob.radius + detect.MARGIN)
             taken = [place for name, place in places.items() if name != target.name]
-            if any(_same_place(blob, b) and _far(b, taken) for b in old):
+            if any(same_place(blob, b) and _far(b, taken) for b in old):
                 return True
         return False
 
     # ------------------------------------------------------------ the whole picture
 
     def _in_picture(
-        self, group: _Group, lost: list[Target], taken: list[Blob], time: float, frame: Frame
+        self, group: _Group, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
-        """Lost targets anywhere in the picture, in the same frame."""
-        blobs = [
-            b for b in self._scan(group, frame, max((t.area for t in lost), default=0.0)) if _is_new(b, taken)
-        ]
+        """Which of the blobs of the whole picture are lost targets."""
         if not blobs:
             return []
         fresh = [t for t in lost if not t.sights]
@@ -489,19 +371,64 @@ class Follower:
                 [[math.hypot(b.x - places[t.name][0], b.y - places[t.name][1]) for b in blobs] for t in fresh]
             )
             return [(fresh[i], blobs[j]) for i, j in zip(*linear_sum_assignment(away), strict=True)]
-
-        def merit(blob: Blob) -> float:
-            fit = 1.5 - min(group.model.distance(blob.hsv), 1.0)
-            return math.sqrt(blob.contrast * blob.area) * fit * (0.3 if blob.at_edge else 1.0)
-
-        best = sorted(blobs, key=merit, reverse=True)[: len(fresh)]
+        best = sorted(blobs, key=lambda blob: _merit(group, blob), reverse=True)[: len(fresh)]
         best.sort(key=lambda blob: blob.x)
         return list(zip(fresh, best, strict=False))
+
+    def _contest(self, group: _Group, target: Target, blobs: list[Blob], time: float) -> Blob | None:
+        """Follow what may be the marker in the place of a target that is missed, or cut by the edge.
+
+        What was learned of the target may be wrong: of a reflection, or of the marker half hidden. A
+        thing unlike it that stays in the picture longer is then the marker, from its first sight on,
+        and what was taken for it before is taken back.
+
+        Returns
+        -------
+        Blob or None
+            The target in this frame, when it is another from now on.
+        """
+        gone = time - target.time
+        blobs = [
+            b
+            for b in blobs
+            if not b.at_edge
+            and not any(same_place(b, r) for r in group.rivals)
+            and not (target.whole and self._alike(group, target, b, gone))
+        ]
+        rival = target.challenger
+        if rival is not None and time - rival.time > self.setup.max_gap_s:
+            rival = target.challenger = None
+        if rival is None:
+            if not blobs:
+                return None
+            rival = target.challenger = Challenger(target.name)
+            best = max(blobs, key=lambda blob: _merit(group, blob))
+        else:
+            costs = [self._cost(group, rival, blob, time) for blob in blobs]
+            if min(costs, default=_NO) >= _NO:
+                rival.missed += 1
+                return None
+            best = blobs[int(np.argmin(costs))]
+        rival.rows[self._frame] = _row(rival, best, FULL)
+        rival.see(best, time)
+        if not rival.prevails(target):
+            return None
+        column = self._targets.index(target)
+        if target.whole:
+            count, area = self._mistaken.get(target.name, (0, 0.0))[0] + target.whole, target.usual_area
+            self._mistaken[target.name] = (count, area)
+        for frame, row in enumerate(self._rows):
+            row[column] = rival.rows.get(frame, _NOT_SEEN)
+        vars(target).update({k: v for k, v in vars(rival).items() if k in _KNOWN}, challenger=None)
+        group.kind.model.restart()
+        return best
 
     def _look_around(self, group: _Group, taken: list[Blob], frame: Frame) -> None:
         """Remember what else has this colour, so that it is not taken for a lost marker."""
         area = max((t.area for t in group.targets), default=0.0)
-        self._note_rivals(group, [b for b in self._scan(group, frame, area) if _is_new(b, taken)])
+        self._note_rivals(
+            group, [b for b in self._search.picture(group.kind, frame, area) if is_new(b, taken)]
+        )
 
     def _note_rivals(self, group: _Group, rivals: list[Blob]) -> None:
         here = [(t.x, t.y) for t in group.targets]
@@ -510,34 +437,29 @@ class Follower:
             for t, (x, y), (x0, y0) in zip(group.targets, here, group.seen_from, strict=False)
         )
         if moved:
-            still = [b for b in rivals if any(_same_place(b, old) for old in group.rivals)]
-            group.scenery += [b for b in still if not any(_same_place(b, old) for old in group.scenery)]
+            still = [b for b in rivals if any(same_place(b, old) for old in group.rivals)]
+            group.kind.scenery += [
+                b for b in still if not any(same_place(b, old) for old in group.kind.scenery)
+            ]
         if moved or not group.seen_from or math.isnan(group.seen_from[0][0]):
             group.rivals, group.seen_from = rivals, here
         group.most_rivals = max(group.most_rivals, len(rivals))
         group.next_look = self._frame + group.pause
         group.pause = min(2 * group.pause, LOOK_AROUND_FRAMES)
 
-    def _scan(self, group: _Group, frame: Frame, area: float) -> list[Blob]:
-        """Blobs of the whole picture: found on every n-th pixel, measured on all."""
-        step = max(min(int(math.sqrt(area or 4 * group.area_px[0]) / 3.5), DECIMATION), 1)
-        blobs = self._scan_at(group, frame, step)
-        if not blobs and not area and step > 1:
-            blobs = self._scan_at(group, frame, 1)
-        return blobs
 
-    def _scan_at(self, group: _Group, frame: Frame, step: int) -> list[Blob]:
-        mask = detect.marker_mask(detect.thinned(frame, step), group.model)
-        rough = detect.patches(mask, (0.4 * group.area_px[0], 1e12), step=step)
-        rough.sort(key=lambda patch: -patch.area)
-        blobs: list[Blob] = []
-        for patch in rough[:24]:
-            cx, cy = 0.5 * step * (patch.left + patch.right), 0.5 * step * (patch.top + patch.bottom)
-            size = step * max(patch.right - patch.left, patch.bottom - patch.top)
-            fine = max(min(int(size / 12), MASK_STEP), 1)
-            found, _ = self._blobs(group, frame, cx, cy, 0.5 * size + 2 * step + detect.MARGIN, fine)
-            blobs += [b for b in found if _is_new(b, blobs)]
-        return blobs
+def _row(target: Target, blob: Blob, status: int) -> tuple[float, ...]:
+    """What is kept of a sight: place, area, confidence, status, whether cut, and the mean colour."""
+    usual = blob.area if blob.at_edge or not target.whole else target.usual_area
+    likeness = min(blob.area / usual, usual / blob.area)
+    sure = blob.confidence * likeness**0.5
+    return (blob.x, blob.y, blob.area, sure, status, blob.at_edge, *blob.hsv)
+
+
+def _merit(group: _Group, blob: Blob) -> float:
+    """How much of a marker a blob looks, of which nothing but its colour is known."""
+    fit = 1.5 - min(group.kind.model.distance(blob.hsv), 1.0)
+    return math.sqrt(blob.contrast * blob.area) * fit * (0.3 if blob.at_edge else 1.0)
 
 
 def _assigned(cost: list[list[float]]) -> list[tuple[int, int]]:
@@ -549,19 +471,5 @@ def _assigned(cost: list[list[float]]) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i][j] < _NO]
 
 
-def _within(blob: Blob, box: tuple[float, float, float, float]) -> bool:
-    return box[0] <= blob.x <= box[2] and box[1] <= blob.y <= box[3]
-
-
-def _same_place(blob: Blob, other: Blob) -> bool:
-    """Whether two blobs, seen at different times, are the same motionless thing."""
-    away = math.hypot(blob.x - other.x, blob.y - other.y)
-    return away < 0.25 * other.radius + 1.5 and 0.4 < blob.area / other.area < 2.5
-
-
 def _far(blob: Blob, places: list[tuple[float, float]]) -> bool:
     return all(math.hypot(blob.x - x, blob.y - y) > blob.radius for x, y in places)
-
-
-def _is_new(blob: Blob, others: list[Blob]) -> bool:
-    return all(math.hypot(blob.x - o.x, blob.y - o.y) > 2 for o in others)

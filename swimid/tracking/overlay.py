@@ -26,6 +26,10 @@ def write(
 ) -> str:
     """Read the video a second time and write it with the track drawn in.
 
+    What is drawn is the finished track: smoothed and bridged, without the sights that were taken back. None
+    of it is known while the video is read first, and all its frames do not fit into memory. The second
+    decoding is an eighth of what tracking with an overlay costs; encoding is most of it.
+
     Returns
     -------
     str

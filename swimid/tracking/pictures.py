@@ -14,7 +14,7 @@ from swimid.formats.evidence import Figure, Image, Panel, Span, Trace, thinned
 from swimid.formats.setup import Setup
 from swimid.tracking import checks
 from swimid.tracking.pose import Pose
-from swimid.tracking.rawtrack import LOST, STATUS, RawTrack
+from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.reader import Frame
 
 Array = NDArray[np.float64]
@@ -84,7 +84,8 @@ class Painter:
             if self.track.status[m, i] != LOST:
                 centre = (self.track.x[m, i], self.track.y[m, i])
                 radius = int(np.sqrt(self.track.area[m, i] / np.pi) + 4 * size)
-                cv2.circle(frame, _point(*centre), 8 * radius, _SEEN, line, cv2.LINE_AA, shift=3)
+                colour = _GUESSED if self.track.at_edge[m, i] else _SEEN
+                cv2.circle(frame, _point(*centre), 8 * radius, colour, line, cv2.LINE_AA, shift=3)
         if np.isfinite(self._path[0, i]):
             colour = _SEEN if self.pose.measured[i] else _GUESSED
             here = self._path[:, i]
@@ -112,7 +113,8 @@ class Painter:
         if self.pose.measured[i]:
             worst = max(int(s) for s in self.track.status[:, i])
             return STATUS[worst]
-        return "interpolated" if self.pose.interpolated[i] else "lost"
+        word = CUT if self.track.at_edge[:, i].any() else STATUS[LOST]
+        return f"{word}, interpolated" if self.pose.interpolated[i] else word
 
 
 def _fixed(points: Array) -> NDArray[np.int32]:
@@ -146,8 +148,9 @@ def images(painter: Painter, frames: dict[int, Frame]) -> list[Image]:
             Image(
                 id=f"frame-{index}",
                 title=f"Frame {index}, t = {painter.track.times[index]:.2f} s",
-                caption="Circles: markers as found. Cross and arrow: smoothed reference point and heading, "
-                "orange where measured, purple where bridged. Blue: the path of the last two seconds.",
+                caption="Circles: markers as found, purple where the edge of the picture cuts them. Cross "
+                "and arrow: smoothed reference point and heading, orange where measured, purple where "
+                "bridged. Blue: the path of the last two seconds.",
                 media_type="image/jpeg",
                 base64=base64.b64encode(data.tobytes()).decode(),
             )

@@ -105,10 +105,12 @@ class Plane:
 
     def size_of_pixel(self, x: float, y: float) -> float:
         """World length of one pixel about an image point (geometric mean of the two directions)."""
-        xs, ys = np.array([x, x + 1, x]), np.array([y, y, y + 1])
-        wx, wy = self.to_world(xs, ys)
-        cross = (wx[1] - wx[0]) * (wy[2] - wy[0]) - (wx[2] - wx[0]) * (wy[1] - wy[0])
-        return float(np.sqrt(abs(cross)))
+        return float(self.sizes_of_pixels(np.array([x]), np.array([y]))[0])
+
+    def sizes_of_pixels(self, x: Array, y: Array) -> Array:
+        """:meth:`size_of_pixel` about many image points, shape (n,)."""
+        (x0, y0), (x1, y1), (x2, y2) = (self.to_world(x + dx, y + dy) for dx, dy in ((0, 0), (1, 0), (0, 1)))
+        return np.sqrt(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)))
 
 
 def _undistorted(points: Array, lens: tuple[Array, Array] | None) -> Array:

@@ -10,9 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
+from swimid.formats.log import runs
 from swimid.formats.setup import Setup
 from swimid.tracking.plane import Plane
-from swimid.tracking.rawtrack import STATUS, RawTrack
+from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
@@ -24,8 +25,6 @@ LEAST_NOISE_PX = 0.01
 #: Error of a centroid that does not average out (pixel phase, codec, uneven light), px: measured
 #: on rendered H.264 films, and added to the smoother's standard deviations.
 SYSTEMATIC_PX = 0.05
-#: Variance of a marker cut by the picture's edge, over that of a whole one.
-EDGE_WEIGHT = 25.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class Pose:
     times : ndarray, shape (n,)
         s.
     measured : ndarray of bool, shape (n,)
-        Every marker the pose needs was seen.
+        Every marker the pose needs was measured: seen, and not cut by the edge of the picture.
     segment : ndarray of int, shape (n,)
         1, 2, ...; 0 before the first sight, after the last, and in gaps over the limit.
     raw : ndarray, shape (2, n)
@@ -49,9 +48,11 @@ class Pose:
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
     angle : Smoothed or None
     markers : ndarray, shape (m, 2, n)
-        Measured world position of every marker.
+        Measured world position of every marker, NaN where it was not measured.
     separation : ndarray, shape (n,), or None
         Distance of head and tail marker, world units.
+    hidden : ndarray, shape (m, n)
+        How far each centre may be off because part of the marker is hidden, px; 0 where none is.
     plane : Plane
     """
 
@@ -64,6 +65,7 @@ class Pose:
     angle: Smoothed | None
     markers: Array
     separation: Array | None
+    hidden: Array
     plane: Plane
 
     @property
@@ -85,7 +87,7 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     if setup.tail is None:
         return plane
     head, tail = (track.names.index(name) for name in (setup.head_name, setup.tail))
-    (front, _), (rear, _) = (plane.to_world(track.x[i], track.y[i]) for i in (head, tail))
+    (front, _), (rear, _) = (plane.to_world(*track.centre(i)) for i in (head, tail))
     ahead = 1.0 if setup.places is None else setup.places[0][0] - setup.places[1][0]
     return plane if ahead * np.nansum(front - rear) >= 0 else plane.along_x(not plane.runs_left)
 
@@ -104,7 +106,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         When no stretch has enough measurements.
     """
     times = track.times
-    markers = np.array([plane.to_world(x, y) for x, y in zip(track.x, track.y, strict=True)])
+    markers = np.array([plane.to_world(*track.centre(i)) for i in range(len(track.names))])
     head = track.names.index(setup.head_name)
     tail = None if setup.tail is None else track.names.index(setup.tail)
     measured = track.found[head].copy()
@@ -120,7 +122,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     seen = track.found[head]
     middle_x, middle_y = np.nanmedian(track.x[head, seen]), np.nanmedian(track.y[head, seen])
     pixel = plane.size_of_pixel(float(middle_x), float(middle_y))
-    weights = _weights(track, head)
+    hidden = np.array([hidden_px(track, i, plane) for i in range(len(track.names))])
+    weights = _weights(track, head, hidden[head])
     raw = np.where(segment > 0, markers[head], np.nan)
     lever = np.array(setup.reference_offset_m)
     places = None if setup.places is None else np.array(setup.places)
@@ -128,7 +131,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     if tail is not None:
         forward = markers[head] - markers[tail]
         separation = np.hypot(forward[0], forward[1])
-        both = np.maximum(weights, _weights(track, tail))
+        both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if places is not None:
             # Seen from the mid-point; frames with one marker only would mix in errors of the scale.
             raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
@@ -161,6 +164,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         angle=angle,
         markers=markers,
         separation=separation,
+        hidden=hidden,
         plane=plane,
     )
 
@@ -193,15 +197,54 @@ def _segments(
     return number, segments
 
 
-def _weights(track: RawTrack, marker: int) -> Array:
+def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
+    """How far a marker's centre may be off because part of it is hidden, shape (n,), px; 0 where none is.
+
+    The centre of the whole is the mean of those of the visible and of the hidden part, weighted by their
+    areas, and the latter is at most the radius R away from it: with a hidden share e of the area, the
+    visible part's is off by at most R e / (1 - e), and by less than R. The whole area is the usual one on
+    the plane, known to its scatter. A stretch of smaller ones counts as hidden where it falls short by three
+    times the scatter.
+    """
+    off = np.zeros(len(track.times))
+    seen = np.flatnonzero(track.found[marker])
+    if len(seen) < SHORTEST_SEGMENT:
+        return off
+    area = track.area[marker, seen]
+    share = area * plane.sizes_of_pixels(track.x[marker, seen], track.y[marker, seen]) ** 2
+    share /= float(np.median(share))
+    whole = area / share
+    # The least scatter: each pixel of the outline is in or out by chance.
+    least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
+    scatter = np.maximum(1.4826 * float(np.median(np.abs(np.log(share)))), least)
+    short = -np.log(share)
+    lost = np.exp(short + scatter) - 1  # e / (1 - e)
+    bound = np.sqrt(whole / np.pi) * np.minimum(lost, 1.0)
+    for start, end in runs(short > 0):
+        if np.any(short[start:end] > 3 * scatter[start:end]):
+            off[seen[start:end]] = bound[start:end]
+    return off
+
+
+def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
     """Variance of each centroid over that of a typical one, shape (n,)."""
     seen = track.found[marker]
     weights = np.ones(len(track.times))
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
-    weights[track.at_edge[marker]] *= EDGE_WEIGHT
+    noise = max(_noise_px(track, marker), LEAST_NOISE_PX)
+    for start, end in runs(hidden > 0):
+        # The errors of a stretch are alike: together they count as one measurement, not as many.
+        weights[start:end] += (end - start) * (hidden[start:end] / noise) ** 2
     return weights
+
+
+def _noise_px(track: RawTrack, marker: int) -> float:
+    """Scatter of a centroid from frame to frame, px: that of second differences (over sqrt 6)."""
+    second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
+    known = second[np.isfinite(second)]
+    return 1.4826 * float(np.median(np.abs(known))) / np.sqrt(6) if len(known) else 0.0
 
 
 def _unwrapped(angle: Array) -> Array:
@@ -247,10 +290,12 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     roles = [track.names.index(name) for name in (setup.head_name, setup.tail) if name is not None]
     worst = np.min(track.status[roles], axis=0)
     best = np.max(track.status[roles], axis=0)
-    out["status"] = np.array(STATUS)[np.where(worst == 0, 0, best)]
+    word = np.array(STATUS, dtype=object)[np.where(worst == LOST, LOST, best)]
+    word[(worst > LOST) & track.at_edge[roles].any(axis=0)] = CUT
+    out["status"] = word
     out["confidence"] = np.min(track.confidence[roles], axis=0)
     for i, name in enumerate(track.names):
-        out[f"{name}_x_px"], out[f"{name}_y_px"] = track.x[i], track.y[i]
+        out[f"{name}_x_px"], out[f"{name}_y_px"] = track.centre(i)
         if unit == "m":
             out[f"{name}_x_m"], out[f"{name}_{up}_m"] = pose.markers[i]
         out[f"{name}_area_px"] = track.area[i]

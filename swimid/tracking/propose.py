@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult
 from swimid.formats.setup import HsvRange, Marker
 from swimid.progress import Step
 from swimid.tracking import census
@@ -28,8 +28,11 @@ LEAST_CHANGE = 16
 MOST_CLUSTERS = 8
 #: Below this score nothing is proposed.
 LEAST_SCORE = 0.02
-#: A second marker scores at least this share of the first, and keeps its distance to it within this.
-SECOND_SHARE, SECOND_SPREAD = 0.25, 0.15
+#: A patch moves where this share of its pixels differs from the empty scene, in colour too.
+MOVING = 0.3
+#: A second marker scores at least this share of the first, and is about as far from it in all samples (a
+#: camera askew changes distances by much; the trial run tells whether the pair is rigid).
+SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,35 @@ class Candidate:
     still: list[tuple[float, float, float, float]]
 
     @property
+    def name(self) -> str:
+        """Everyday name of its colour."""
+        return census.hue_name(self.hue_deg)
+
+    @property
     def presence(self) -> float:
         """Share of the samples it is seen in."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A colour that is no marker's, and why.
+
+    Attributes
+    ----------
+    name : str
+        Everyday name of the colour.
+    hue_deg : float
+        Its middle.
+    reason : str
+    """
+
+    name: str
+    hue_deg: float
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
 
 
 def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
@@ -121,8 +150,8 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     return Samples(video.info, np.array(list(kept)), frames, factor, background, moving)
 
 
-def candidates(samples: Samples) -> list[Candidate]:
-    """Colours that may be markers, best first.
+def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
+    """Colours that may be markers, best first, and those that are none.
 
     Raises
     ------
@@ -138,18 +167,24 @@ def candidates(samples: Samples) -> list[Candidate]:
         raise NoTrustworthyResult(
             f"no coloured marker moves in {samples.info.path.name}. {seen}",
             hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
-            "marker that hardly moves is picked by hand: --marker name@x,y",
+            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y",
         )
-    found = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
-    good = sorted((c for c in found if c is not None and c.score >= LEAST_SCORE), key=lambda c: -c.score)
+    judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
+    passed = [c for c in judged if isinstance(c, Passed)]
+    good = sorted((c for c in judged if isinstance(c, Candidate)), key=lambda c: -c.score)
     if not good:
         seen = census.describe_colours(samples.frames[::6])
         raise NoTrustworthyResult(
             f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that "
-            f"moves. {seen}",
+            f"moves. {listed(passed)}{seen}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
-    return good
+    return good, passed
+
+
+def listed(passed: list[Passed]) -> str:
+    """Colours passed over and why, as a sentence; empty without any."""
+    return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
 
 def _moving_colours(frame: Frame, moving: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -173,7 +208,7 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
     return sorted(top, key=lambda h: -smooth[h])[:MOST_CLUSTERS]
 
 
-def _colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
+def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
     """The range about a hue that holds nearly all pixels near it, with room for changing light."""
     offset = (hsv[:, 0].astype(float) - peak + 90) % 180 - 90
     near = np.abs(offset) <= 12
@@ -201,9 +236,9 @@ def _two(value: float) -> float:
     return float(round(value, 2))
 
 
-def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
-    """Look for patches of one colour in all samples and score them as a marker."""
-    colours = _colour_range(hsv, peak)
+def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | Passed | None:
+    """Look for patches of one colour in all samples and score them as a marker; None for hardly a pixel."""
+    colours = colour_range(hsv, peak)
     if colours is None:
         return None
     model = ColourModel(colours)
@@ -211,11 +246,13 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     places = np.full((len(samples.frames), 2), np.nan)
     areas, compact, like, purity = [], [], [], []
     in_range = moving_in_range = 0.0
+    still = _still(samples, model, least)
+    scenery = marker_mask(samples.background, model)
     for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
         mask = marker_mask(frame, model)
         in_range += float(np.count_nonzero(mask))
         moving_in_range += float(np.count_nonzero(mask & moving))
-        patches = _patches(mask, moving, least)
+        patches = _patches(mask, moving, scenery, least)
         if not patches:
             continue
         area, x, y, fill = patches[0]
@@ -225,8 +262,13 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         like.append(sum(1 for other in patches if other[0] > 0.4 * area))
         chroma = census.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
+    name, hue = census.hue_name(_degrees(peak)), _degrees(peak)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
-        return None
+        where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
+        seen = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
+        if np.mean(scenery > 0) > 0.5:
+            return Passed(name, hue, "the background's colour")
+        return Passed(name, hue, f"does not move (it lies at {where})" if still else seen)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
     presence = len(areas) / len(samples.frames)
@@ -241,32 +283,41 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         * math.sqrt(alone)
         * moved
     )
+    if score < LEAST_SCORE:
+        return Passed(
+            name, hue, f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
+        )
     low, high = np.percentile(sizes, [5, 95])
     return Candidate(
         colours=colours,
-        hue_deg=_degrees(peak),
+        hue_deg=hue,
         score=float(score),
         place=places,
         area_px=(float(math.floor(0.3 * low)), float(math.ceil(3 * high))),
         like=int(np.median(like)),
-        still=_still(samples, model, least),
+        still=still,
     )
 
 
 def _patches(
-    mask: NDArray[np.uint8], moving: NDArray[np.uint8], least: float
+    mask: NDArray[np.uint8], moving: NDArray[np.uint8], scenery: NDArray[np.uint8], least: float
 ) -> list[tuple[float, float, float, float]]:
-    """Moving patches clear of the picture's edge: (area, x, y, how much of a disc), largest first."""
+    """Moving patches clear of the picture's edge: (area, x, y, how much of a disc), largest first.
+
+    Where the empty scene has the colour anyway (``scenery``), a change of light or something that passes
+    over it is no motion of it.
+    """
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return []
     moved = np.bincount(labels.ravel(), weights=(moving.ravel() > 0), minlength=count)
+    stays = np.bincount(labels.ravel(), weights=(scenery.ravel() > 0), minlength=count)
     rows, columns = mask.shape
     found = []
     for label in range(1, count):
         left, top, width, height, area = stats[label]
         inside = left > 0 and top > 0 and left + width < columns and top + height < rows
-        if area >= least and inside and moved[label] > 0.3 * area:
+        if area >= least and inside and moved[label] > MOVING * area and stays[label] < (1 - MOVING) * area:
             fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
             found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
     return sorted(found, reverse=True)
@@ -286,8 +337,9 @@ def _still(samples: Samples, model: ColourModel, least: float) -> list[tuple[flo
     return boxes  # type: ignore[return-value]
 
 
-def partner(first: Candidate, others: list[Candidate]) -> Candidate | None:
-    """The colour that keeps its distance to the first one: the second marker of a rigid part."""
+def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
+    """The colours that may be the second marker of a rigid part, those at the steadiest distance first."""
+    found: list[tuple[float, Candidate]] = []
     for other in others:
         if other is first or other.score < SECOND_SHARE * first.score:
             continue
@@ -299,8 +351,8 @@ def partner(first: Candidate, others: list[Candidate]) -> Candidate | None:
         spread = 1.4826 * float(np.median(np.abs(distance - middle)))
         sizes = first.area_px[1] / other.area_px[1]
         if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
-            return other
-    return None
+            found.append((spread / middle, other))
+    return [other for _, other in sorted(found, key=lambda item: item[0])]
 
 
 def leads(first: Candidate, second: Candidate) -> bool:
@@ -313,66 +365,10 @@ def leads(first: Candidate, second: Candidate) -> bool:
 
 def name_of(candidate: Candidate, taken: list[str]) -> str:
     """A marker name by its hue, unlike those taken."""
-    name = census.hue_name(candidate.hue_deg)
+    name = candidate.name
     return name if name not in taken else f"{name}-{'b' if len(taken) == 1 else len(taken) + 1}"
 
 
 def as_marker(candidate: Candidate, name: str) -> Marker:
     """The candidate as the setup file holds it."""
     return Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
-
-
-def picked(frame: Frame, name: str, x: float, y: float, *, path: Path, index: int) -> Marker:
-    """A marker from one of its pixels.
-
-    Parameters
-    ----------
-    frame : frame
-        The full picture.
-    name : str
-        Name to give it.
-    x, y : float
-        A pixel of the marker in it.
-    path, index
-        Video and frame number, for messages.
-
-    Raises
-    ------
-    InputError
-        When the place is outside the picture or has no colour.
-    """
-    rows, columns = frame.shape[:2]
-    if not (0 <= x < columns and 0 <= y < rows):
-        raise InputError(
-            f"--marker {name}@{x:g},{y:g} is outside the picture of {columns} x {rows} pixels",
-            file=path,
-            frame=index,
-        )
-    i, j = int(y), int(x)
-    chroma = census.chroma(frame)
-    if int(chroma[i, j]) < census.LEAST_CHROMA:
-        blue, green, red = (int(v) for v in frame[i, j])
-        raise InputError(
-            f"the pixel at {x:g},{y:g} is grey (#{red:02x}{green:02x}{blue:02x}); a marker needs a colour",
-            file=path,
-            frame=index,
-            hint="pick a pixel inside the marker, away from glints",
-        )
-    hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
-    hue, saturation, value = (float(v) for v in hsv[i, j])
-    seed = ColourModel(
-        HsvRange(
-            hue_deg=(_degrees(hue - 10), _degrees(hue + 10)),
-            saturation=(max(saturation / 255 - 0.3, 0.08), 1.0),
-            value=(max(value / 255 - 0.3, 0.03), min(value / 255 + 0.3, 1.0)),
-        )
-    )
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(seed.mask(hsv), connectivity=8)
-    label = int(labels[i, j])
-    if label == 0:
-        raise InputError(f"no patch of one colour is about {x:g},{y:g}", file=path, frame=index)
-    area = float(stats[label, cv2.CC_STAT_AREA])
-    colours = _colour_range(hsv[labels == label], round(hue)) or HsvRange(
-        hue_deg=(_degrees(hue - 10), _degrees(hue + 10))
-    )
-    return Marker(name=name, hsv=colours, area_px=(max(math.floor(0.3 * area), 1.0), math.ceil(3 * area)))

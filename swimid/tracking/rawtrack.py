@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.formats.log import runs
-from swimid.tracking.colour import hue_difference
+from swimid.tracking.colour import same_hue_and_saturation
 
 #: Words of the status column, by code.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
+#: What a pose's status says where the edge of the picture cuts a marker.
+CUT = "cut"
 #: A sighting this short, alone between losses, is not believed.
 SHORTEST_RUN = 3
 #: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
@@ -32,15 +34,19 @@ class RawTrack:
     names : list of str
         The m markers.
     x, y, area, confidence : ndarray, shape (m, n)
-        NaN where not found (confidence 0). The centre is sub-pixel, y down.
+        NaN where not seen (confidence 0). The centre is sub-pixel, y down; of a marker cut by the edge of
+        the picture it is that of its visible part.
     status : ndarray of int, shape (m, n)
         Index into :data:`STATUS`.
     at_edge : ndarray of bool, shape (m, n)
-        The marker touches the edge of the picture.
+        The marker is cut by the edge of the picture.
     drift : dict of str to ndarray, shape (3,)
         Largest drift of each marker kind's colour: hue (2 deg), saturation, value (of 255).
     rivals : dict of str to int
         Other things of the colour that were about.
+    mistaken : dict of str to (int, float)
+        Markers that were first mistaken for something else: how many sights of it were taken back, and its
+        area, px.
     """
 
     times: NDArray[np.float64]
@@ -53,11 +59,25 @@ class RawTrack:
     at_edge: NDArray[np.bool_]
     drift: dict[str, NDArray[np.float64]]
     rivals: dict[str, int]
+    mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Where each marker was seen, whole or cut by the edge of the picture, shape (m, n)."""
+        return self.status > LOST
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Where each marker was really seen, shape (m, n)."""
-        return self.status > LOST
+        """Where each marker was measured: seen whole, shape (m, n).
+
+        Where the edge cuts it, neither its centre nor how far that is off can be told.
+        """
+        return self.seen & ~self.at_edge
+
+    def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centre of a marker where it was measured, else NaN, two arrays of shape (n,), px."""
+        cut = self.at_edge[marker]
+        return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])
 
 
 def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
@@ -79,14 +99,17 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
     seen = track.status[marker] > LOST
     if not seen.any():
         return
-    usual = np.median(looks[seen], axis=0)
-    turn = 2 * np.pi * looks[seen, 0] / 180
+    # Cut by the edge of the picture, a marker has neither its size nor, being narrow, its colour.
+    whole = seen & ~track.at_edge[marker]
+    if not whole.any():
+        whole = seen
+    usual = np.median(looks[whole], axis=0)
+    turn = 2 * np.pi * looks[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
-    hue = np.abs(hue_difference(looks[:, 0], usual[0]))
-    saturation = np.abs(looks[:, 1] / max(usual[1], 1.0) - 1)
+    alike = same_hue_and_saturation(looks.T, usual, RETURN_HUE, RETURN_SATURATION)
     area, confidence = track.area[marker], track.confidence[marker]
-    usual_area = float(np.median(area[seen]))
-    usual_confidence = float(np.median(confidence[seen]))
+    usual_area = float(np.median(area[whole]))
+    usual_confidence = float(np.median(confidence[whole]))
     starts, ends = runs(seen).T
     for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
         before = start - (ends[k - 1] if k else 0)
@@ -95,13 +118,15 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
         about = seen[max(start - 15, 0) : end + 15]
         flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
         part = slice(start, end)
-        ratio = float(np.median(area[part])) / usual_area
-        stranger = end - start < STRANGER_SHARE * seen.sum() and (
-            float(np.median(hue[part])) > RETURN_HUE
-            or float(np.median(saturation[part])) > RETURN_SATURATION
-            or not 0.25 < ratio < 4
-            or (float(np.median(confidence[part])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
-        )
+        look = start + np.flatnonzero(whole[part])
+        stranger = False
+        if len(look) and end - start < STRANGER_SHARE * seen.sum():
+            ratio = float(np.median(area[look])) / usual_area
+            stranger = (
+                float(np.mean(alike[look])) < 0.5
+                or not 0.25 < ratio < 4
+                or (float(np.median(confidence[look])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
+            )
         if (flash and end - start < seen.sum()) or stranger:
             for values in (track.x, track.y, track.area):
                 values[marker, part] = np.nan

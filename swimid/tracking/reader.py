@@ -1,4 +1,4 @@
-"""Frames of a video with the stamps they carry."""
+"""Frames of a video, or of a series of pictures, with the stamps they carry."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import cv2
 
 from swimid.errors import InputError
 from swimid.notices import warn
+from swimid.tracking.stills import Stills, is_sequence
 
 Frame = NDArray[np.uint8]
 
@@ -38,6 +39,60 @@ class VideoInfo:
     frames: int
     #: Rotation tag, degrees.
     rotation_deg: int
+    #: The file, or the pictures.
+    files: tuple[Path, ...]
+
+
+class _Container:
+    """A video file, decoded frame by frame."""
+
+    def __init__(self, path: Path, *, apply_rotation: bool) -> None:
+        if not path.is_file():
+            raise InputError("cannot be read: no such file", file=path, hint="check the path")
+        if path.stat().st_size == 0:
+            raise InputError("is empty", file=path)
+        # One thread more than cores: the decoder goes on while a frame is looked at.
+        threads = min(os.cpu_count() or 1, 16) + 1
+        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+        if not self._capture.isOpened():
+            raise InputError(
+                "is not a video that can be decoded, or its index is missing (a recording cut short)",
+                file=path,
+                hint="check that a player plays it; a cut recording can be repaired with "
+                "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
+            )
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
+        self.files = [path]
+        #: Number of the frame last read.
+        self.position = -1
+        self._frame: Frame | None = None
+
+    def read(self) -> Frame | None:
+        """The next frame, into the memory of the one before; None after the last."""
+        ok, frame = self._capture.read() if self._frame is None else self._capture.read(self._frame)
+        if not ok or frame is None:
+            return None
+        self._frame = np.asarray(frame, np.uint8)
+        self.position += 1
+        return self._frame
+
+    @property
+    def stamp_s(self) -> float:
+        """The container's stamp of the frame last read."""
+        return self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+
+    def claims(self) -> tuple[float, int, int]:
+        """Mean rate in Hz, number of frames (0 where there is none) and rotation tag in degrees."""
+        count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
+        return (
+            rate if np.isfinite(rate) and rate > 0 else 0.0,
+            int(count) if 0 < count < 1e9 else 0,
+            int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)),
+        )
+
+    def close(self) -> None:
+        """Give the decoder back."""
+        self._capture.release()
 
 
 class Video:
@@ -46,9 +101,10 @@ class Video:
     Parameters
     ----------
     path : path
+        A video file; or a folder of pictures, or a pattern of their names (``pool/%05d.png``).
     frame_rate_hz : float, optional
         True frame rate where the stamps of the container lie; frame i is then at
-        i / frame_rate_hz.
+        i / frame_rate_hz. Pictures have no other clock.
     apply_rotation : bool
         Turn the picture as the rotation tag says. Set explicitly, because the default
         changed between OpenCV versions.
@@ -63,63 +119,65 @@ class Video:
         self, path: str | Path, *, frame_rate_hz: float | None = None, apply_rotation: bool = True
     ) -> None:
         self.path = Path(path)
-        if not self.path.is_file():
-            what = "is a folder, not a video" if self.path.is_dir() else "cannot be read: no such file"
-            raise InputError(what, file=self.path, hint="check the path")
-        if self.path.stat().st_size == 0:
-            raise InputError("is empty", file=self.path)
         # On few cores decoding uses them all; threads for small images only cost.
         cv2.setNumThreads(1)
-        # One thread more than cores: the decoder goes on while a frame is looked at.
-        threads = min(os.cpu_count() or 1, 16) + 1
-        self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
-        if not self._capture.isOpened():
-            raise InputError(
-                "is not a video that can be decoded, or its index is missing (a recording cut short)",
-                file=self.path,
-                hint="check that a player plays it; a cut recording can be repaired with "
-                "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
-            )
-        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
-        first_ok, self._first = self._capture.read()
-        if not first_ok or self._first is None:
-            self._capture.release()
+        self._source: _Container | Stills
+        if is_sequence(self.path):
+            self._source = Stills(self.path, apply_rotation=apply_rotation)
+        else:
+            self._source = _Container(self.path, apply_rotation=apply_rotation)
+        self._first = self._source.read()
+        if self._first is None:
+            self._source.close()
             raise InputError(
                 "no frame of this file can be decoded",
                 file=self.path,
                 frame=0,
                 hint="check that a player plays it",
             )
-        self.first_stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        self.first_stamp_s = self._source.stamp_s
         height, width = self._first.shape[:2]
-        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        rate, count, rotation = self._source.claims()
         self.info = VideoInfo(
             path=self.path,
             width=width,
             height=height,
-            frame_rate_hz=rate if np.isfinite(rate) and rate > 0 else 0.0,
-            frames=int(count) if 0 < count < 1e9 else 0,
-            rotation_deg=int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)),
+            frame_rate_hz=rate,
+            frames=count,
+            rotation_deg=rotation,
+            files=tuple(self._source.files),
         )
         self._rate = frame_rate_hz
         self._stamps: list[float] = []
+        self._positions: list[int] = []
+
+    def demand_clock(self) -> None:
+        """Raise where nothing tells the time of the frames: pictures without a frame rate."""
+        if self._rate is None and np.isnan(self.first_stamp_s):
+            raise InputError(
+                "is a series of pictures, which carry no time stamps",
+                file=self.path,
+                hint="give their rate with --fps, or frame_rate_hz in the setup",
+            )
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
-        """Every frame as (time in s, picture in BGR). The picture is overwritten by the next."""
-        capture, frame, index = self._capture, self._first, 0
-        self._stamps = []
+        """Every frame as (time in s, picture in BGR). The picture is overwritten by the next.
+
+        The time of pictures without a frame rate is NaN.
+        """
+        frame = self._first
+        self._stamps, self._positions = [], []
         while frame is not None:
-            stamp = self.first_stamp_s if index == 0 else capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            self._stamps.append(stamp)
-            time = index / self._rate if self._rate else stamp - self.first_stamp_s
+            self._stamps.append(self._source.stamp_s)
+            self._positions.append(self._source.position)
+            if self._rate:
+                time = (self._positions[-1] - self._positions[0]) / self._rate
+            else:
+                time = self._stamps[-1] - self.first_stamp_s
             yield time, frame
-            index += 1
-            ok, frame = capture.read(frame)
-            if not ok:
-                break
-        capture.release()
-        self._check_length(index)
+            frame = self._source.read()
+        self._source.close()
+        self._check_length(len(self._stamps))
 
     def times(self) -> NDArray[np.float64]:
         """Times of the frames read so far, s, strictly increasing, from 0 at the first.
@@ -128,7 +186,8 @@ class Video:
         """
         count = len(self._stamps)
         if self._rate:
-            return np.arange(count) / self._rate
+            positions = np.array(self._positions, dtype=float)
+            return (positions - positions[:1]) / self._rate
         stamps = np.array(self._stamps) - (self._stamps[0] if count else 0.0)
         steps = np.diff(stamps)
         if count > 1 and np.any(steps <= 0):
@@ -152,7 +211,7 @@ class Video:
     def _check_length(self, count: int) -> None:
         claimed = self.info.frames
         # Some containers count one or two frames more than they hold.
-        if claimed and count < claimed - max(2, 0.01 * claimed):
+        if len(self.info.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
             warn(
                 "SWM044",
                 f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "

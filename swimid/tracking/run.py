@@ -10,13 +10,14 @@ import numpy as np
 from swimid.formats.setup import Setup
 from swimid.notices import warn
 from swimid.progress import Step
+from swimid.tracking import motion
 from swimid.tracking.follow import Follower
 from swimid.tracking.pictures import FrameKeeper
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, Video, VideoInfo
 
-#: Least share of frames, and least way in marker radii, for a second look to be preferred.
-_LEAST_SHARE, _LEAST_WAY = 0.05, 3.0
+#: Least way, in marker radii, for a second look to be preferred.
+_LEAST_WAY = 3.0
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Run:
     kept : dict of int to frame
         A few frames for the report.
     first_stamp_s : float
-        The container's stamp of the first frame, which is t = 0.
+        The container's stamp of the first frame, which is t = 0; NaN where pictures are the film.
     """
 
     track: RawTrack
@@ -55,7 +56,7 @@ def follow(path: Path, setup: Setup, *, step: Step) -> Run:
         return first
     second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step)
     for name in second.track.names:
-        if _way(second.track, name) < _LEAST_WAY and name in _static_names(first):
+        if motion.reach(second.track, name).radii < _LEAST_WAY and name in _static_names(first):
             return first
     listed = "; ".join(f"[{', '.join(f'{v:.0f}' for v in box)}]" for box in boxes)
     warn(
@@ -68,6 +69,7 @@ def follow(path: Path, setup: Setup, *, step: Step) -> Run:
 
 def _once(path: Path, setup: Setup, step: Step) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
+    video.demand_clock()
     follower = Follower(setup, video.info.width, video.info.height)
     keeper = FrameKeeper()
     for index, (time, frame) in enumerate(video.frames()):
@@ -82,7 +84,9 @@ def _static_names(run: Run) -> list[str]:
     return [
         marker.name
         for marker in run.setup.markers
-        if marker.number == 1 and marker.name in run.track.rivals and _way(run.track, marker.name) < 1.0
+        if marker.number == 1
+        and marker.name in run.track.rivals
+        and not motion.reach(run.track, marker.name).moves
     ]
 
 
@@ -90,19 +94,8 @@ def _motionless(run: Run) -> list[tuple[float, float, float, float]]:
     boxes: list[tuple[float, float, float, float]] = []
     for name in _static_names(run):
         i = run.track.names.index(name)
-        seen = run.track.found[i]
+        seen = run.track.seen[i]
         x, y = float(np.nanmedian(run.track.x[i])), float(np.nanmedian(run.track.y[i]))
         half = 0.7 * float(np.sqrt(np.nanmedian(run.track.area[i, seen]))) + 3
         boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
     return boxes
-
-
-def _way(track: RawTrack, name: str) -> float:
-    """How far a marker gets from its usual place, in its own radii; 0 where hardly seen."""
-    i = track.names.index(name)
-    seen = track.found[i]
-    if seen.mean() < _LEAST_SHARE:
-        return 0.0
-    away = np.hypot(track.x[i] - np.nanmedian(track.x[i]), track.y[i] - np.nanmedian(track.y[i]))
-    radius = max(float(np.sqrt(np.nanmedian(track.area[i, seen]) / np.pi)), 1.0)
-    return float(np.nanpercentile(away, 95)) / radius

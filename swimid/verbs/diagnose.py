@@ -29,7 +29,7 @@ from swimid.verbs.outcome import Outcome
 def diagnose(
     trials_file: str | Path,
     *,
-    parameters: str | Path,
+    parameters: str | Path | None = None,
     output: Path | None = None,
     effects: Sequence[str] = (),
     own: Sequence[str | Path] = (),
@@ -46,8 +46,11 @@ def diagnose(
 
     Parameters
     ----------
-    trials_file, parameters : path
-        Trials of any experiment, and the parameter file of the model.
+    trials_file : path
+        Trials of any experiment.
+    parameters : path, optional
+        Parameter file of the model; without one the robot file's values are where its refit begins, and
+        nothing is taken as known of them.
     output : path, optional
         Gap file to write; its evidence goes beside it.
     effects : sequence of str
@@ -123,10 +126,12 @@ def diagnose(
         model=model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params=str(parameters),
+        params="the robot file" if parameters is None else str(parameters),
         trials=[t.id for t in experiment.trials],
         settings={
-            "prior": "from other trials" if not same else "these trials: none but the bounds",
+            "prior": "none but the bounds"
+            if parameters is None
+            else ("from other trials" if not same else "these trials: none but the bounds"),
             "held_out": "validation trials"
             if validation
             else ("folds of settings" if state.bench.folds.whole else "stretches of trials"),
@@ -147,7 +152,8 @@ def diagnose(
 
 def _given(loaded: Loaded) -> dict[str, Given]:
     file = loaded.applied.file
-    assert file is not None
+    if file is None:
+        return {}
     return {
         name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
     }
@@ -156,7 +162,8 @@ def _given(loaded: Loaded) -> dict[str, Given]:
 def _own_data(loaded: Loaded) -> bool:
     """Whether the parameters were fitted to one of these very logs."""
     file = loaded.applied.file
-    assert file is not None
+    if file is None:
+        return False
     known = set((file.provenance.get("inputs") or {}).values())
     logs = [p for p in loaded.experiment.inputs if p.suffix.lower() in (".csv", ".parquet")]
     return any(sha256(p) in known for p in logs)

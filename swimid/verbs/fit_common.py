@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from swimid.errors import Interrupted
 from swimid.estimators import metrics
 from swimid.estimators.identifiability import combinations, sentences
 from swimid.estimators.output_error import STEP_ERROR, FitResult
@@ -129,6 +130,12 @@ def scores(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
     return found
 
 
+def refuse_interrupted(result: FitResult) -> None:
+    """Raise :class:`Interrupted` for a fit whose search was stopped, where that is of no use."""
+    if result.interrupted:
+        raise Interrupted(f"{result.message}; nothing was written")
+
+
 def parameter_file(
     result: FitResult,
     *,
@@ -138,8 +145,21 @@ def parameter_file(
     derived: dict[str, Estimate] | None = None,
     settings: dict[str, Any] | None = None,
     method: str = "maximum likelihood",
+    unfinished: bool = False,
 ) -> ParameterFile:
-    """The parameter file of a fit."""
+    """The parameter file of a fit.
+
+    Parameters
+    ----------
+    unfinished : bool
+        Of a fit that was interrupted, too; the file says that it did not converge.
+
+    Raises
+    ------
+    Interrupted
+    """
+    if not unfinished:
+        refuse_interrupted(result)
     correlation = correlation_of(result)
     noise = {
         channel: {
@@ -168,6 +188,7 @@ def parameter_file(
             if validation
             else {},
             converged=result.converged,
+            message=result.message,  # type: ignore[call-arg]
             noise=noise,
             method=method,  # type: ignore[call-arg]
             samples=result.samples,  # type: ignore[call-arg]
@@ -227,6 +248,17 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
             text=result.message,
         )
     ]
+    if result.restarts is not None:
+        found.append(
+            ev.Check(
+                name="starts near the answer lead back to it",
+                value=("yes" if result.settled else "no")
+                + (f", after {result.restarts} restarts" if result.restarts else ""),
+                limit="yes",
+                verdict="pass" if result.settled else "warn",
+                text="points and short searches around it",
+            )
+        )
     shaky = [
         label for label, status in result.status.items() if status == "unidentifiable" and "[" not in label
     ]
@@ -286,7 +318,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
                 "SWM016",
                 f"halving the integration step changes samples by {result.step_error:.2g} sd of their noise",
             )
-    return found + _validation(file)
+    return found + _validation(result)
 
 
 def _p_text(p: float) -> str:
@@ -353,28 +385,45 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
     return found
 
 
-def _validation(file: ParameterFile) -> list[ev.Check]:
+def _validation(result: FitResult) -> list[ev.Check]:
+    """Errors on validation trials against those on fitted ones, and against knowing nothing."""
     found = []
-    assert file.fit is not None
-    for channel, score in file.fit.validation.get("channels", {}).items():
-        fitted = file.fit.channels[channel]["rmse"]
-        ratio = score["rmse"] / fitted if fitted else math.inf
+    for channel in (c for c in result.model.channels if c.name in result.noise):
+        held_out = [s for s in result.series if s.role == "validate" and s.channel == channel.name]
+        if not held_out:
+            continue
+        fitted = _rms([s.residual for s in result.series if s.role == "fit" and s.channel == channel.name])
+        error = _rms([s.residual for s in held_out])
+        nothing = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
+        ratio = error / fitted if fitted else math.inf
         worse = ratio > VALIDATION_RATIO
+        # on the scale of logarithms more than half of what the model says of fitted trials is lost
+        lost = worse and error > math.sqrt(fitted * nothing)
+        worst = max(held_out, key=lambda s: _rms([s.residual]))
         found.append(
             ev.Check(
-                name=f"validation, {channel}",
-                value=numbers.number(score["rmse"], 3, score["unit"]),
-                limit=f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, score['unit'])})",
-                verdict="warn" if worse else "pass",
-                text="root-mean-square error on trials that were not fitted",
+                name=f"validation, {channel.name}",
+                value=numbers.number(error, 3, channel.unit),
+                limit=f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
+                verdict="fail" if lost else "warn" if worse else "pass",
+                text="root-mean-square error on trials that were not fitted"
+                + ("; nearer to that of no model at all than to the fit's" if lost else ""),
             )
         )
         if worse:
+            far = ", nearer to that of no model at all than to the fit's" if lost else ""
             warn(
                 "SWM015",
-                f"the error of {channel} on validation trials is {ratio:.1f} times that on fitted ones",
+                f"the error of {channel.name} on validation trials is {ratio:.1f} times that on fitted ones "
+                f"(worst in {worst.trial}){far}",
             )
     return found
+
+
+def _rms(parts: Sequence[np.ndarray]) -> float:
+    values = np.concatenate(parts)
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:

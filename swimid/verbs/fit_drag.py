@@ -9,35 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import output_error, two_point
+from swimid.estimators import output_error, start_states, two_point
 from swimid.estimators.profile import profile_interval
-from swimid.estimators.residual_tests import fit_autoregression
 from swimid.experiments import rig as rig_experiment
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
 from swimid.formats import provenance
 from swimid.formats.parameters import Estimate, Fit, ParameterFile
 from swimid.models import theory
-from swimid.models.base import Parameter, Trial
-from swimid.notices import recorded, warn
+from swimid.models.base import Parameter
+from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.reporting import numbers
-from swimid.verbs import fit_common
+from swimid.verbs import fit_common, fit_drag_derived
+from swimid.verbs.fit_drag_trials import FRICTION, STARTS, Explained, explained, odd_check, odd_one
 from swimid.verbs.outcome import Outcome
-
-#: Trials are taken to start otherwise than at rest when that improves the fit beyond chance.
-START_SIGNIFICANCE = 1e-6
-#: ... and leaves at most this share of the squared error.
-START_GAIN = 0.8
-#: What may differ from trial to trial, besides noise, and how a start that does is described.
-RIVALS = {
-    "initial_speed": "moving",
-    "clock_offset": "at another time than their first sample",
-    "friction_deviation": "",
-}
 
 
 def fit_drag(
@@ -85,7 +73,8 @@ def fit_drag(
     with recorded(repeat=True) as notices:
         experiment = rig_experiment.load(trials_file, coordinate=coordinate)
         choices = fit_common.prepare(experiment, output, fixed=fixed, freed=freed, bounds=bounds)
-        result, facts = _best_fit(experiment, choices, start_state, progress)
+        found = _best_fit(experiment, choices, start_state, progress)
+        result = found.result
         profiles = _profiles(result, progress) if profile else {}
         pair = _two_point(experiment, points_m, insist=method == "two-point")
         origin = provenance.collect(
@@ -98,16 +87,20 @@ def fit_drag(
                 "bounds": {k: list(v) for k, v in (bounds or {}).items()},
             },
         )
-        derived = _derived(experiment, result)
+        derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
             derived=derived,
-            settings=facts,
+            settings=found.facts,
         )
-        checks = fit_common.checks(result, file)
+        checks = [
+            *fit_common.checks(result, file),
+            *fit_drag_derived.possible(experiment, result),
+            *found.checks,
+        ]
     estimated = [label for label in result.labels if "[" not in label]
     if estimated and all(result.status[label] != "estimated" for label in estimated):
         raise NoTrustworthyResult(
@@ -140,25 +133,31 @@ def fit_drag(
 
 def _best_fit(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
-) -> tuple[output_error.FitResult, dict[str, Any]]:
+) -> Explained:
     """The fit under the reading of the logs the data prefer, and what was chosen."""
-    facts: dict[str, Any] = {}
     model = experiment.model
     if start_state == "estimate":
         choices = _with_free(choices, ("start_offset", "initial_speed"))
+    # a friction of each trial is a random effect, never a free number
+    friction = any(p.name == FRICTION and p.free for p in choices)
+    choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)
     readings = experiment.variants or {"": experiment.trials}
     fits = {
         name: output_error.fit(model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
     name = min(fits, key=lambda key: _misfit(fits[key]))
-    result = fits[name]
-    if name:
-        facts["encoder_rounding"] = name
-    if start_state == "auto" and experiment.name == "falling-weight":
-        result, found = _with_rivals(result, choices, progress)
-        facts.update(found)
-    return result, facts
+    plain = fits[name]
+    found, odd = Explained(plain), odd_one(plain)
+    masses = experiment.facts.get("pulling_mass_kg", {})
+    if experiment.name == "falling-weight":
+        free_start = any(p.free for p in choices if p.name in STARTS)
+        if friction or (start_state == "auto" and not free_start):
+            found = explained(plain, choices, masses, odd, insist=friction)
+    result = start_states.with_held_out(found.result)
+    checks = [*found.checks, *([odd_check(result, odd, masses)] if odd else [])]
+    facts = {**({"encoder_rounding": name} if name else {}), **found.facts}
+    return replace(found, result=result, facts=facts, checks=checks)
 
 
 def _misfit(result: output_error.FitResult) -> float:
@@ -167,130 +166,6 @@ def _misfit(result: output_error.FitResult) -> float:
 
 def _with_free(parameters: tuple[Parameter, ...], names: tuple[str, ...]) -> tuple[Parameter, ...]:
     return tuple(replace(p, free=True) if p.name in names else p for p in parameters)
-
-
-def _with_rivals(
-    result: output_error.FitResult, choices: tuple[Parameter, ...], progress: Progress
-) -> tuple[output_error.FitResult, dict[str, Any]]:
-    """Let the trials start otherwise, or their pulley friction differ, where the data clearly say so."""
-    if any(p.free for p in choices if p.name in RIVALS):
-        return result, {}
-    fits: dict[str, output_error.FitResult] = {}
-    for name in (*RIVALS, "linear_drag"):
-        try:
-            rival = output_error.fit(
-                result.model,
-                result.trials,
-                parameters=_with_free(_rival_choices(result, choices, name), (name,)),
-            )
-        except NoTrustworthyResult:
-            continue  # what cannot be estimated is no better explanation
-        if _significant(result, rival):
-            fits[name] = rival
-    if not fits:
-        return result, {"start_state": "rest"}
-    least = min(_misfit(rival) for rival in fits.values())
-    if "linear_drag" in fits and _misfit(fits["linear_drag"]) < 1.1 * least:
-        # one number for all trials explains as much as one for each
-        rival = fits["linear_drag"]
-        size = numbers.measured(rival.value("linear_drag"), rival.stderr("linear_drag"), "N s/m")
-        warn(
-            "SWM024",
-            "a linear drag beside the quadratic one would explain most of what the fit leaves over "
-            f"({size}): "
-            "try --free linear_drag",
-        )
-        return result, {"start_state": "rest"}
-    fits.pop("linear_drag", None)
-    if not fits:
-        return result, {"start_state": "rest"}
-    reason = min(fits, key=lambda name: _misfit(fits[name]))
-    best = fits[reason]
-    labels = [label for label in best.labels if label.startswith(f"{reason}[")]
-    sizes = ", ".join(f"{label[len(reason) + 1 : -1]} {best.value(*_split(label)):+.3g}" for label in labels)
-    unit = next(p.unit for p in choices if p.name == reason)
-    if reason == "friction_deviation":
-        warn(
-            "SWM014",
-            f"the pulley friction differs from trial to trial ({sizes} {unit}); the common one is "
-            "their mean, with the standard error of a mean",
-        )
-        return _mean_friction(best, result.value("pulley_friction")), {
-            "start_state": "rest",
-            "friction": "per trial",
-        }
-    warn(
-        "SWM017",
-        f"the trials start {RIVALS[reason]}; {reason} is estimated for each ({sizes} {unit}). "
-        "Use --start-state rest to insist on rest at the first sample",
-    )
-    return best, {"start_state": reason}
-
-
-def _rival_choices(
-    result: output_error.FitResult, choices: tuple[Parameter, ...], name: str
-) -> tuple[Parameter, ...]:
-    """The choices a rival is fitted with: with a friction of each trial there is no common one."""
-    if name != "friction_deviation":
-        return choices
-    return tuple(
-        replace(p, free=False, start=result.value("pulley_friction")) if p.name == "pulley_friction" else p
-        for p in choices
-    )
-
-
-def _mean_friction(result: output_error.FitResult, base: float) -> output_error.FitResult:
-    """The fit with the mean of the trials' frictions as the common one, and deviations from it.
-
-    The standard error of the mean is the trials' scatter over the root of their number, with
-    Student's t for so few of them, beside what the noise of each contributes.
-    """
-    mine = [i for i, label in enumerate(result.labels) if label.startswith("friction_deviation[")]
-    values = result.estimate[mine]
-    n = len(mine)
-    student = float(stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975))
-    scatter = float(np.var(values, ddof=1)) / n * student**2
-    weights = np.zeros((1, len(result.labels)))
-    weights[0, mine] = 1.0 / n
-    rows = np.vstack([weights, np.eye(len(result.labels))])
-    covariance = rows @ np.nan_to_num(result.covariance) @ rows.T
-    covariance[0, 0] += scatter
-    estimate = np.concatenate(([base + values.mean()], result.estimate))
-    for i in mine:
-        estimate[i + 1] -= values.mean()
-    parameters = tuple(
-        replace(p, start=float(base + values.mean()), free=True) if p.name == "pulley_friction" else p
-        for p in result.parameters
-    )
-    return replace(
-        result,
-        labels=["pulley_friction", *result.labels],
-        estimate=estimate,
-        covariance=covariance,
-        status={"pulley_friction": "estimated", **result.status},
-        parameters=parameters,
-    )
-
-
-def _split(label: str) -> tuple[str, str]:
-    name, _, trial = label.partition("[")
-    return name, trial.rstrip("]")
-
-
-def _significant(plain: output_error.FitResult, rival: output_error.FitResult) -> bool:
-    """Whether the rival's extra unknowns lower the error beyond what coloured noise allows."""
-    extra = len(rival.labels) - len(plain.labels)
-    before, after = _misfit(plain), _misfit(rival)
-    if after <= 0 or before <= after or after > START_GAIN * before:
-        return False
-    colour = 1.0
-    for noise in rival.noise.values():
-        if len(noise.autoregression):
-            series = np.concatenate([s.weighted for s in rival.series if s.role == "fit"])
-            fitted = fit_autoregression(series, order=len(noise.autoregression))
-            colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
-    statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
-    return bool(stats.chi2.sf(statistic, extra) < START_SIGNIFICANCE)
 
 
 def _profiles(
@@ -349,7 +224,18 @@ def _two_point(
 
 
 def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> ParameterFile:
-    """The parameter file with the two-point method's values in place of the fit's."""
+    """The parameter file with the two-point method's values in place of the fit's.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the method gives no errors: its points do not lie on lines, or not on rising ones.
+    """
+    if not all(math.isfinite(error) for error in pair.stderr.values()):
+        raise NoTrustworthyResult(
+            "the two-point method has no answer: its speeds do not rise with the pulling mass as Eq 13 says",
+            hint="look at the pulling masses, or use --method ml",
+        )
     values = {
         "drag_coefficient": pair.drag_coefficient,
         "added_mass": pair.added_mass,
@@ -361,7 +247,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
             stderr=pair.stderr[name],
             unit=file.parameters[name].unit,
             bounds=file.parameters[name].bounds,
-            status="estimated" if math.isfinite(pair.stderr[name]) else "unidentifiable",
+            status="estimated",
         )
         for name, value in values.items()
     }
@@ -370,74 +256,6 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     return file.model_copy(
         update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
     )
-
-
-# ------------------------------------------------------------ what follows from the parameters
-
-
-def _derived(experiment: Experiment, result: output_error.FitResult) -> dict[str, Estimate]:
-    """Terminal speed of each falling-weight trial, or period and damping ratio of a decay."""
-    found: dict[str, Estimate] = {}
-    if experiment.name == "free-decay":
-        trial = experiment.trials[0]
-
-        def swing(values: np.ndarray) -> np.ndarray:
-            c = result.model.coefficients(values, trial.settings)  # type: ignore[attr-defined]
-            rate = math.sqrt(max(c["stiffness"], 0.0) / c["inertia"])
-            return np.array(
-                [
-                    2 * math.pi / rate if rate else math.nan,
-                    c["linear"] / (2 * c["inertia"] * rate) if rate else math.nan,
-                ]
-            )
-
-        value, error = _propagated(result, trial, swing)
-        found["natural_period_s"] = Estimate(value=value[0], stderr=error[0], unit="s", status="estimated")
-        found["damping_ratio_linear"] = Estimate(
-            value=value[1], stderr=error[1], unit="1", status="estimated"
-        )
-    if experiment.name == "falling-weight":
-        for trial in experiment.trials:
-
-            def terminal(values: np.ndarray, trial: Trial = trial) -> np.ndarray:
-                c = result.model.coefficients(values, trial.settings)  # type: ignore[attr-defined]
-                push = trial.settings["force"] - c["dry"]
-                if push <= 0 or c["quadratic"] <= 0:
-                    return np.array([math.nan])
-                return np.array(
-                    [
-                        (math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push) - c["linear"])
-                        / (2 * c["quadratic"])
-                    ]
-                )
-
-            value, error = _propagated(result, trial, terminal)
-            if math.isfinite(value[0]):
-                found[f"terminal_speed[{trial.id}]"] = Estimate(
-                    value=value[0], stderr=error[0], unit="m/s", status="estimated"
-                )
-    return found
-
-
-def _propagated(
-    result: output_error.FitResult, trial: Trial, function: Any
-) -> tuple[list[float], list[float | None]]:
-    """A function of the parameters with its standard error, to first order."""
-    values = result.values(trial.id)
-    centre = function(values)
-    names = [p.name for p in result.parameters]
-    labels = [label for label in result.labels if result.stderr(label) is not None and "[" not in label]
-    gradient = np.zeros((len(centre), len(labels)))
-    for j, label in enumerate(labels):
-        step = 1e-4 * float(result.stderr(label) or 1.0)
-        moved = values.copy()
-        moved[names.index(label)] += step
-        gradient[:, j] = (function(moved) - centre) / step
-    index = [result.labels.index(label) for label in labels]
-    variance = np.diag(gradient @ result.covariance[np.ix_(index, index)] @ gradient.T)
-    return [float(v) for v in centre], [
-        float(math.sqrt(v)) if math.isfinite(v) and v >= 0 else None for v in variance
-    ]
 
 
 # ------------------------------------------------------------ words and pictures
@@ -571,7 +389,11 @@ def _summary(
         ),
         fit_common.summary_rows(shown),
     ]
-    if pair is not None and getattr(file.fit, "method", "") != "two-point":
+    if pair is not None and not all(math.isfinite(e) for e in pair.stderr.values()):
+        lines.append(
+            "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
+        )
+    elif pair is not None and getattr(file.fit, "method", "") != "two-point":
         lines.append(
             "  two-point method: "
             + "; ".join(

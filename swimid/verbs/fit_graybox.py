@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from swimid.errors import InputError, NoTrustworthyResult
+from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.estimators import identifiability, multistart, output_error, start_states
 from swimid.estimators.fit_result import FitResult
 from swimid.estimators.profiles import Profiles
@@ -94,8 +95,8 @@ def fit_graybox(
     InputError, UsageError
         For bad files and options.
     NoTrustworthyResult
-        When nothing can be identified. Also when the search was interrupted: the best point so
-        far is then written first.
+        When nothing can be identified. Also when the search did not converge, or was interrupted
+        (:class:`Interrupted`): what it has is then written first, marked so.
     """
     with recorded(repeat=True) as notices:
         experiment = swimmer.load(
@@ -155,7 +156,7 @@ def fit_graybox(
                     model, experiment.trials, choices, begins, starts, seed, jobs, loss, progress
                 )
         left_out: list[str] = []
-        if subset:
+        if subset and result.converged:
             result = _starting_here(result, experiment)
             result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
         result = start_states.with_held_out(result)
@@ -190,9 +191,22 @@ def fit_graybox(
     if found is not None and output is not None:
         outputs += front.save(output, found, options)
         keep.done()
-    if result.interrupted:
-        kept = f"; the best point so far is in {output}, from which --start-from goes on" if output else ""
-        raise NoTrustworthyResult(f"{result.message}{kept}")
+    if result.interrupted or 0 < len(ends) < starts:
+        stopped = (
+            result.message if result.interrupted else f"interrupted after {len(ends)} of {starts} starts"
+        )
+        kept = f"the best point so far is in {output}" if output else "nothing was written"
+        raise Interrupted(
+            f"{stopped}; {kept}", hint=f"--start-from {output} goes on from there" if output else None
+        )
+    if not result.converged:
+        kept = f"; what it came to is in {output}, marked so" if output else ""
+        params = f" --params {output}" if output else ""
+        raise NoTrustworthyResult(
+            f"the fit did not converge: {result.message}{kept}",
+            hint="the model may lack an effect, which its coefficients cannot stand in for: "
+            f"swimid diagnose {trials_file}{params} -o gap.yaml; if not, check units and trial settings",
+        )
     shared = [label for label in result.labels if "[" not in label]
     if shared and all(result.status[label] == "unidentifiable" for label in shared) and not file.derived:
         raise NoTrustworthyResult(
@@ -208,9 +222,20 @@ def fit_graybox(
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
             f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            *_next(checks, trials_file, output),
         ]
     )
     return Outcome("fit-graybox", summary, file.model_dump(mode="json"), outputs)
+
+
+def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | None) -> list[str]:
+    """What to do about residuals that are more than noise."""
+    if not any(
+        c.verdict == "warn" and c.name.startswith(("white", "trials agree", "inside")) for c in checks
+    ):
+        return []
+    params = f" --params {output}" if output else ""
+    return [f"next: swimid diagnose {trials_file}{params} says whether the model lacks an effect, and which"]
 
 
 def _least_squares(
@@ -227,14 +252,17 @@ def _least_squares(
     """The output-error fit, and its starts where there were several."""
     starts = max(starts, len(begins or []))
     if starts > 1:
-        return multistart.multistart(
-            model, trials, parameters,
-            starts=starts, seed=seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
-        )  # fmt: skip
+        # where no start converges, what the first one comes to is told as that of a single one is
+        with suppress(NoTrustworthyResult):
+            return multistart.multistart(
+                model, trials, parameters,
+                starts=starts, seed=seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
+            )  # fmt: skip
     begin = None if begins is None else begins[0]
     found = output_error.fit(
-        model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin, progress=progress
-    )
+        model, trials,
+        parameters=parameters, jobs=jobs, loss=loss, begin=begin, unfinished=True, progress=progress,
+    )  # fmt: skip
     return found, []
 
 
@@ -331,6 +359,7 @@ def _file(
         provenance=origin,
         settings=settings,
         method="point of a Pareto front" if method == "nsga2" else f"output error, {result.loss} loss",
+        unfinished=True,
     )
     parameters = file.parameters
     if isinstance(model, Tied):

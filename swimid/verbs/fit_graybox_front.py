@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.estimators import genetic, warping
 from swimid.estimators.fit_result import FitResult
 from swimid.estimators.genetic import Front
@@ -205,8 +205,9 @@ def _searched(
                     advance=advance,
                 )
     except KeyboardInterrupt:
-        raise NoTrustworthyResult(
-            f"interrupted after {done} of {total} generations",
+        kept = f"{checkpoint.path} keeps them" if checkpoint.path else "nothing was written"
+        raise Interrupted(
+            f"interrupted after {done} of {total} generations; {kept}",
             hint="the same command goes on from there" if checkpoint.path else "with -o it can be taken up",
         ) from None
     return searches

@@ -21,6 +21,7 @@ def fit_propulsion(
     output: Path | None = None,
     wake: str = "fin",
     keep_departures: bool = False,
+    start_state: str = "auto",
     fixed: dict[str, float] | None = None,
     freed: Sequence[str] = (),
     progress: Progress = silent,
@@ -41,6 +42,9 @@ def fit_propulsion(
         the distance from axle to trailing edge. Both are in the report.
     keep_departures : bool
         Fit frequencies that depart from the law too.
+    start_state : {"auto", "rest", "estimate"}
+        Whether straight swimming starts at rest at the first beat; ``auto`` estimates the speed there, as
+        ``estimate`` does. That of a held-out trial is estimated from the trial itself, all else held.
     fixed, freed
         The user's choices by parameter name.
 
@@ -57,11 +61,14 @@ def fit_propulsion(
         settings = {
             "wake": wake,
             "keep_departures": keep_departures,
+            "start_state": start_state,
             "fixed": dict(fixed or {}),
             "freed": list(freed),
         }
         origin = provenance.collect(experiment.inputs, settings=settings)
         if experiment.name == "cruise":
+            if start_state != "auto":
+                warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
             page = propulsion_cruise.fit(experiment, choices, origin, wake, keep_departures, progress)
         else:
             if drag is not None:
@@ -71,7 +78,9 @@ def fit_propulsion(
                     "SWM004",
                     "--wake and --keep-departures belong to a cruise experiment and have no effect here",
                 )
-            page = propulsion_surge.fit(experiment, choices, origin, progress)
+            page = propulsion_surge.fit(
+                experiment, choices, origin, progress, from_rest=start_state == "rest"
+            )
     file, evidence = page
     evidence.notices = fit_common.notices(notices)
     outputs = fit_common.save(output, file, evidence)

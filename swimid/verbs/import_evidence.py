@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swimid.formats import log
-from swimid.formats.evidence import Check, Evidence, NoticeRecord, Table, Verdict
+from swimid.formats.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, Verdict
 from swimid.formats.mapping import Mapping
 from swimid.notices import Notice
 from swimid.reporting import log_figures, numbers
-from swimid.signals.track_speed import Speed
+from swimid.signals.interval import Estimate
 
 if TYPE_CHECKING:
     from swimid.verbs.import_log import Imported
 
 #: Samples a stroke needs for the path to be followed.
 RESOLVED = 6.0
+#: Beyond this share of its extent along a line the track does not keep to it.
+OFF_LINE = 0.1
 #: Of more jumps or missing samples than these shares a track is doubted.
 MANY = 0.2
 
@@ -55,6 +57,38 @@ def _checks(found: Imported) -> list[Check]:
             text="; ".join(found.notes) or "rows without a time, repeated, late or of a taken time",
         )
     ]
+    if found.metadata.get("sample_rate") == "assumed":
+        checks.append(
+            Check(
+                name="Sample rate",
+                value="assumed",
+                limit="known",
+                verdict="warn",
+                text="nothing in the file tells it: put it under 'time:' of the mapping and take "
+                "'sample_rate: assumed' out; speeds and frequencies are as wrong as it is",
+            )
+        )
+    checks.append(
+        Check(
+            name=POSSIBLE,
+            value=f"{len({doubt.column for doubt in found.doubts})} columns beyond",
+            limit="none",
+            verdict="fail" if found.doubts else "pass",
+            text="; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts),
+        )
+    )
+    line = found.projection
+    if line is not None:
+        checks.append(
+            Check(
+                name="Distance from the line",
+                value=f"{numbers.number(line.across, 3, found.unit)} rms over "
+                f"{numbers.number(line.extent, 3, found.unit)}",
+                limit=f"≤ {100 * OFF_LINE:g} % of the extent along it",
+                verdict="pass" if line.across <= OFF_LINE * line.extent else "warn",
+                text="a track that leaves the line is shortened by projecting it",
+            )
+        )
     cleaning = found.cleaning
     if cleaning is not None:
         seen = int(cleaning.good.sum() + cleaning.repeated.sum() + cleaning.jumped.sum())
@@ -162,11 +196,11 @@ def _speeds(found: Imported) -> list[Table]:
         Table(
             id="speed",
             title="Mean speed",
-            columns=["speed", "m/s", "95 % from", "to"],
+            columns=["speed", f"{found.unit}/s", "95 % from", "to"],
             rows=rows,
             caption=f"Over {speed.covered_s:.4g} s without the gaps; noise of a coordinate "
-            f"{1000 * speed.noise_m:.3g} mm. The interval holds noise and unsteady swimming. Jumps and noise "
-            "lengthen the naive mean.",
+            f"{numbers.number(speed.noise_m, 3, found.unit)}. The interval holds noise and unsteady "
+            "swimming. Jumps and noise lengthen the naive mean.",
         )
     ]
 
@@ -184,9 +218,12 @@ def _strokes(found: Imported) -> list[Table]:
             title=f"Stroke and harmonics in {stroke.channel}",
             columns=["harmonic", "frequency (Hz)", "amplitude", "standard error"],
             rows=rows,
-            caption="It may be twice the stroke: no channel that swings sideways is there."
-            if stroke.maybe_double
-            else "",
+            caption=f"Period {numbers.measured(*stroke.period_s, 's')}, over {stroke.beat.cycles:.3g} cycles."
+            + (
+                " It may be twice the stroke: no channel that swings sideways is there."
+                if stroke.maybe_double
+                else ""
+            ),
         )
     ]
     if len(stroke.channels) > 1:
@@ -194,8 +231,16 @@ def _strokes(found: Imported) -> list[Table]:
             Table(
                 id="stroke-channels",
                 title="Beat of every channel",
-                columns=["channel", "frequency (Hz)", "standard error (Hz)", "share of the variance"],
-                rows=[[n, b.frequency_hz, b.stderr_hz, b.share] for n, b in stroke.channels.items()],
+                columns=[
+                    "channel",
+                    "frequency (Hz)",
+                    "standard error (Hz)",
+                    "amplitude",
+                    "share of the variance",
+                ],
+                rows=[
+                    [n, b.frequency_hz, b.stderr_hz, b.amplitude, b.share] for n, b in stroke.channels.items()
+                ],
             )
         )
     return tables
@@ -220,7 +265,11 @@ def _methods(found: Imported) -> list[str]:
             "its interval is that of the means of blocks."
         )
     if found.stroke is not None:
-        sentences.append("The stroke frequency is that of a sine fitted from the peak of the spectrum on.")
+        sentences.append(
+            "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles "
+            "beside a cubic drift, by generalised least squares; a beat counts where the coherence of "
+            "windows that do not overlap exceeds what noise of any colour has once in a hundred records."
+        )
     return sentences
 
 
@@ -253,8 +302,8 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
         )
     if speed is not None:
         lines.append(
-            f"  speed   path {_speed(speed.path)}, line {_speed(speed.line)}; "
-            f"naive mean of |dx/dt| {speed.naive_m_s:.4g} m/s"
+            f"  speed   path {_speed(speed.path, found.unit)}, line {_speed(speed.line, found.unit)}; "
+            f"naive mean of |dx/dt| {speed.naive_m_s:.4g} {found.unit}/s"
         )
     stroke = found.stroke
     if stroke is not None:
@@ -263,9 +312,19 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
             for h in stroke.harmonics[1:]
         ]
         lines.append(
-            f"  stroke  {_frequency(found)} in {stroke.channel}"
+            f"  stroke  {_frequency(found)} in {stroke.channel}, "
+            f"period {numbers.measured(*stroke.period_s, 's')}"
             + (f"; harmonics {', '.join(clear)} of its amplitude" if clear else "; no harmonic stands clear")
             + ("; may be twice the stroke" if stroke.maybe_double else "")
+        )
+    else:
+        lines.append(f"  stroke  unknown: {found.unknown}")
+    if found.projection is not None:
+        way = ", ".join(f"{part:.4g}" for part in found.projection.direction)
+        lines.append(
+            f"  line    x_{found.unit} is the way along ({way}), "
+            f"{numbers.number(found.projection.extent, 3, found.unit)} long; "
+            f"rms distance from it {numbers.number(found.projection.across, 3, found.unit)}"
         )
     if found.against:
         lines.append(f"  BEWARE  {found.against}")
@@ -273,5 +332,5 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
     return "\n".join([*lines, f"{level}: {machine['verdict']['text']}"])
 
 
-def _speed(speed: Speed) -> str:
-    return f"{speed.value:.4g} m/s (95 %: {speed.low:.4g} … {speed.high:.4g})"
+def _speed(speed: Estimate, unit: str) -> str:
+    return f"{speed.value:.4g} {unit}/s (95 %: {speed.low:.4g} … {speed.high:.4g})"

@@ -91,6 +91,7 @@ def draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, ND
         f"format: {mapping.FORMAT}",
     ]
     reader: dict[str, Any] = {}
+    assumed = False
     if isinstance(source, DelimitedSource):
         found = source.layout
         reader = {
@@ -126,11 +127,13 @@ def draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, ND
         )
     else:
         lines.append("time: {rate_hz: 100}   # no column grows like a time: PUT THE SAMPLE RATE HERE")
+        assumed = True
     lines.append("columns:")
     known = [g for g in guesses if g.target not in (None, "t_s")]
     rest = [g for g in guesses if g.target is None]
     for g in known:
         unit = f", unit: {_scalar(g.unit)}" if g.unit else ""
+        unit += f", factor: {g.factor:g}" if g.factor != 1 else ""
         why = "; ".join([*(g.why or []), _range(columns[g.source])])
         lines.append(f"  - {{source: {_source(g)}, target: {g.target}{unit}}}   # {why}")
     if not known and rest:
@@ -145,7 +148,11 @@ def draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, ND
         if column.name not in columns:
             what = "text" if column.kind == "text" else "of another length"
             lines.append(f"  # {_scalar(column.name)} left out: {what}")
-    lines += ["metadata: {}   # robot: ..., frequency_hz: ... (it is checked against the stroke found)"]
+    # a rate that nobody gave must not look like one
+    known_of = "{sample_rate: assumed}" if assumed else "{}"
+    lines += [
+        f"metadata: {known_of}   # robot: ..., frequency_hz: ... (it is checked against the stroke found)"
+    ]
     return "\n".join(line.replace("\r", " ") for line in lines) + "\n"
 
 

@@ -12,23 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.formats import atomic, bulk, evidence, log, mapping, provenance
+from swimid.formats import atomic, bulk, evidence, log, mapping, plausible, provenance
 from swimid.formats.mapping import MappedLog, Mapping
+from swimid.formats.plausible import Doubt
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.signals import rhythm, time_order, track_cleaning, track_speed
 from swimid.signals.beat import contradiction
+from swimid.signals.projection import Projection
 from swimid.signals.rhythm import Rhythm
 from swimid.signals.sampling import usual_step
 from swimid.signals.time_order import Order
 from swimid.signals.track_cleaning import Cleaning
 from swimid.signals.track_speed import TrackSpeed
+from swimid.verbs import import_prepare
 from swimid.verbs.import_evidence import build, summary
+from swimid.verbs.import_prepare import METRES, PIXELS, Request
 from swimid.verbs.outcome import Outcome
 
 Array = NDArray[np.float64]
-POSITIONS = ("x_m", "y_m", "z_m")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
+#: An angle of a body or a joint that swings farther to either side goes through itself.
+HALF_TURN = np.pi
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,14 @@ class Imported:
     stroke : Rhythm or None
     against : str or None
         How the stroke contradicts the metadata.
+    unknown : str
+        Why there is no stroke; empty where there is one.
+    doubts : list of Doubt
+        Values no swimmer reaches.
+    projection : Projection or None
+        The line the track was projected on.
+    unit : str
+        Of the track: m or px.
     """
 
     path: Path
@@ -65,6 +78,10 @@ class Imported:
     speed: TrackSpeed | None
     stroke: Rhythm | None
     against: str | None
+    unknown: str
+    doubts: list[Doubt]
+    projection: Projection | None
+    unit: str
 
     @property
     def time_s(self) -> Array:
@@ -78,6 +95,7 @@ def import_logs(
     map_path: str | Path | None = None,
     output: str | Path,
     clean: bool | None = None,
+    request: Request | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """Write foreign logs in the log format, each with its evidence.
@@ -92,7 +110,9 @@ def import_logs(
         The log, CSV or Parquet by its ending; for several files a folder, which is made.
     clean : bool, optional
         Whether repeats and jumps are taken out of the track. Default: in logs with two or more
-        position columns.
+        position columns that swimid did not track itself.
+    request : Request, optional
+        What is cut, scaled or projected, and where the stroke is known to lie.
     progress : Progress
         Shows reading and writing.
 
@@ -111,7 +131,7 @@ def import_logs(
     done = []
     for path, target in zip(paths, targets, strict=True):
         with recorded(repeat=True) as notices:
-            done.append(_one(path, target, rules, map_path, clean, progress, notices))
+            done.append(_one(path, target, rules, map_path, clean, request or Request(), progress, notices))
     if len(done) == 1:
         return done[0]
     return Outcome(
@@ -157,6 +177,7 @@ def _one(
     rules: Mapping | None,
     map_path: str | Path | None,
     clean: bool | None,
+    request: Request,
     progress: Progress,
     notices: list[Notice],
 ) -> Outcome:
@@ -169,10 +190,13 @@ def _one(
             if rules is None
             else mapping.apply(rules, path, progress=progress),
             clean=clean,
+            request=request,
         )
         with progress(f"writing {target.name}", total=len(found.time_s)) as step:
             bulk.write(target, found.columns, found.metadata, step=step)
-    source = provenance.collect(inputs, settings={"clean": found.cleaned}, digests=digests.result())
+    source = provenance.collect(
+        inputs, settings={"clean": found.cleaned, **request.settings()}, digests=digests.result()
+    )
     record = build(found, target, rules, source, notices)
     proof = evidence.sidecar(target)
     evidence.write(proof, record)
@@ -180,7 +204,7 @@ def _one(
     return Outcome("import", summary(found, machine), machine, [target, proof])
 
 
-def examine(source: MappedLog, *, clean: bool | None = None) -> Imported:
+def examine(source: MappedLog, *, clean: bool | None = None, request: Request | None = None) -> Imported:
     """Put a foreign log in order, clean its track, and find its speed and stroke.
 
     ``source.columns`` is emptied on the way: a log of many samples is held once, not twice.
@@ -203,24 +227,66 @@ def examine(source: MappedLog, *, clean: bool | None = None) -> Imported:
     for note in notes:
         warn("SWM057", f"{source.path.name}: {note}")
     _warn_order(order, source.path.name)
-    positions = [name for name in POSITIONS if name in columns]
-    time = columns[log.TIME]
-    cleaning = speed = None
-    cleaned = False
-    if positions:
-        cleaned = len(positions) > 1 if clean is None else clean
-        angles = [columns[name] for name in ANGLES if name in columns]
-        track = [columns[name] for name in positions]
-        if len(positions) > 1 or cleaned:
-            cleaning = track_cleaning.clean(time, track, angles)
-            speed = track_speed.speed(time, track, cleaning)
+    request = request or Request()
+    import_prepare.cut(columns, request, source)
+    import_prepare.to_metres(columns, request, source)
+    own = log.written_by(source.metadata, "swimid track")
+    cleaning, speed, cleaned = _track(columns, not own if clean is None else clean, clean)
     metadata = dict(source.metadata) | {"source": source.path.name, "imported_by": "swimid import"}
     if cleaning is not None and cleaned:
         _take_out(columns, cleaning, source.path.name, metadata)
-    log.warn_units(log.Log(source.path, metadata, columns))
-    stroke = rhythm.find(columns[log.TIME], {n: v for n, v in columns.items() if n != log.TIME})
-    against = _contradiction(stroke, metadata, source.path.name)
-    return Imported(source.path, notes, metadata, columns, order, cleaning, cleaned, speed, stroke, against)
+    unit = "px" if any(n in columns for n in PIXELS) and not any(n in columns for n in METRES) else "m"
+    telling = {n: v for n, v in import_prepare.measured(columns).items() if n != log.TIME}
+    stated = _stated(metadata)
+    stroke = rhythm.find(columns[log.TIME], telling, range_hz=request.stroke_hz, stated_hz=stated)
+    unknown = "" if stroke is not None else rhythm.unknown(columns[log.TIME], telling)
+    doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
+    for doubt in doubts:
+        warn("SWM002", f"{source.path.name}, '{doubt.column}': {doubt.text}")
+    against = _contradiction(stroke, stated, source.path.name)
+    line = import_prepare.along(columns, request, source)
+    if line is not None:
+        metadata["along"] = [float(part) for part in line.direction]
+    return Imported(
+        source.path,
+        notes,
+        metadata,
+        columns,
+        order,
+        cleaning,
+        cleaned,
+        speed,
+        stroke,
+        against,
+        unknown,
+        doubts,
+        line,
+        unit,
+    )
+
+
+def _track(
+    columns: dict[str, Array], clean: bool, asked: bool | None
+) -> tuple[Cleaning | None, TrackSpeed | None, bool]:
+    """What was found in the track as it was measured, its speed, and whether to take jumps out."""
+    known = import_prepare.measured(columns)
+    names = [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
+    cleaned = clean and (len(names) > 1 or bool(asked and names))
+    if len(names) < 2 and not cleaned:
+        return None, None, False
+    track = [known[name] for name in names]
+    found = track_cleaning.clean(columns[log.TIME], track, [known[n] for n in ANGLES if n in columns])
+    return found, track_speed.speed(columns[log.TIME], track, found), cleaned
+
+
+def _bent(stroke: Rhythm | None) -> list[Doubt]:
+    """Angles that swing by more than half a turn to either side of their drift."""
+    beats = {} if stroke is None else stroke.channels
+    return [
+        Doubt(name, f"swings by ±{beat.amplitude:.3g} rad: looks like degrees (a factor of 57.3)")
+        for name, beat in beats.items()
+        if name.endswith("_rad") and beat.amplitude > HALF_TURN
+    ]
 
 
 def _check_order(order: Order, source: MappedLog) -> None:
@@ -279,7 +345,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
         f"{name}: {int(cleaning.repeated.sum())} repeated samples and {int(cleaning.jumped.sum())} samples "
         f"of {cleaning.jumps} jumps left out of the track",
     )
-    blank = [n for n in (*POSITIONS, *ANGLES) if n in columns]
+    blank = [n for n in (*METRES, *PIXELS, *ANGLES) if n in columns]
     for column in blank:
         columns[column] = np.where(out, np.nan, columns[column])
     empty = out.copy()
@@ -291,13 +357,20 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
             columns[column] = columns[column][~empty]
 
 
-def _contradiction(stroke: Rhythm | None, metadata: dict[str, Any], name: str) -> str | None:
+def _stated(metadata: dict[str, Any]) -> float | None:
+    """The stroke frequency the metadata tell, Hz."""
     stated = metadata.get("frequency_hz")
-    if stroke is None or isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
         return None
-    against = contradiction(stroke.beat, float(stated))
+    return float(stated)
+
+
+def _contradiction(stroke: Rhythm | None, stated_hz: float | None, name: str) -> str | None:
+    if stroke is None or stated_hz is None:
+        return None
+    against = contradiction(stroke.beat, stated_hz)
     if against is not None:
-        against = f"{stroke.channel} {against}; the metadata say {stated:g} Hz"
+        against = f"{stroke.channel} {against}; the metadata say {stated_hz:g} Hz"
         warn("SWM032", f"{name}: {against}")
     return against
 
@@ -329,20 +402,22 @@ def facts(found: Imported, record: evidence.Evidence) -> dict[str, Any]:
         "speed": None
         if speed is None
         else {
-            "path_m_s": speed.path.value,
+            f"path_{found.unit}_s": speed.path.value,
             "path_ci95": [speed.path.low, speed.path.high],
-            "line_m_s": speed.line.value,
+            f"line_{found.unit}_s": speed.line.value,
             "line_ci95": [speed.line.low, speed.line.high],
-            "naive_m_s": speed.naive_m_s,
-            "noise_m": speed.noise_m,
+            f"naive_{found.unit}_s": speed.naive_m_s,
+            f"noise_{found.unit}": speed.noise_m,
             "covered_s": speed.covered_s,
         },
-        "stroke": None
+        "stroke": {"unknown": found.unknown}
         if stroke is None
         else {
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "ci95_hz": list(stroke.interval_hz),
+            "period_s": stroke.period_s[0],
+            "cycles": stroke.beat.cycles,
             "channel": stroke.channel,
             "maybe_double": stroke.maybe_double,
             "harmonics": [
@@ -350,6 +425,13 @@ def facts(found: Imported, record: evidence.Evidence) -> dict[str, Any]:
             ],
             "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
             "contradiction": found.against,
+        },
+        "line": None
+        if found.projection is None
+        else {
+            "direction": [float(part) for part in found.projection.direction],
+            "extent": found.projection.extent,
+            "across_rms": found.projection.across,
         },
         "verdict": record.verdict.model_dump(),
         "checks": [check.model_dump() for check in record.checks],

@@ -57,6 +57,7 @@ def fit(
             "efficiency is held at its starting value",
         )
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    fit_common.refuse_interrupted(everything)
     departures = [] if keep_departures else _departures(model, experiment.trials, choices)
     kept = [_without(t, [d["frequency_hz"] for d in departures]) for t in experiment.trials]
     result = (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import output_error
+from swimid.estimators import output_error, start_states
 from swimid.experiments.base import Experiment
 from swimid.formats import evidence as ev
 from swimid.formats.parameters import Estimate, ParameterFile
@@ -19,9 +19,17 @@ from swimid.progress import Progress
 from swimid.reporting import numbers
 from swimid.verbs import fit_common
 
+#: What is said of start states.
+_STARTS = "with each trial's initial speed estimated, a held-out one's with all else held"
+
 
 def fit(
-    experiment: Experiment, choices: tuple[Parameter, ...], origin: dict[str, Any], progress: Progress
+    experiment: Experiment,
+    choices: tuple[Parameter, ...],
+    origin: dict[str, Any],
+    progress: Progress,
+    *,
+    from_rest: bool = False,
 ) -> tuple[ParameterFile, ev.Evidence]:
     """Fit thrust and drag of beat-averaged surge.
 
@@ -31,6 +39,9 @@ def fit(
         The model's with the user's choices applied.
     origin : dict
         The provenance block.
+    from_rest : bool
+        Trials start at rest at their first beat; else each trial's speed there is estimated, on held-out
+        trials from the trial itself with the shared parameters held.
 
     Raises
     ------
@@ -38,7 +49,11 @@ def fit(
         When neither thrust nor drag can be identified.
     """
     model = experiment.model
+    if from_rest:
+        choices = tuple(replace(p, free=False) if p.name == "initial_speed" else p for p in choices)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    fit_common.refuse_interrupted(result)
+    result = start_states.with_held_out(result)
     shared = [label for label in result.labels if "[" not in label]
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
@@ -75,6 +90,8 @@ def fit(
             "reference_amplitude_rad": reference,
             "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
             "beats": experiment.facts["beats"],
+            "waveform": experiment.facts["waveform"],
+            "asymmetry": experiment.facts["asymmetry"],
         },
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
@@ -104,7 +121,7 @@ def fit(
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and "
             f"du/dt = a (A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by "
             "output-error maximum "
-            "likelihood with each trial's initial speed estimated.",
+            f"likelihood, {'every trial from rest' if from_rest else _STARTS}.",
         ],
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -120,6 +137,7 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
     name = "amplitude_exponent"
     free = tuple(replace(p, free=True) if p.name == name else p for p in choices)
     result = output_error.fit(experiment.model, experiment.trials, parameters=free)
+    fit_common.refuse_interrupted(result)
     value, stderr = result.value(name), result.stderr(name)
     if stderr and abs(value - 2.0) > 3 * stderr:
         warn(

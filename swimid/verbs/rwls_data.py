@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from swimid.errors import InputError, UsageError
+from swimid.experiments.arma import USES
+from swimid.experiments.base import read_log
 from swimid.formats import log as log_format
 from swimid.formats import trials
 from swimid.models.arx import sine_input
@@ -42,6 +46,22 @@ class Columns:
         if u == y:
             return "1"
         return "/".join(f"({unit})" if "/" in unit or " " in unit else unit for unit in (y, u))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A stretch of a log, as a trials file lists it; a log given by itself is one whole stretch.
+
+    ``folder`` is the one that ``entry.log`` is relative to, ``listing`` the trials file.
+    """
+
+    entry: trials.Trial
+    folder: Path
+    listing: Path | None = None
+
+    @property
+    def path(self) -> Path:
+        return self.folder / self.entry.log
 
 
 @dataclass(frozen=True)
@@ -83,40 +103,77 @@ def read(
         When a file cannot be used: unreadable, columns missing, no constant rate.
     """
     share, other = _held_out(validate)
-    fit_paths: list[Path] = []
-    check_paths = list(other)
-    files: list[Path] = []
-    robot = None
+    parts: list[_Part] = []
+    listings: dict[Path, trials.Arma] = {}
     for path in map(Path, logs):
-        if path.suffix.lower() not in (".yaml", ".yml"):
-            fit_paths.append(path)
-            continue
-        listed = trials.read(path, trials.Arma)
-        files.append(path)
-        robot = listed.robot
-        input_column, output_column = input_column or listed.input, output_column or listed.output
-        for trial in listed.trials:
-            (fit_paths if trial.role == "fit" else check_paths).append(path.parent / trial.log)
-    if not fit_paths:
+        if path.suffix.lower() in (".yaml", ".yml"):
+            listings[path] = listed = trials.read(path, trials.Arma, uses=USES)
+            parts += [_Part(trial, path.parent, path) for trial in listed.trials]
+        else:
+            parts.append(_alone(path, "fit"))
+    parts += [_alone(path, "validate") for path in other]
+    robot = _agreed(listings, "robot")
+    columns = _columns(
+        input_column or _agreed(listings, "input"), output_column or _agreed(listings, "output"), input_model
+    )
+    if all(part.entry.role == "validate" for part in parts):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
-    columns = _columns(input_column, output_column, input_model)
-    read = {path: _log(path, columns) for path in dict.fromkeys([*fit_paths, *check_paths])}
-    step = _sample_time({path: log.time_s for path, log in read.items()})
-    for path, log in read.items():
-        _check_distinct(path, log, columns)
-    names = _short_names(list(read))
+    _check_apart(parts)
+    names = _names(parts)
+    read = {names[i]: _log(part, columns) for i, part in enumerate(parts)}
+    step = _sample_time(read)
+    for log in read.values():
+        _check_distinct(log, columns)
+    fitted = [name for name, part in zip(names, parts, strict=True) if part.entry.role == "fit"]
     fit: list[Record] = []
     held: dict[str, list[Record]] = {}
-    for path in fit_paths:
-        cut = len(read[path]) - (round(share * len(read[path])) if share else 0)
-        fit += _records(read[path], names[path], columns, step, slice(0, cut))
+    for name in fitted:
+        log = read[name]
+        cut = len(log) - (round(share * len(log)) if share else 0)
+        fit += _records(log, name, columns, step, slice(0, cut))
         if share:
-            label = "held-out part" if len(fit_paths) == 1 else f"held-out part of {names[path]}"
-            held[label] = _records(read[path], names[path], columns, step, slice(cut, None))
-    for path in check_paths:
-        held[names[path]] = _records(read[path], names[path], columns, step, slice(None))
-    logs_used = [names[path] for path in fit_paths]
-    return Data(columns, step, fit, held, logs_used, [*files, *read], robot)
+            label = "held-out part" if len(fitted) == 1 else f"held-out part of {name}"
+            held[label] = _records(log, name, columns, step, slice(cut, None))
+    for name in names:
+        if name not in fitted:
+            held[name] = _records(read[name], name, columns, step, slice(None))
+    files = [*listings, *dict.fromkeys(part.path for part in parts)]
+    return Data(columns, step, fit, held, fitted, files, robot)
+
+
+def _alone(path: Path, role: Literal["fit", "validate"]) -> _Part:
+    """A log that no trials file lists."""
+    return _Part(trials.Trial(id=path.name, log=path.name, role=role), path.parent)
+
+
+def _agreed(listings: dict[Path, trials.Arma], key: str) -> str | None:
+    """What the trials files say of a key, which must be the same in all that have it."""
+    said = {
+        path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key) is not None
+    }
+    for path, value in said.items():
+        first = next(iter(said.values()))
+        if value != first:
+            raise InputError(
+                f"'{value}' contradicts '{first}' of {next(iter(said)).name}", file=path, column=key
+            )
+    return next(iter(said.values()), None)
+
+
+def _check_apart(parts: list[_Part]) -> None:
+    """Hold against each other what the command line and several trials files say of one log."""
+    for one, other in itertools.combinations(parts, 2):
+        # those of one trials file are apart already
+        listed = one.listing is not None and one.listing == other.listing
+        if not listed and one.path.resolve() == other.path.resolve():
+            trials.check_apart(one.entry, other.entry, one.path)
+
+
+def _names(parts: list[_Part]) -> list[str]:
+    """A name for each: its id, or with the log's path where that is not the only one."""
+    ids = [part.entry.id for part in parts]
+    names = [i if ids.count(i) == 1 else f"{part.path}" for i, part in zip(ids, parts, strict=True)]
+    return [n if names.count(n) == 1 else f"{n} ({k + 1})" for k, n in enumerate(names)]
 
 
 def _held_out(validate: Sequence[str | Path | float]) -> tuple[float, list[Path]]:
@@ -168,12 +225,12 @@ def _sine(text: str) -> tuple[float, float, float]:
     return values[0], values[1], values[2] if len(values) == 3 else 0.0
 
 
-def _log(path: Path, columns: Columns) -> log_format.Log:
+def _log(part: _Part, columns: Columns) -> log_format.Log:
     required = (columns.output,) if columns.sine else (columns.source, columns.output)
-    return log_format.read(path, required=required, optional=())
+    return read_log(part.entry, part.folder, required=required)
 
 
-def _check_distinct(path: Path, log: log_format.Log, columns: Columns) -> None:
+def _check_distinct(log: log_format.Log, columns: Columns) -> None:
     """Refuse an output that is the input under another name (an output that moves, that is)."""
     if columns.sine:
         return
@@ -182,29 +239,29 @@ def _check_distinct(path: Path, log: log_format.Log, columns: Columns) -> None:
     if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
         raise InputError(
             f"holds the same values as the input column '{columns.source}' in every row",
-            file=path,
+            file=log.path,
             column=columns.output,
             hint="one of the two is a copy: name the measured output with --output",
         )
 
 
-def _sample_time(times: dict[Path, np.ndarray]) -> float:
+def _sample_time(logs: dict[str, log_format.Log]) -> float:
     """The common sample time of all logs, s."""
     first: float | None = None
-    for path, time_s in times.items():
-        rate = sampling.rate(time_s)
+    for name, log in logs.items():
+        rate = sampling.rate(log.time_s)
         if not rate.uniform:
             raise InputError(
                 f"is not sampled at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole "
                 f"multiples of {rate.step_s:.6g} s; a discrete-time model needs one rate",
-                file=path,
+                file=log.path,
                 column="t_s",
                 hint="resample the log onto a uniform time base first",
             )
         if rate.jitter > sampling.NOTABLE_JITTER:
             warn(
                 "SWM003",
-                f"{path.name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} "
+                f"{name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} "
                 "s; the model "
                 "takes them as equal",
             )
@@ -215,17 +272,12 @@ def _sample_time(times: dict[Path, np.ndarray]) -> float:
                 f"is sampled every {rate.step_s:.6g} s, the first log every {first:.6g} s; a "
                 "discrete-time model "
                 "needs one rate",
-                file=path,
+                file=log.path,
                 column="t_s",
                 hint="resample the logs onto the same time base first",
             )
     assert first is not None
     return first
-
-
-def _short_names(paths: list[Path]) -> dict[Path, str]:
-    short = [path.name for path in paths]
-    return {path: path.name if short.count(path.name) == 1 else str(path) for path in paths}
 
 
 def _records(log: log_format.Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:

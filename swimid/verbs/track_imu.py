@@ -11,11 +11,24 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.formats import atomic, evidence, log, provenance
-from swimid.inertial import alone, attitude, fusion, motion, mounting, oscillation, paper, trust
+from swimid.inertial import (
+    aiding,
+    alone,
+    attitude,
+    fusion,
+    motion,
+    mounting,
+    oscillation,
+    paper,
+    plausible,
+    trust,
+)
 from swimid.inertial import faults as recording_faults
 from swimid.inertial.alignment import Poses
 from swimid.inertial.faults.base import Finding
+from swimid.inertial.motion import Motion
 from swimid.inertial.record import Record
+from swimid.inertial.smoother import Smoothed, gravity
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.signals import rhythm
@@ -111,10 +124,12 @@ def _by_paper(m: Material) -> Material:
 
 
 def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> Material:
-    settings, fused, findings = m.settings, None, m.findings
+    settings, fused = m.settings, None
     common = (m.record, m.source, m.still, m.mount)
     if poses is None:
-        smoothed = alone.run(*common, settings.sensor, settings.declared, advance=step)
+        judged = alone.judged(*common, settings.sensor, settings.declared, advance=step)
+        smoothed, still, impossible = judged.smoothed, judged.still, judged.impossible
+        sensor, findings = judged.sensor, judged.findings
     else:
         fused = fusion.run(
             *common,
@@ -125,32 +140,70 @@ def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> M
             fix_sd_m=settings.fix_sd_m,
             advance=step,
         )
-        smoothed, findings = fused.smoothed, [*findings, *fused.findings]
+        smoothed, still, impossible = fused.smoothed, fused.still, fused.impossible
+        sensor, findings = fused.sensor, fused.findings
+    settings = replace(settings, sensor=sensor)
+    m = replace(m, settings=settings, fused=fused, still=still, findings=[*m.findings, *findings])
+    if impossible:
+        return _attitude_alone(m, impossible)
     moved = motion.at_reference(smoothed)
     surge = oscillation.surge(moved.time_s, moved.velocity, moved.rotation, m.cutoff_hz)
-    surge_sd = oscillation.high_passed_sd(
-        m.still.noise.acceleration, m.cutoff_hz, settings.sensor.scale_sd, surge
-    )
-    first = m.still.used[0] if m.still.used and m.still.used[0].first == 0 else None
-    moving_from = m.record.time_s[0 if first is None else first.last - 1]
-    relative = fused is None
-    reach = (
-        trust.horizon(moved.time_s, moved.position, moved.position_sd, float(moving_from))
-        if relative
-        else None
-    )
+    surge_sd = oscillation.high_passed_sd(still.noise.acceleration, m.cutoff_hz, sensor.scale_sd, surge)
+    if fused is None:
+        moved, impossible = _never_too_fast(moved, settings.declared.top_speed_m_s)
     rest = smoothed.errors.scores.get("rest")
     return replace(
         m,
         motion=moved,
-        fused=fused,
-        findings=findings,
-        trust=reach,
+        trust=_reach(m, moved) if fused is None else None,
         surge_osc=surge,
         surge_osc_sd=surge_sd,
         rest_score=None if rest is None else float(np.sqrt(np.nanmean(rest**2))),
-        bias=np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]]),
+        bias=_biases(smoothed),
+        impossible=tuple(impossible),
     )
+
+
+def _attitude_alone(m: Material, impossible: list[str]) -> Material:
+    """No motion that can be: the attitude before smoothing, everything else empty."""
+    turned = m.mount.rotation.inv()
+    moved = motion.of_attitude(
+        m.record.time_s,
+        m.source.rotation * m.mount.rotation,
+        turned.apply(m.record.rate - attitude.still_rate(m.record, m.still.found)),
+        m.source.rotation.apply(m.record.acceleration) + gravity(np.zeros(2)),
+        alone.attitude_sd(m.source, m.settings.sensor),
+    )
+    return replace(
+        m,
+        motion=moved,
+        trust=_reach(m, moved) if m.fused is None else None,
+        surge_osc=np.full(len(m.record), np.nan),
+        impossible=tuple(impossible),
+    )
+
+
+def _never_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]:
+    """Samples faster than the robot ever is have neither velocity nor position."""
+    fast = plausible.too_fast(moved.velocity, moved.velocity_sd, top_m_s)
+    if not fast.any():
+        return moved, []
+    fastest = float(np.max(np.linalg.norm(moved.velocity, axis=1)))
+    text = (
+        f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, {top_m_s:g} m/s "
+        f"(up to {fastest:.1f} m/s)"
+    )
+    return motion.without(moved, fast), [text]
+
+
+def _reach(m: Material, moved: Motion) -> trust.Trust:
+    first = m.still.used[0] if m.still.used and m.still.used[0].first == 0 else None
+    moving_from = m.record.time_s[0 if first is None else first.last - 1]
+    return trust.horizon(moved.time_s, moved.position, moved.position_sd, float(moving_from))
+
+
+def _biases(smoothed: Smoothed) -> Any:
+    return np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
 
 
 def _warn(m: Material, notes: list[str]) -> None:
@@ -160,6 +213,12 @@ def _warn(m: Material, notes: list[str]) -> None:
     for finding in m.findings:
         if finding.verdict == "handled":
             warn("SWM080", f"{name}, {finding.fault}: {finding.text}")
+    if m.impossible:
+        warn(
+            "SWM086",
+            f"{name}: {'; '.join(m.impossible)}: no such motion can be; its positions and velocities are "
+            "empty. Name the true rests with --still, or fuse a camera log (--with)",
+        )
     if not m.still.found:
         warn(
             "SWM082",
@@ -178,6 +237,19 @@ def _warn(m: Material, notes: list[str]) -> None:
             "SWM083",
             f"the clocks differ: {1e3 * o.value_s:.1f} ms to add to the other log "
             f"(95 %: {1e3 * o.low_s:.1f} ... {1e3 * o.high_s:.1f} ms); the output is on the inertial clock",
+        )
+    if m.fused is not None and m.fused.stray > fusion.FEW * len(m.fused.fixes.time_s):
+        warn(
+            "SWM087",
+            f"{name}: {m.fused.stray} of {len(m.fused.fixes.time_s)} fixes of the other log lie beyond "
+            f"{aiding.GATE:g} deviations of the motion: the two logs contradict each other",
+        )
+    if m.fused is not None and m.fused.lasting > fusion.LASTING:
+        warn(
+            "SWM087",
+            f"{name}: many fixes of the other log on end are off by the same (as fused they scatter "
+            f"by {np.max(m.fused.fixes.position_sd[:2]):.3g} m): the logs contradict each other, or its "
+            f"scale or marker is wrong; every band is widened by {m.fused.lasting:.1f}",
         )
     if m.rest_score is not None and m.rest_score > REST_LIMIT:
         warn(
@@ -228,7 +300,7 @@ def _columns(m: Material) -> dict[str, Any]:
     out |= dict(zip(("roll_sd_rad", "pitch_sd_rad", "yaw_sd_rad"), found.angle_sd.T, strict=True))
     out |= dict(zip(("u_sd_m_s", "v_sd_m_s", "w_sd_m_s"), found.body_velocity_sd.T, strict=True))
     out |= dict(zip(("vx_sd_m_s", "vy_sd_m_s", "vz_sd_m_s"), found.velocity_sd.T, strict=True))
-    out["u_osc_sd_m_s"] = np.full(len(found.time_s), m.surge_osc_sd)
+    out["u_osc_sd_m_s"] = np.full(len(found.time_s), np.nan if m.surge_osc_sd is None else m.surge_osc_sd)
     out["bridged"] = (m.record.filled_acceleration | m.record.filled_rate).astype(int)
     return out
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from swimid.formats import evidence as ev
 from swimid.inertial import mounting
 from swimid.inertial.alignment import Poses
+from swimid.inertial.errorstate import LEVER
 from swimid.inertial.sensor import DEG, MILLI_G
 from swimid.inertial.trust import BAND
 from swimid.notices import Notice
@@ -54,17 +55,19 @@ def result(m: Material) -> dict[str, Any]:
         }
         return out
     assert m.motion is not None
-    assert m.bias is not None
-    out["bias"] = {"acceleration_m_s2": m.bias[:3].tolist(), "rate_rad_s": m.bias[3:].tolist()}
+    if m.bias is not None:
+        out["bias"] = {"acceleration_m_s2": m.bias[:3].tolist(), "rate_rad_s": m.bias[3:].tolist()}
+    out["empty_share"] = float(np.mean(np.isnan(m.motion.velocity[:, 0])))
+    out["impossible"] = list(m.impossible)
     out["surge_oscillation"] = {
-        "rms_m_s": float(np.sqrt(np.nanmean(np.square(m.surge_osc)))) if m.surge_osc is not None else None,
+        "rms_m_s": None if m.surge_osc is None else _largest(np.sqrt(np.mean(np.square(m.surge_osc)))),
         "sd_m_s": m.surge_osc_sd,
         "above_hz": m.cutoff_hz,
     }
     out["largest_band_95"] = {
-        "position_m": float(BAND * np.max(m.motion.position_sd)),
-        "velocity_m_s": float(BAND * np.max(m.motion.velocity_sd)),
-        "yaw_rad": float(BAND * np.max(m.motion.angle_sd[:, 2])),
+        "position_m": _largest(BAND * m.motion.position_sd),
+        "velocity_m_s": _largest(BAND * m.motion.velocity_sd),
+        "yaw_rad": _largest(BAND * m.motion.angle_sd[:, 2]),
     }
     if m.trust is not None:
         out["path_trusted"] = {"until_s": m.trust.until_s, "seconds": m.trust.seconds}
@@ -75,6 +78,12 @@ def result(m: Material) -> dict[str, Any]:
     return out
 
 
+def _largest(values: Any) -> float | None:
+    """None where there is none."""
+    there = np.asarray(values)[np.isfinite(values)]
+    return float(there.max()) if there.size else None
+
+
 def _mounting(m: Material) -> dict[str, Any]:
     rotation = m.mount.rotation if m.fused is None else m.fused.smoothed.path.mount
     roll, pitch = mounting.tilt_at_rest(m.mount.up, rotation)
@@ -83,7 +92,7 @@ def _mounting(m: Material) -> dict[str, Any]:
         path = m.fused.smoothed.path
         out["body_to_sensor_rotation_vector_rad"] = rotation.as_rotvec().tolist()
         out["lever_m"] = (-rotation.inv().apply(path.lever)).tolist()
-        out["lever_sd_m"] = np.sqrt(np.diag(m.fused.smoothed.errors.covariance[-1])[15:18]).tolist()
+        out["lever_sd_m"] = np.sqrt(np.diag(m.fused.smoothed.errors.covariance[-1])[LEVER]).tolist()
         out["world_tilt_rad"] = path.tilt.tolist()
     return out
 
@@ -122,7 +131,16 @@ def _fusion(m: Material) -> dict[str, Any]:
         "fix_sd_rad": None if m.fused.fixes.rotation is None else m.fused.fixes.rotation_sd,
         "innovation_rms": {k: float(np.sqrt(np.nanmean(v**2))) for k, v in scores.items()},
         "fixes_used": len(scores.get("position", ())),
-        "fixes_rejected": m.fused.smoothed.errors.rejected,
+        "fixes_stray": m.fused.stray,
+        "clocks_agree": m.fused.agree,
+        "widened_by_lasting_errors": m.fused.lasting,
+        "held_out": None
+        if m.fused.held_out is None
+        else {
+            "fixes": m.fused.held_out.count,
+            "rms_m": _largest(m.fused.held_out.rms_m),
+            "deviations": m.fused.held_out.deviations,
+        },
     }
 
 
@@ -139,12 +157,11 @@ def summary(m: Material, machine: dict[str, Any]) -> str:
     lines += [f"  {_reach(m)}"]
     if m.motion is not None and m.surge_osc is not None:
         rms = machine["surge_oscillation"]["rms_m_s"]
-        lines.append(
-            f"  surge within a stroke (above {m.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
-            f"rms, ± {BAND * m.surge_osc_sd:.4f}"
-            if m.surge_osc_sd is not None
-            else ""
-        )
+        if m.surge_osc_sd is not None and rms is not None:
+            lines.append(
+                f"  surge within a stroke (above {m.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
+                f"rms, ± {BAND * m.surge_osc_sd:.4f}"
+            )
     for check in checks(m):
         lines.append(
             f"  {check.verdict:4}  {check.name}: {check.value}"
@@ -158,6 +175,8 @@ def _reach(m: Material) -> str:
         mode = m.settings.mode
         return f"the paper's way, {mode} mode: it states no uncertainty; its velocity ends as it began"
     assert m.motion is not None
+    if not np.isfinite(m.motion.position).any():
+        return "no motion that can be: positions and velocities are empty, the attitude is the filter's"
     if m.fused is not None:
         half = BAND * np.max(m.motion.position_sd[:, :2], axis=1)
         usual, worst = np.median(half), np.max(half)
@@ -177,9 +196,12 @@ def record(
 ) -> ev.Evidence:
     """Everything the report shows of a run."""
     found = checks(m)
-    doubts = [c.name.lower() for c in found if c.verdict == "warn"]
+    doubts = [c.name.lower() for c in found if c.verdict in ("warn", "fail")]
     text = _reach(m)[0].upper() + _reach(m)[1:]
-    level = "caution" if doubts or m.paper is not None else "good"
+    failed = any(c.verdict == "fail" for c in found)
+    level: Literal["good", "caution", "bad"] = (
+        "bad" if failed else "caution" if doubts or m.paper is not None else "good"
+    )
     return ev.Evidence(
         verb="track imu",
         title=f"Motion of {m.record.name}",

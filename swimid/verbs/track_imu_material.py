@@ -56,7 +56,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Material:
-    """Everything a run found, for its log, its evidence and its summary."""
+    """Everything a run found, for its log, its evidence and its summary.
+
+    ``impossible`` says why positions and velocities of the motion are empty where they are.
+    """
 
     record: Record
     source: Source
@@ -74,6 +77,7 @@ class Material:
     surge_osc: Array | None = None
     surge_osc_sd: float | None = None
     bias: Array | None = None
+    impossible: tuple[str, ...] = ()
 
 
 def stated_frequency(m: Material) -> float | None:

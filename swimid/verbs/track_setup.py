@@ -10,28 +10,42 @@ import cv2
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.formats import atomic, yamlio
+from swimid.formats import atomic
 from swimid.formats.setup import Marker, Setup
 from swimid.notices import warn
 from swimid.progress import Progress, silent
-from swimid.tracking import census, propose
+from swimid.tracking import camera, census, motion, pick, propose
+from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.run import Run, follow
+from swimid.verbs import track_setup_text
 from swimid.verbs.outcome import Outcome
 
 #: Pictures on the contact sheet, and the width of each.
 _SHEET, _SHEET_WIDTH = 4, 640
 #: A proposal the tracker itself finds in fewer frames than this share is dropped.
 _LEAST_FOUND = 0.05
+#: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
+_TRIES = 3
 
 
 @dataclass(frozen=True)
 class Pick:
-    """A marker shown by hand: its name and one of its pixels."""
+    """A marker shown by hand: its name and one of its pixels. Several of one name look alike."""
 
     name: str
     x: float
     y: float
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """A setup, the run that tried it, a remark on each kind of marker, and what was passed over."""
+
+    setup: Setup
+    run: Run
+    remarks: list[str]
+    passed: list[Passed]
 
 
 def track_setup(
@@ -57,8 +71,8 @@ def track_setup(
     output : path
         The setup file; a PNG with the markers drawn in goes beside it.
     picks : tuple of Pick
-        Markers shown by hand in ``frame``; head first, then tail. Without any they are
-        proposed from what moves.
+        Markers shown by hand in ``frame``; head first, then tail. Picks of one name are equal markers.
+        Without any they are proposed from what moves.
     frame : int
         The frame the picks are in.
     metres_per_pixel, scale_points, scale_distance_m
@@ -87,23 +101,20 @@ def track_setup(
     scale = _scale(metres_per_pixel, scale_points, scale_distance_m)
     video = Path(video)
     common: dict[str, Any] = {"scale": scale, "plane": plane, "frame_rate_hz": fps}
-    if picks:
-        setup, run = _by_hand(video, picks, frame, common, progress)
-        remarks = ["picked by hand"] * len(setup.markers)
-    else:
-        setup, run, remarks = _unattended(video, common, progress)
-    setup = _measured(setup, run)
+    draft = _by_hand(video, picks, frame, common, progress) if picks else _unattended(video, common, progress)
+    setup, run = _measured(draft.setup, draft.run), draft.run
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    for name, share in shares.items():
-        if share < _LEAST_FOUND:
-            warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
-    atomic.write_text(output, _text(setup, shares, remarks, video.name))
+    _doubts(setup, run, shares)
+    text = track_setup_text.write(setup, shares, draft.remarks, draft.passed, video.name)
+    atomic.write_text(output, text)
     sheet = output.with_suffix(".markers.png")
     _draw(sheet, run, setup)
     lines = [
-        f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(marker)}, area {_area(marker)} px"
-        for (name, share), marker in zip(shares.items(), setup.markers, strict=True)
+        f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(setup.marker(name))}, "
+        f"area {_area(setup.marker(name))} px"
+        for name, share in shares.items()
     ]
+    lines += [f"passed over: {colour}" for colour in draft.passed]
     lines.append(
         f"head {setup.head or setup.marker_names[0]}"
         + (f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw")
@@ -118,6 +129,7 @@ def track_setup(
         "head": setup.head,
         "tail": setup.tail,
         "found_share": shares,
+        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in draft.passed],
     }
     return Outcome("track setup", "\n".join(lines), result, [output, sheet])
 
@@ -154,43 +166,106 @@ def _setup(markers: list[Marker], head: str | None, tail: str | None, common: di
     return Setup.model_validate(data)
 
 
-def _unattended(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Setup, Run, list[str]]:
+def _unattended(video: Path, common: dict[str, Any], progress: Progress) -> _Draft:
+    """The best candidate that can be followed and moves, with the partner it keeps its distance to."""
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
-    found = propose.candidates(samples)
-    tried = []
-    for first in found[:3]:
-        second = propose.partner(first, found)
-        pair = (
-            [first]
-            if second is None
-            else [first, second]
-            if propose.leads(first, second)
-            else [second, first]
-        )
-        names: list[str] = []
-        for candidate in pair:
-            names.append(propose.name_of(candidate, names))
-        markers = [propose.as_marker(c, n) for c, n in zip(pair, names, strict=True)]
-        setup = _setup(markers, names[0], names[1] if len(names) > 1 else None, common)
-        still = [box for candidate in pair for box in candidate.still if not _crossed(box, pair)]
-        setup = setup.model_copy(update={"ignore_px": still})
-        with progress(f"trying {', '.join(names)}") as step:
-            run = follow(video, setup, step=step)
-        share = float(run.track.found.all(axis=0).mean())
-        expected = min(c.presence for c in pair)
-        if share >= max(_LEAST_FOUND, 0.3 * expected):
-            remarks = [_remark(c) for c in pair]
-            return run.setup, run, remarks
-        tried.append(f"{' and '.join(names)} ({100 * share:.1f} % of the frames)")
+    found, passed = propose.candidates(samples)
+    shift = samples.factor * camera.shifts(samples.frames)
+    _camera_still(shift, samples.info.width)
+    reasons: dict[int, str] = {}
+    for k, first in enumerate(found[:_TRIES]):
+        for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
+            pair = [first] if second is None else [first, second]
+            if second is not None and not propose.leads(first, second):
+                pair.reverse()
+            setup, run = _tried(video, pair, common, progress)
+            scene = camera.between(shift, samples.indices, len(run.track.times))
+            faults = _faults(run, pair, scene)
+            reasons |= {id(pair[i]): text for i, text in faults.items()}
+            if not faults:
+                for candidate in pair:
+                    reasons.pop(id(candidate), None)
+                rest = [c for c in found if c not in pair]
+                passed += [_passed(c, reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
+                return _Draft(setup, run, [_remark(c) for c in pair], passed)
+            if any(pair[i] is first for i in faults):
+                break
+    passed = [_passed(c, reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
-        f"no marker of {video.name} can be followed; tried {'; '.join(tried)}. "
+        f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
         f"{census.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
 
 
-def _crossed(box: tuple[float, float, float, float], pair: list[propose.Candidate]) -> bool:
+def _tried(
+    video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress
+) -> tuple[Setup, Run]:
+    """Follow one or two candidates through the film."""
+    names: list[str] = []
+    for candidate in pair:
+        names.append(propose.name_of(candidate, names))
+    markers = [propose.as_marker(c, n) for c, n in zip(pair, names, strict=True)]
+    setup = _setup(markers, names[0], names[1] if len(names) > 1 else None, common)
+    still = [box for candidate in pair for box in candidate.still if not _crossed(box, pair)]
+    setup = setup.model_copy(update={"ignore_px": still})
+    with progress(f"trying {', '.join(names)}") as step:
+        run = follow(video, setup, step=step)
+    return run.setup, run
+
+
+def _camera_still(shift: motion.Array, width: int) -> None:
+    """Warn of a camera that moves."""
+    largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
+    if largest > camera.limit_px(width):
+        warn(
+            "SWM068",
+            f"the whole scene shifts by {largest:.1f} px in the film: the camera moves. What moves with it "
+            "is taken for no marker, but a log will hold the camera's motion",
+        )
+
+
+def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict[int, str]:
+    """Why candidates of a trial are no markers, by their place in ``pair``.
+
+    ``scene``, shape (2, n), px, is how far the scene is shifted in each frame.
+    """
+    faults: dict[int, str] = {}
+    track = run.track
+    for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
+        share, reach = float(track.found[i].mean()), motion.reach(track, name, scene)
+        if share < max(_LEAST_FOUND, 0.3 * candidate.presence):
+            faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
+        elif not reach.moves:
+            faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
+    if faults or len(pair) == 1:
+        return faults
+    first, second = track.names
+    weaker = int(pair[0].score >= pair[1].score)
+    apart = motion.distance(track, first, second)
+    other = track.names[1 - weaker]
+    if apart is None:
+        faults[weaker] = f"is hardly seen together with {other}"
+    elif apart.change > motion.KEPT[1]:
+        faults[weaker] = (
+            f"its distance to {other} changes by {100 * apart.change:.0f} %: they are on no rigid part"
+        )
+    return faults
+
+
+def _passed(candidate: Candidate, reason: str) -> Passed:
+    return Passed(candidate.name, candidate.hue_deg, reason)
+
+
+def _weaker(candidate: Candidate, pair: list[Candidate]) -> str:
+    best = max(pair, key=lambda c: c.score)
+    if candidate.score >= propose.SECOND_SHARE * best.score and len(pair) == 1:
+        return f"not seen together with {best.name} at one distance"
+    return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
+
+
+def _crossed(box: tuple[float, float, float, float], pair: list[Candidate]) -> bool:
     """Whether a marker was seen inside a box: it must not be ignored then."""
     left, top, right, bottom = box
     for candidate in pair:
@@ -201,7 +276,7 @@ def _crossed(box: tuple[float, float, float, float], pair: list[propose.Candidat
     return False
 
 
-def _remark(candidate: propose.Candidate) -> str:
+def _remark(candidate: Candidate) -> str:
     text = f"score {candidate.score:.2f}, seen in {100 * candidate.presence:.0f} % of the samples"
     if candidate.like > 1:
         text += f"; {candidate.like} patches of this colour move together: the largest is followed"
@@ -210,15 +285,49 @@ def _remark(candidate: propose.Candidate) -> str:
 
 def _by_hand(
     video: Path, picks: tuple[Pick, ...], index: int, common: dict[str, Any], progress: Progress
-) -> tuple[Setup, Run]:
-    names = [pick.name for pick in picks]
-    if len(set(names)) < len(names):
-        raise UsageError(f"two markers are named alike: {', '.join(names)}")
+) -> _Draft:
+    """The markers picked; those of one name are equal ones, told apart by their places."""
+    kinds: dict[str, list[tuple[float, float]]] = {}
+    for one in picks:
+        kinds.setdefault(one.name, []).append((one.x, one.y))
     picture = _frame(video, index)
-    markers = [propose.picked(picture, p.name, p.x, p.y, path=video, index=index) for p in picks]
-    setup = _setup(markers, names[0], names[1] if len(names) > 1 else None, common)
-    with progress(f"trying {', '.join(names)}") as step:
-        return setup, follow(video, setup, step=step)
+    markers = pick.markers(picture, kinds, path=video, index=index)
+    names = [name for marker in markers for name in marker.names]
+    head, tail = names[0], names[1] if len(names) > 1 else None
+    setup = _setup(markers, head, tail, common)
+    with progress(f"trying {', '.join(kinds)}") as step:
+        run = follow(video, setup, step=step)
+    remarks = ["picked by hand"] * len(markers)
+    if tail is not None and markers[0].number > 1:
+        # Equal markers may be on one body or on several; only a rigid pair gives a heading.
+        apart = motion.distance(run.track, head, tail)
+        if apart is None or apart.change > motion.KEPT[1]:
+            setup = setup.model_copy(update={"tail": None})
+            remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
+    return _Draft(setup, run, remarks, [])
+
+
+def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
+    """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
+    for name, share in shares.items():
+        reach = motion.reach(run.track, name)
+        if share < _LEAST_FOUND:
+            warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
+        elif not reach.moves:
+            warn(
+                "SWM067",
+                f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place: "
+                "is it the marker, or a still thing of its colour?",
+            )
+    if setup.head is None or setup.tail is None:
+        return
+    apart = motion.distance(run.track, setup.head, setup.tail)
+    if apart is not None and apart.change > motion.KEPT[0]:
+        warn(
+            "SWM042",
+            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * apart.change:.1f} % beyond "
+            "what a camera askew explains: on one rigid part it would not",
+        )
 
 
 def _frame(video: Path, index: int) -> Frame:
@@ -253,72 +362,6 @@ def _hue(marker: Marker) -> str:
 
 def _area(marker: Marker) -> str:
     return "any" if marker.area_px is None else f"{marker.area_px[0]:g}..{marker.area_px[1]:g}"
-
-
-def _text(setup: Setup, shares: dict[str, float], remarks: list[str], video: str) -> str:
-    """The setup as commented YAML."""
-    lines = [
-        f"# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md",
-        f"format: {setup.format}",
-        "markers:",
-    ]
-    for marker, remark in zip(setup.markers, remarks, strict=True):
-        hsv = marker.colour_range()
-        low, high = marker.area_px or (12.0, 1e5)
-        lines += [
-            f"  - name: {marker.name}",
-            f"    # Found in {100 * shares[marker.names[0]]:.1f} % of the frames; {remark}.",
-            "    # Hue runs from the first to the second angle, through 0 for red.",
-            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
-            f"value: {_list(hsv.value)}}}",
-            f"    area_px: [{low:g}, {high:g}]",
-        ]
-    lines += ["# The head marker gives the position, head and tail together the heading."]
-    lines += [f"head: {setup.head or setup.marker_names[0]}"]
-    lines += [f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"]
-    lines += [
-        "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
-        f"plane: {setup.plane}",
-    ]
-    if setup.plane == "vertical":
-        lines += [
-            "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
-            f"facing: {setup.facing}",
-        ]
-    lines += [
-        "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
-        "# tail, or with the name of a robot whose file names markers like these.",
-        "# robot: sealion",
-    ]
-    if setup.scale is not None:
-        lines += ["scale:"]
-        lines += [
-            f"  {line}"
-            for line in yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True)).splitlines()
-        ]
-    else:
-        lines += [
-            "# Without a scale positions are in pixels. One of:",
-            "# scale: {metres_per_pixel: 0.0015}",
-            "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
-            "# scale: {points_px: [four corners], points_m: [the same corners]}",
-        ]
-    lines += [
-        "# True frame rate, where the container's stamps are wrong.",
-        f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240",
-        "# Longest dropout that is bridged, s.",
-        f"max_gap_s: {setup.max_gap_s:g}",
-    ]
-    if setup.ignore_px:
-        lines += ["# Motionless things of a marker's colour: [left, top, right, bottom].", "ignore_px:"]
-        lines += [f"  - {_list(box)}" for box in setup.ignore_px]
-    else:
-        lines += ["# ignore_px: [[left, top, right, bottom]]"]
-    return "\n".join(lines) + "\n"
-
-
-def _list(values: Any) -> str:
-    return "[" + ", ".join(f"{v:g}" for v in values) + "]"
 
 
 def _draw(path: Path, run: Run, setup: Setup) -> None:

@@ -5,6 +5,8 @@ Every function takes and returns (3, joints, n) on a uniform grid that starts wi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 from scipy.interpolate import CubicHermiteSpline
@@ -112,19 +114,23 @@ def servo_delay(rng: np.random.Generator, size: float, robot: str) -> Act:
     return Act(joints=lambda trial, t, q: delayed(t, q, size * 0.070))
 
 
-def servo_backlash(rng: np.random.Generator, size: float, robot: str) -> Act:
-    """Half-width of the play per driven joint, rad."""
-    width = size * np.radians({"tfish": 1.3, "dolphin": 2.2}[robot]) * shared(rng, 3, 0.2)
+def play(width_rad: Sequence[float]) -> Act:
+    """Play of a given half-width in each driven joint, rad."""
 
     def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
         out = q.copy()
         for j in range(q.shape[1]):
             if np.ptp(q[0, j]) > 0:
-                out[:2, j] = follow_with_play(q[:, j].copy(), t[1], width[j], 0.3)
+                out[:2, j] = follow_with_play(q[:, j].copy(), t[1], width_rad[j], 0.3)
                 out[2, j] = np.gradient(out[1, j], t[1])
         return out
 
     return Act(joints=joints)
+
+
+def servo_backlash(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """Half-width of the play per driven joint, rad."""
+    return play(size * np.radians({"tfish": 1.3, "dolphin": 2.2}[robot]) * shared(rng, 3, 0.2))
 
 
 def amplitude_loss(rng: np.random.Generator, size: float, robot: str) -> Act:

@@ -30,9 +30,17 @@ def tracking(robot: str) -> Noise:
 
 
 def plan(
-    robot: str, settings: Sequence[tuple[float, float, float]], duration_s: float, rate_hz: float, seed: int
+    robot: str,
+    settings: Sequence[tuple[float, float, float]],
+    duration_s: float,
+    rate_hz: float,
+    seed: int,
+    scatter: float = 1.0,
 ) -> list[Trial]:
-    """One trial of each setting, no two alike: amplitude, thrust, trim and clock scatter a little."""
+    """One trial of each setting, no two alike: amplitude, thrust, trim and clock scatter a little.
+
+    ``scatter`` 0 leaves that out: nothing but the start differs between trials of one setting.
+    """
     rng = np.random.default_rng(seed)
     trials = []
     for i, (frequency, amplitude, bias) in enumerate(settings):
@@ -41,8 +49,9 @@ def plan(
         turn = rng.uniform(-np.pi, np.pi) if robot == "tfish" else rng.uniform(-0.05, 0.05)
         start = (rng.uniform(-1.0, 1.0), rng.uniform(-0.5, 0.5), turn)
         trial = Trial(f"run{i + 1:02d}", i, robot, drive, duration_s, rate_hz, start, seed)
-        trial.amplitude, trial.thrust = 0.005 * rng.normal(size=2)
-        trial.trim, trial.late = float(np.radians(0.2) * rng.normal()), float(0.002 * rng.normal())
+        trial.amplitude, trial.thrust = scatter * 0.005 * rng.normal(size=2)
+        trial.trim = scatter * float(np.radians(0.2) * rng.normal())
+        trial.late = scatter * float(0.002 * rng.normal())
         trials.append(trial)
     return trials
 
@@ -57,6 +66,7 @@ def write(
     rate_hz: float = 25.0,
     gyro: bool = False,
     seed: int = SEED,
+    scatter: float = 1.0,
 ) -> None:
     """Trials file, one log of each setting, and ``params.yaml``: the coefficients as of another day.
 
@@ -68,9 +78,11 @@ def write(
     settings : sequence of (frequency in Hz, amplitude in deg, bias in deg)
     gyro : bool
         Whether the robot logs its turn rate.
+    scatter : float
+        Of what differs between trials by chance; see :func:`plan`.
     """
     rng = np.random.default_rng([seed, 1])
-    trials, noise = plan(robot, settings, duration_s, rate_hz, seed), tracking(robot)
+    trials, noise = plan(robot, settings, duration_s, rate_hz, seed, scatter), tracking(robot)
     coefficients = swimmers.truth(robot, rng)
     columns = ["x_m", *UP[robot][: 3 if gyro else 2]]
     logs = {}

@@ -86,14 +86,15 @@ def find(path: Path, options: Options) -> Layout:
     table = [(at, cells_of(line, delimiter, blanks)) for at, line in kept]
     decimal = options.decimal or _decimal([cells for _, cells in table], delimiter)
     width = Counter(len(cells) for _, cells in table).most_common(1)[0][0]
-    head, first = _split(table, width, decimal, options, path)
-    names, units, headed = _names(head, width)
+    rows_above, first = _split(table, width, decimal, options, path)
+    lines_of_names = max(len(rows_above), 1)
+    names, units, headed = _names(_joined(rows_above), width)
     missing = tuple(str(mark) for mark in options.missing)
     samples = [cells for _, cells in table[first:] if len(cells) == width]
     kinds = [_kind([cells[k] for cells in samples], decimal, missing) for k in range(width)]
     if delimiter == "," and decimal == ",":
         raise InputError("a comma cannot both separate cells and mark decimals", file=path)
-    if options.skip_rows is None and first > (2 if units else 1) and headed:
+    if options.skip_rows is None and first > lines_of_names and headed:
         notes.append(f"{table[first][0] - 1} lines above the samples are not read as samples")
     return Layout(
         names,
@@ -210,16 +211,15 @@ def _split(
 
     if options.header is False:
         return [], 0
-    if options.header is True:
-        first = 1
-        if len(table) > 2 and _are_units(table[1][1]):
-            first = 2
-        if len(table) <= first:
-            raise InputError("holds no samples under its header", file=path, line=table[0][0])
-        return [cells for _, cells in table[:first]], first
     found = next(
         (k for k, (_, cells) in enumerate(table) if len(cells) == width and looks_sampled(cells)), None
     )
+    if options.header is True and found in (None, 0):
+        # the names themselves look like samples, or the samples like names
+        first = 2 if len(table) > 2 and _are_units(table[1][1]) else 1
+        if len(table) <= first:
+            raise InputError("holds no samples under its header", file=path, line=table[0][0])
+        return [cells for _, cells in table[:first]], first
     if found is None:
         raise InputError(
             "no line holds numbers",
@@ -234,10 +234,35 @@ def _split(
         cells = [*above, ""] if trailing and len(above) == width - 1 else above
         if len(cells) != width:
             break
-        head.insert(0, cells)
-        if not _are_units(cells):
+        named = [row for row in head if not _are_units(row)]
+        if named and not _repeats(named[0]):
             break
+        head.insert(0, cells)
     return head, found
+
+
+def _repeats(cells: list[str]) -> bool:
+    """Whether names stand more than once, so that the line above must tell them apart."""
+    named = [cell.strip() for cell in cells if cell.strip()]
+    return len(set(named)) < len(named)
+
+
+def _joined(head: list[list[str]]) -> list[list[str]]:
+    """Several lines of names as one: point and coordinate as ``nose_x``.
+
+    The tables of DeepLabCut and of pandas name a column by a line each for scorer, body part and coordinate;
+    a line that says the same of all columns tells nothing.
+    """
+    levels = [row for row in head if not _are_units(row)]
+    if len(levels) < 2:
+        return head
+    units = [row for row in head if _are_units(row)]
+    telling = [row for row in levels if len({cell.strip() for cell in row[1:]}) > 1]
+    names = ["_".join(filter(None, (row[k].strip() for row in telling))) for k in range(len(head[0]))]
+    first = [row[0].strip() for row in levels]
+    # the first column counts the pictures, and its cells name the lines
+    names[0] = "frame" if "bodyparts" in first else first[-1] or "frame"
+    return [names, *units]
 
 
 def _are_units(cells: list[str]) -> bool:

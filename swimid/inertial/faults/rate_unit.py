@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from swimid.inertial import strapdown
 from swimid.inertial.faults.base import Finding, up_turning
 from swimid.inertial.record import Record, rotations
 from swimid.inertial.sensor import DEG
@@ -15,6 +17,10 @@ NAME = "turn-rate unit"
 FASTEST = 12.0
 #: A turn of gravity over a second that can be seen, rad.
 VISIBLE = 0.02
+#: Turned to axes that stand still for this long, s, gravity stays where it is; so many windows at most.
+WINDOW_S, MOST_WINDOWS = 0.5, 200
+#: A unit that leaves this share of what the other leaves of gravity's wandering is the right one.
+CLEARLY = 0.5
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
@@ -22,7 +28,9 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     scale = _against_quaternion(record)
     by = "the quaternions"
     if scale is None:
-        scale, by = _against_gravity(record), "gravity in the accelerometer"
+        scale, by = _where_gravity_stays(record), "gravity in the accelerometer"
+    if scale is None:
+        scale = _against_gravity(record)
     if scale is None:
         fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
         if fast <= FASTEST:
@@ -32,6 +40,28 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         text = f"turn rates are in deg/s (judged by {by}), converted"
         return replace(record, rate=record.rate * DEG), [Finding(NAME, "handled", text)]
     return record, []
+
+
+def _where_gravity_stays(record: Record) -> float | None:
+    """1 or a degree: the unit that makes specific force, turned back by the turn rates, stand still.
+
+    Holds for turns of any size and speed. None where neither is clearly better than the other and than no
+    turn at all: small turns, turns about the vertical, and axes that are not what they say.
+    """
+    size = max(round(WINDOW_S / record.step_s), 4)
+    starts = np.arange(0, len(record) - size, size)
+    starts = starts[:: max(len(starts) // MOST_WINDOWS, 1)]
+    left = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
+    for first in starts.tolist():
+        rows = slice(first, first + size)
+        for factor in left:
+            turned = strapdown.attitude(
+                record.time_s[rows], factor * record.rate[rows], Rotation.identity()
+            ).apply(record.acceleration[rows])
+            left[factor] += float(np.sum((turned - turned.mean(axis=0)) ** 2))
+    best = min(left, key=lambda factor: left[factor])
+    others = min(value for factor, value in left.items() if factor != best)
+    return best if best and left[best] < CLEARLY * others else None
 
 
 def _against_gravity(record: Record) -> float | None:

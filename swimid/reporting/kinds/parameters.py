@@ -11,7 +11,18 @@ from swimid.formats.evidence import Evidence, Verdict
 from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
 from swimid.reporting import numbers
 from swimid.reporting.results import reader, status_cell
-from swimid.reporting.sections import Block, Cell, Grid, Note, Section, cell, mapping_grid, words
+from swimid.reporting.sections import (
+    Block,
+    Cell,
+    Grid,
+    Note,
+    Section,
+    cell,
+    is_records,
+    mapping_grid,
+    records_grid,
+    words,
+)
 
 #: From here on a pair of estimates is called strongly correlated.
 STRONG = 0.9
@@ -173,8 +184,11 @@ def _fit(fit: Fit) -> list[Block]:
         **({"noise": fit.noise} if fit.noise else {}),
         **(fit.model_extra or {}),
     }
+    records = {name: value for name, value in details.items() if is_records(value)}
+    details = {name: value for name, value in details.items() if name not in records}
     if details:
         blocks.append(mapping_grid("Fit details", details))
+    blocks += [records_grid(words(name).capitalize(), value) for name, value in records.items()]
     return blocks
 
 

@@ -1,0 +1,97 @@
+"""Does the camera stand still? Whether most of what can be recognised in the scene shifts together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.tracking.reader import Frame
+
+Array = NDArray[np.float64]
+#: Width frames are reduced to before they are compared.
+WIDTH = 480
+#: Corners sought, and the fewest that tell of a scene.
+CORNERS, FEWEST = 300, 12
+#: A corner found in the other frame is found back from there within so many px of the reduced picture.
+BACK_PX = 0.5
+#: Corners whose shift is this near to the median (px of the reduced picture) go together.
+TOGETHER_PX = 1.0
+#: Share of the corners sought that must do so: most of the scene, whatever swims in it ...
+MOST = 0.5
+#: ... and cells of a grid over the picture they must be in, of how many a side: a robot near the camera may
+#: wear most of the corners.
+CELLS, SIDE = 8, 4
+#: A scene that shifts farther than this (px of the reduced picture) has a camera that moves.
+STILL_PX = 2.0
+
+
+def shifts(frames: Sequence[Frame]) -> Array:
+    """How far the scene is shifted in each frame against the first one.
+
+    Parameters
+    ----------
+    frames : sequence of n frames
+        Of one size.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        px, x to the right and y down; NaN where no common shift of most corners is found (ripples, plain
+        water, another scene).
+
+    Notes
+    -----
+    Corners of the first frame followed there and back by Lucas and Kanade's optical flow in pyramids
+    (Bouguet 2001); the median of those that come back, where most of all corners agree with it.
+    """
+    out = np.full((len(frames), 2), np.nan)
+    if not frames:
+        return out
+    factor = max(frames[0].shape[1] / WIDTH, 1.0)
+    small = [_reduced(frame, factor) for frame in frames]
+    corners = cv2.goodFeaturesToTrack(small[0], CORNERS, 0.02, 7)
+    if corners is None or len(corners) < FEWEST:
+        return out
+    for k, picture in enumerate(small):
+        there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
+        sound = (found[:, 0] > 0) & (again[:, 0] > 0)
+        sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < BACK_PX
+        if not sound.any():
+            continue
+        flow = (there - corners)[sound, 0]
+        middle = np.median(flow, axis=0)
+        alike = np.linalg.norm(flow - middle, axis=1) < TOGETHER_PX
+        if alike.sum() >= MOST * len(corners) and _cells(corners[sound, 0][alike], picture.shape) >= CELLS:
+            out[k] = factor * middle
+    return out
+
+
+def _cells(places: NDArray[np.float32], shape: tuple[int, ...]) -> int:
+    """How many cells of the grid hold points, shape (n, 2), of a picture of (rows, columns)."""
+    cell = (places * SIDE / np.array([shape[1], shape[0]])).astype(int)
+    return len({(int(x), int(y)) for x, y in cell})
+
+
+def _reduced(frame: Frame, factor: float) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+    if factor > 1:
+        grey = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(grey, dtype=np.uint8)
+
+
+def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
+    """The shift in each of ``count`` frames from that in some, shape (2, count); None where unknown."""
+    known = np.isfinite(shift[:, 0])
+    if known.sum() < 2:
+        return None
+    frames = np.arange(count)
+    return np.array([np.interp(frames, indices[known], row[known]) for row in shift.T])
+
+
+def limit_px(width: int) -> float:
+    """Shift beyond which the camera moves, px of a picture of ``width`` px."""
+    return STILL_PX * max(width / WIDTH, 1.0)

@@ -1,0 +1,230 @@
+"""Markers shown by hand, by one of their pixels: which patch that is, and the colours that are its own."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.errors import InputError
+from swimid.formats.setup import HsvRange, Marker
+from swimid.tracking import census
+from swimid.tracking.colour import SLACK, ColourModel
+from swimid.tracking.propose import colour_range
+from swimid.tracking.reader import Frame
+
+#: The patch about a pixel is sought with colours this far from the pixel's: hue (deg), saturation, value;
+WIDEST = (20.0, 0.3, 0.3)
+#: ... or these shares of it: that at which the patch grows least with it. Matas, J. et al. (2002), Robust
+#: wide baseline stereo from maximally stable extremal regions, BMVC. doi:10.5244/C.16.36
+SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
+#: A patch of fewer pixels is none.
+SMALLEST = 5
+#: Largest share of the picture a marker has.
+LARGEST = 0.05
+#: Width of the ring about a patch that shows its surroundings, px, beyond the blurred rim.
+RING, RIM = 10, 3
+#: Share of the surroundings that must not have the marker's colours.
+CLEAR = 0.9
+_CROSS = np.ones((3, 3), np.uint8)
+
+
+def markers(
+    frame: Frame, kinds: dict[str, list[tuple[float, float]]], *, path: Path, index: int
+) -> list[Marker]:
+    """Markers from their pixels.
+
+    Parameters
+    ----------
+    frame : frame
+        The full picture.
+    kinds : dict of str to list of (x, y)
+        Name of each kind of marker, and a pixel of every marker of it.
+    path, index
+        Video and frame number, for messages.
+
+    Raises
+    ------
+    InputError
+        A place is outside the picture; no patch about it stands out from its surroundings; two
+        places are on one patch, or two kinds have one colour.
+    """
+    hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
+    found: list[Marker] = []
+    patches: list[tuple[str, NDArray[np.uint8]]] = []
+    for name, places in kinds.items():
+        masks: list[NDArray[np.uint8]] = []
+        for x, y in places:
+            mask = _patch(frame, hsv, f"--marker {name}@{x:g},{y:g}", (x, y), path, index)
+            for other, taken in [(name, m) for m in masks] + patches:
+                if taken[int(y), int(x)]:
+                    raise InputError(
+                        f"--marker {name}@{x:g},{y:g} is on the same patch as another pixel of '{other}'",
+                        file=path,
+                        frame=index,
+                    )
+            masks.append(mask)
+        patches += [(name, mask) for mask in masks]
+        found.append(_marker(hsv, name, masks, path, index))
+    for marker in found:
+        model = ColourModel(marker.colour_range())
+        mine = model.mask(hsv)
+        for other, mask in patches:
+            if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
+                raise InputError(
+                    f"markers '{marker.name}' and '{other}' have one colour, and would be exchanged",
+                    file=path,
+                    frame=index,
+                    hint=f"name them alike (--marker {marker.name}@x,y for both); they become "
+                    f"{marker.name}1, {marker.name}2 and are told apart by their places",
+                )
+    return found
+
+
+def _patch(
+    frame: Frame, hsv: NDArray[np.uint8], option: str, place: tuple[float, float], path: Path, index: int
+) -> NDArray[np.uint8]:
+    """The patch of one colour about a pixel: 255 inside, shape (rows, columns)."""
+    rows, columns = hsv.shape[:2]
+    x, y = place
+    if not (0 <= x < columns and 0 <= y < rows):
+        raise InputError(
+            f"{option} is outside the picture of {columns} x {rows} pixels", file=path, frame=index
+        )
+    i, j = int(y), int(x)
+    grey = int(census.chroma(frame)[i, j]) < census.LEAST_CHROMA
+    patches: list[NDArray[np.uint8]] = []
+    for share in SHARES:
+        mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
+        _, labels = cv2.connectedComponents(mask, connectivity=8)
+        patch = np.where((labels == labels[i, j]) & (mask > 0), 255, 0).astype(np.uint8)
+        if SMALLEST <= np.count_nonzero(patch) <= LARGEST * patch.size:
+            patches.append(patch)
+    standing = [patch for patch in patches if _range_of(hsv, patch) is not None]
+    if not standing:
+        blue, green, red = (int(v) for v in frame[i, j])
+        raise InputError(
+            f"no patch about {x:g},{y:g} (#{red:02x}{green:02x}{blue:02x}) stands out from its surroundings",
+            file=path,
+            frame=index,
+            hint="pick a pixel inside the marker, away from glints; a marker wants a background of another "
+            "colour or brightness all round",
+        )
+    if len(standing) == 1:
+        return standing[0]
+    growth = [np.count_nonzero(after) / np.count_nonzero(before) for before, after in pairwise(standing)]
+    return standing[growth.index(min(growth)) + 1]
+
+
+def _about(pixel: NDArray[np.uint8], share: float, grey: bool) -> HsvRange:
+    """The colours about a pixel's; of a grey one every hue."""
+    hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
+    wide_hue, wide_saturation, wide_value = (share * width for width in WIDEST)
+    value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
+    if grey:
+        # Saturation is chroma over value: on dark pixels noise alone makes it large.
+        most = max(saturation + wide_saturation, census.LEAST_CHROMA / (255 * max(value, 0.02)))
+        return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
+    return HsvRange(
+        hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
+        saturation=(max(saturation - wide_saturation, 0.08), min(saturation + 2 * wide_saturation, 1.0)),
+        value=value_span,
+    )
+
+
+def _marker(
+    hsv: NDArray[np.uint8],
+    name: str,
+    masks: list[NDArray[np.uint8]],
+    path: Path,
+    index: int,
+) -> Marker:
+    """One kind of marker from its patches."""
+    whole = np.bitwise_or.reduce(masks)
+    colours = _range_of(hsv, whole)
+    if colours is None:
+        raise InputError(
+            f"marker '{name}' has the colour of its surroundings; nothing tells it from them",
+            file=path,
+            frame=index,
+            hint="a marker wants a background of another colour or brightness all round",
+        )
+    areas = [np.count_nonzero(mask) for mask in masks]
+    middles = [np.argwhere(mask).mean(axis=0).round(1) for mask in masks]
+    return Marker(
+        name=name,
+        hsv=colours,
+        number=len(masks),
+        area_px=(max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas))),
+        start_px=tuple((float(x), float(y)) for y, x in middles) if index == 0 and len(masks) > 1 else None,
+    )
+
+
+def _ring(patch: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Pixels about a patch, its blurred rim left out."""
+    near = cv2.dilate(patch, _CROSS, iterations=RIM)
+    return cv2.subtract(cv2.dilate(near, _CROSS, iterations=RING), near)
+
+
+def _range_of(hsv: NDArray[np.uint8], patch: NDArray[np.uint8]) -> HsvRange | None:
+    """The colours of a patch that are not its surroundings'; None where nothing tells them apart."""
+    core = cv2.erode(patch, _CROSS)
+    inside, around = hsv[(core if core.any() else patch) > 0], hsv[_ring(patch) > 0]
+    return _standing_out(_colours(inside), inside.astype(float), around.astype(float))
+
+
+def _colours(inside: NDArray[np.uint8]) -> HsvRange:
+    """The range of a patch's colours, with room for changing light; every hue of a grey one."""
+    saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
+    chroma = float(np.median(saturation * value)) / 255
+    if chroma >= census.LEAST_CHROMA:
+        turn = np.exp(1j * np.pi * inside[:, 0] / 90)
+        middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
+        found = colour_range(inside, middle)
+        if found is not None:
+            return found
+    low, high = np.percentile(value, [3, 97]) / 255
+    most = max(1.35 * np.percentile(saturation, 97) / 255, census.LEAST_CHROMA / (255 * max(low, 0.02)))
+    return HsvRange(
+        saturation=(0.0, _two(min(most, 1.0))), value=(_two(0.65 * low), _two(min(1.35 * high, 1.0)))
+    )
+
+
+def _standing_out(
+    colours: HsvRange, inside: NDArray[np.float64], around: NDArray[np.float64]
+) -> HsvRange | None:
+    """The range drawn in where it holds the surroundings; None where nothing tells them apart.
+
+    A bound goes half way between the patch and its surroundings (as far as pixels may be outside of it, if
+    that is more), in saturation or in value, where they are farthest apart.
+    """
+    for _ in range(3):
+        held = ColourModel(colours).holds(around)
+        if np.mean(held) <= 1 - CLEAR:
+            return colours
+        rest, bounds = around[held], {"saturation": colours.saturation, "value": colours.value}
+        gaps = []
+        for channel, key in ((1, "saturation"), (2, "value")):
+            low, high = np.percentile(inside[:, channel], [5, 95])
+            below, above = np.percentile(rest[:, channel], [5, 95])
+            gaps += [
+                (low - above, key, 0, min(low, max((low + above) / 2, above + SLACK))),
+                (below - high, key, 1, max(high, min((below + high) / 2, below - SLACK))),
+            ]
+        gap, key, side, at = max(gaps)
+        if gap <= 0:
+            return None
+        span = list(bounds[key])
+        span[side] = _two(at / 255)
+        if span[0] >= span[1]:
+            return None
+        colours = colours.model_copy(update={key: (span[0], span[1])})
+    return None
+
+
+def _two(value: float) -> float:
+    return float(round(value, 2))

@@ -1,0 +1,148 @@
+"""What follows from a rig's parameters, and whether it is possible."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from swimid.models import theory
+from tests.conftest import Ran
+from tests.generators import rig as generator
+
+Run = Callable[..., Ran]
+
+
+def _decay(folder: Path, *, linear: float, quadratic: float, rng: np.random.Generator) -> Path:
+    """Roll decay of a hull of 0.7 kg m2 in all, 4 N m/rad, from 0.3 rad."""
+    (folder / "hull.yaml").write_text(
+        "format: swimid-robot/1\nname: hull\nbody: {roll_inertia_kg_m2: 0.5}\n"
+        "rig: {roll_stiffness_N_m_rad: 4.0}\n"
+    )
+    time = np.arange(0, 20, 0.02)
+    run = solve_ivp(
+        lambda _, s: [s[1], (-4.0 * s[0] - linear * s[1] - quadratic * s[1] * abs(s[1])) / 0.7],
+        (0, 20), [0.3, 0], t_eval=time, rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+    rows = np.c_[time, run.y[0] + rng.normal(0, 1e-3, len(time))]
+    np.savetxt(folder / "roll.csv", rows, delimiter=",", header="t_s,roll_rad", comments="")
+    (folder / "decay.yaml").write_text(
+        "format: swimid-trials/1\nexperiment: free-decay\nrobot: hull.yaml\ntrials: [{log: roll.csv}]\n"
+    )
+    return folder / "decay.yaml"
+
+
+@pytest.mark.parametrize("linear, quadratic", [(0.04, 0.0), (0.0, 0.3), (0.04, 0.1)])
+def test_damping_ratio_of_all_damping_is_that_of_the_swing(
+    swimid: Run, tmp_path: Path, rng: np.random.Generator, linear: float, quadratic: float
+) -> None:
+    """Against the energy that a swing of the stated amplitude loses, by quadrature."""
+    ran = swimid("fit-drag", _decay(tmp_path, linear=linear, quadratic=quadratic, rng=rng), "--json")
+    found = ran.json["result"]["derived"]
+    amplitude, rate = found["first_swing"]["value"], math.sqrt(4.0 / 0.7)
+    speed = amplitude * rate * np.cos(np.linspace(0, 2 * np.pi, 4001))
+    lost = np.trapezoid((linear * np.abs(speed) + quadratic * speed**2) * np.abs(speed), dx=2 * np.pi / 4000)
+    expected = lost / rate / (4 * np.pi * 0.5 * 4.0 * amplitude**2)
+    e = found["damping_ratio_first_swing"]
+    assert abs(e["value"] - expected) < 4 * e["stderr"]
+    small = found["damping_ratio_linear"]
+    # without linear damping the estimate may lie at zero, where it has no error
+    assert abs(small["value"] - linear / (2 * 0.7 * rate)) < 4 * (small["stderr"] or 1e-12)
+
+
+def test_what_depends_on_nothing_estimated_is_fixed(
+    swimid: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    trials = _decay(tmp_path, linear=0.04, quadratic=0.1, rng=rng)
+    ran = swimid("fit-drag", trials, "--fix", "added_inertia=0.2", "--json")
+    period = ran.json["result"]["derived"]["natural_period_s"]
+    assert period["status"] == "fixed"
+    assert period["stderr"] is None
+    for name, e in ran.json["result"]["derived"].items():
+        assert e["status"] != "estimated" or e["stderr"] > 0, name
+
+
+def test_what_a_bound_holds_is_not_estimated(swimid: Run, tmp_path: Path) -> None:
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0))
+    ran = swimid("fit-drag", trials, "--bounds", "drag_coefficient=0,0.5", "--json")
+    derived = ran.json["result"]["derived"]
+    assert derived["terminal_speed[w20]"]["status"] == "at-bound"
+    assert derived["terminal_speed[w20]"]["stderr"] is None
+
+
+def test_a_known_sum_of_unlike_parameters_is_one_of_ratios(swimid: Run, tmp_path: Path) -> None:
+    """No unit is added to another, and the words give the number that stands behind them."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: 120.0})
+    result = swimid("fit-drag", trials, "--json").json["result"]
+    (words,) = [name for name in result["derived"] if "/(" in name]
+    found = result["derived"][words]
+    assert found["unit"] == "1"
+    terms = re.findall(r"([+-]?) ?([\d.]*) ?(\w+)/\(([-+.\de]+) ?([^)]*)\)", words)
+    assert {name for _, _, name, _, _ in terms} == {"drag_coefficient", "added_mass", "pulley_friction"}
+    whole = 0.0
+    for sign, factor, name, size, unit in terms:
+        assert unit == result["parameters"][name]["unit"].removeprefix("1")
+        part = float(factor or 1) * result["parameters"][name]["value"] / float(size)
+        whole += -part if sign == "-" else part
+    assert whole == pytest.approx(found["value"], rel=0.02)
+
+
+class TestPossible:
+    @pytest.mark.parametrize("stated, level", [(1.0, None), (1e3, "BAD")])
+    def test_added_mass_of_a_bead(
+        self, swimid: Run, tmp_path: Path, stated: float, level: str | None
+    ) -> None:
+        """A bead of 35 mg in water; the second time its weight is given in millinewtons."""
+        mass, radius, density = 3.5e-5, 1e-3, 997.0
+        displaced, area = density * 4 / 3 * np.pi * radius**3, np.pi * radius**2
+        force = (mass - displaced) * 9.81
+        rng = np.random.default_rng(1)
+        (tmp_path / "bead.yaml").write_text(
+            "format: swimid-robot/1\nname: bead\n"
+            f"body: {{inertial_mass_kg: {mass}, frontal_area_m2: {area}}}\n"
+        )
+        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: bead.yaml", "trials:"]
+        time = np.arange(0, 0.5, 1 / 120)
+        for k in range(3):
+            run = solve_ivp(
+                lambda _, s: [
+                    s[1],
+                    (force - 0.5 * density * 0.5 * area * s[1] ** 2) / (mass + 0.5 * displaced),
+                ],
+                (0, 0.5), [0, 0], t_eval=time, rtol=1e-10, atol=1e-14,
+            )  # fmt: skip
+            rows = np.c_[time, run.y[0] + rng.normal(0, 2e-4, len(time))]
+            np.savetxt(tmp_path / f"b{k}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
+            lines.append(f"  - {{log: b{k}.csv, driving_force_N: {force * stated}}}")
+        (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+        ran = swimid("fit-drag", tmp_path / "t.yaml")
+        assert ("SWM072" in ran.err) is (level == "BAD")
+        assert ("added mass possible" in ran.out) is (level == "BAD")
+        if level:
+            assert ran.out.strip().splitlines()[-1].startswith(level)
+
+    def test_bounds_hold_what_is_known(self) -> None:
+        """Spheres, discs, cubes and long prisms have less added mass than their bound."""
+        density = 1000.0
+        # a sphere of 1 m: half its water; discs of radius 1 m, 8/3 of it cubed, thicker than a tenth
+        ball = density * np.pi / 6
+        assert 0.5 * ball < theory.most_added_mass(ball, np.pi / 4, density)
+        for thick in (0.1, 0.5, 2.0):
+            water = density * np.pi * thick
+            assert 8 / 3 * density < theory.most_added_mass(water, None, density)
+            assert 8 / 3 * density < theory.most_added_mass(water, np.pi, density)
+        for length in (1.0, 2.0, 5.0, 10.0):
+            prism = theory.prism_added_mass(length, 1.0, 1.0, density)
+            assert prism < theory.most_added_mass(density * length, 1.0, density)
+            assert prism < theory.most_added_mass_in_box(length, 1.0, 1.0, density, along=True)
+        # a cylinder across its axis has as much as its own water
+        cylinder = density * np.pi / 4 * 3.0
+        assert cylinder < theory.most_added_mass_in_box(3.0, 1.0, 1.0, density, along=False)
+        # a spheroid of axes 2 and 1 turning end over end: 0.15 of its own water's (Lamb, section 115)
+        spheroid = density * np.pi / 6 * 2.0 * (1.0 + 0.25) / 5.0
+        assert 0.15 * spheroid < theory.most_added_inertia(2.0, 1.0, 1.0, density)

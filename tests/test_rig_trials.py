@@ -1,0 +1,200 @@
+"""What differs between the trials of a rig: friction by chance, a force left out, a mistake in one trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from swimid.estimators.random_effect import Own, spread, trend
+from tests.conftest import Ran
+from tests.generators import rig as generator
+
+Run = Callable[..., Ran]
+TRUTH = {"drag_coefficient": 0.705, "added_mass": 0.685, "pulley_friction": 0.0308, "linear_drag": 0.06}
+WEIGHTS = tuple(range(10, 41, 5))
+
+
+def _verdict(ran: Ran) -> str:
+    """The level on the last line of the summary."""
+    return ran.out.strip().splitlines()[-1].split(":")[0]
+
+
+def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
+    for name in names:
+        e = ran.json["result"]["parameters"][name]
+        assert abs(e["value"] - TRUTH[name]) < sigmas * e["stderr"], (name, e)
+
+
+class TestRandomEffect:
+    @pytest.mark.parametrize("seed", range(4))
+    def test_spread_of_known_scatter(self, seed: int) -> None:
+        """40 numbers scattered by 2 and measured to 1: the spread comes out within three errors of 2."""
+        rng = np.random.default_rng(seed)
+        own = Own(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
+        found = spread(own)
+        assert found.p_value < 1e-3
+        assert abs(found.sd - 2.0) < 3 * found.stderr
+
+    def test_no_spread_in_errors_alone(self) -> None:
+        """Half of the seeds have none at all; the test of none errs at its level."""
+        found = [
+            spread(Own(tuple("abcdefg"), np.random.default_rng(seed).normal(0, 1, 7), np.eye(7)))
+            for seed in range(400)
+        ]
+        assert 0.4 < np.mean([f.sd == 0 for f in found]) < 0.75
+        assert np.mean([f.p_value < 0.05 for f in found]) < 0.09
+
+    def test_a_direction_that_is_not_known_says_nothing(self) -> None:
+        """Numbers far apart along what the shared parameters imitate are no spread."""
+        along = np.arange(7.0) - 3.0
+        own = Own(tuple("abcdefg"), 50 * along, np.eye(7) + 1e6 * np.outer(along, along))
+        assert spread(own).sd == 0.0
+        assert trend(own, along).p_value > 0.5
+
+    def test_trend_is_told_from_one_odd_number(self) -> None:
+        rng = np.random.default_rng(1)
+        mass = np.arange(7.0)
+        grows = Own(tuple("abcdefg"), 0.5 * mass + rng.normal(0, 0.2, 7), 1e-4 * np.eye(7))
+        assert trend(grows, mass).p_value < 1e-3
+        odd = Own(tuple("abcdefg"), np.array([0.0, 0, 0, 0, 0, 0, 3]), 1e-4 * np.eye(7))
+        assert trend(odd, mass).p_value > 0.05
+
+
+@pytest.mark.parametrize("weight, friction", [(20, 40.0), (40, 60.0), (10, 25.0)])
+def test_one_odd_friction_beside_a_linear_drag(
+    swimid: Run, tmp_path: Path, weight: int, friction: float
+) -> None:
+    """The friction of other trials does not move with the odd one's, and the odd one is named."""
+    trials = generator.write_falls(
+        tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, odd={weight: {"friction_mN": friction}}
+    )
+    ran = swimid("fit-drag", trials, "--free", "linear_drag", "--json")
+    assert ran.status == 0, ran.err
+    _inside(ran, tuple(TRUTH))
+    assert ran.json["result"]["parameters"]["added_mass"]["value"] > 0.5
+    assert f"w{weight} contradicts the other trials" in ran.err
+    size = ran.json["result"]["derived"]["friction_spread"]
+    # one of seven trials is off by the difference
+    expected = abs(friction - 30.8) * 1e-3 * np.sqrt((1 / 7) * (6 / 7) * 7 / 6)
+    assert size["value"] == pytest.approx(expected, rel=0.3)
+
+
+def test_held_out_trials_are_predicted_despite_an_odd_one(swimid: Run, tmp_path: Path) -> None:
+    trials = generator.write_falls(
+        tmp_path,
+        np.random.default_rng(0),
+        linear_N_s_m=0.06,
+        odd={20: {"friction_mN": 40.0}},
+        held_out=(10, 40),
+    )
+    ran = swimid("fit-drag", trials, "--free", "linear_drag", "--json")
+    fit = ran.json["result"]["fit"]
+    assert fit["validation"]["channels"]["x_m"]["rmse"] < 10 * fit["channels"]["x_m"]["rmse"]
+    assert "SWM015" not in ran.err
+    _inside(ran, tuple(TRUTH))
+
+
+def test_a_friction_that_grows_with_the_pulling_mass_is_no_chance(swimid: Run, tmp_path: Path) -> None:
+    """A linear drag left out and one odd trial: the trend is named, and the answer is not to be relied on."""
+    trials = generator.write_falls(
+        tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, odd={20: {"friction_mN": 40.0}}
+    )
+    ran = swimid("fit-drag", trials)
+    assert "SWM070" in ran.err
+    assert "grows with its pulling mass" in ran.err
+    assert "--free linear_drag" in ran.err
+    assert _verdict(ran) == "BAD"
+    assert "friction_deviation" not in ran.out
+
+
+def test_a_drag_left_out_that_moves_the_answer_is_bad(swimid: Run, tmp_path: Path) -> None:
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), linear_N_s_m=0.06)
+    assert _verdict(swimid("fit-drag", trials)) == "BAD"
+    assert _verdict(swimid("fit-drag", trials, "--free", "linear_drag")) == "GOOD"
+
+
+@pytest.mark.parametrize("stated, level", [(25.0, "CAUTION"), (120.0, "BAD")])
+def test_a_mislabelled_weight_is_named_with_the_one_that_fits(
+    swimid: Run, tmp_path: Path, stated: float, level: str
+) -> None:
+    """A quarter too much could be friction; six times as much could not, and no friction takes it up."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated})
+    ran = swimid("fit-drag", trials)
+    assert "w20 contradicts the other trials" in ran.err
+    assert f"agree with a pulling mass of 20 g; stated are {stated:g} g" in ran.err
+    assert _verdict(ran) == level
+    assert ("friction_spread" in ran.out) is (level == "CAUTION")
+
+
+def test_a_force_in_another_unit_is_named_in_towing(swimid: Run, tmp_path: Path) -> None:
+    """Five tows of a body of 4 kg in all, 5 N s2/m2; the force of one is logged with another gain."""
+    (tmp_path / "hull.yaml").write_text("format: swimid-robot/1\nname: hull\nbody: {inertial_mass_kg: 3.0}\n")
+    rng, time = np.random.default_rng(0), np.arange(0, 15, 0.03)
+    lines = ["format: swimid-trials/1", "experiment: towed", "robot: hull.yaml", "trials:"]
+    for k in range(5):
+        force = 2 * np.sin((1 + 0.3 * k) * time) + 1 + 0.5 * k
+        run = solve_ivp(
+            lambda s, y, force=force: [y[1], (np.interp(s, time, force) - 5 * y[1] * abs(y[1])) / 4],
+            (0, 15), [0, 0], t_eval=time, rtol=1e-9, atol=1e-11, max_step=0.03,
+        )  # fmt: skip
+        rows = np.c_[time, force * (1.3 if k == 2 else 1.0), run.y[0] + rng.normal(0, 1e-3, len(time))]
+        np.savetxt(tmp_path / f"{k}.csv", rows, delimiter=",", header="t_s,force_N,x_m", comments="")
+        lines.append(f"  - {{log: {k}.csv, id: tow{k}}}")
+    (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+    ran = swimid("fit-drag", tmp_path / "t.yaml")
+    assert "tow2 contradicts the other trials" in ran.err
+    assert _verdict(ran) != "GOOD"
+
+
+@pytest.mark.parametrize("stated, level", [(20.0, "GOOD"), (20.2, "CAUTION"), (60.0, "BAD")])
+def test_a_model_that_says_nothing_of_held_out_trials_is_bad(
+    swimid: Run, tmp_path: Path, stated: float, level: str
+) -> None:
+    """Held-out errors of 1, some 5 and 250 times the fit's."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated}, held_out=(20,))
+    ran = swimid("fit-drag", trials)
+    assert _verdict(ran) == level
+    assert ("(worst in w20)" in ran.err) is (level != "GOOD")
+    assert ("no model at all" in ran.err) is (level == "BAD")
+
+
+def test_friction_of_each_trial_on_request_is_a_random_effect(swimid: Run, tmp_path: Path) -> None:
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0))
+    ran = swimid("fit-drag", trials, "--free", "friction_deviation", "--json")
+    # no trial differs: there is no spread, and no number of its own for any of them
+    assert not any("friction_deviation[" in name for name in ran.json["result"]["parameters"])
+    few = generator.write_falls(tmp_path / "few", np.random.default_rng(0), (10, 20, 30))
+    ran = swimid("fit-drag", few, "--free", "friction_deviation")
+    assert ran.status == 4
+    assert "at least 4 trials" in ran.err
+
+
+def test_the_two_point_method_without_an_answer_says_so(swimid: Run, tmp_path: Path) -> None:
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: 120.0})
+    ran = swimid("fit-drag", trials, "--method", "two-point")
+    assert ran.status == 4
+    assert "the two-point method has no answer" in ran.err
+    assert "two-point method: no answer" in swimid("fit-drag", trials).out
+
+
+def test_late_releases_do_not_hide_a_drag_left_out(swimid: Run, tmp_path: Path) -> None:
+    """Both are there: the release of each trial is estimated, and the missing drag named."""
+    rng = np.random.default_rng(0)
+    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    for w, idle in zip(WEIGHTS, rng.uniform(0.3, 1.0, len(WEIGHTS)), strict=True):
+        time = np.arange(0, 5, 0.02)
+        x = np.zeros(len(time))
+        moving = time > idle
+        x[moving] = generator.fall(np.r_[0.0, time[moving] - idle], float(w), linear_N_s_m=0.06)[1:]
+        rows = np.c_[time, x + rng.normal(0, 5e-4, len(time))]
+        np.savetxt(tmp_path / f"w{w}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
+        lines.append(f"  - {{log: w{w}.csv, id: w{w}, pulling_mass_kg: {w / 1000}}}")
+    (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+    ran = swimid("fit-drag", tmp_path / "t.yaml")
+    assert "SWM017" in ran.err
+    assert "SWM024" in ran.err
+    assert _verdict(ran) == "BAD"

@@ -1,0 +1,251 @@
+"""Setups drafted from films with things in them that are no markers, and from markers picked by hand."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from swimid.cli.track import track
+from swimid.formats import evidence
+from swimid.formats import setup as setup_format
+from swimid.tracking import camera
+from tests.generators import clutter_video as clutter
+from tests.generators.clutter_video import BLACK, GREY, RED, WHITE, YELLOW, Pool
+
+ACROSS = clutter.straight(20, 118, 93, 0)
+
+
+def run(*arguments, status=0):
+    result = CliRunner().invoke(track, [str(a) for a in arguments])
+    assert result.exit_code == status, result.output
+    return result
+
+
+def rule(colour=YELLOW, y=120):
+    """A rule on the floor of the pool; the fish passes over its middle where y is 120."""
+    return clutter.rule(clutter.still(160, y, 0.2), 150, 12, colour)
+
+
+def two_discs(motion, one=RED, other=YELLOW):
+    """A grey fish with a disc at its front and one at its rear."""
+    fish = clutter.fish(motion, 80, 30)
+    return fish, clutter.disc(motion, 7, one, ahead=24), clutter.disc(motion, 7, other, ahead=-24)
+
+
+@pytest.fixture(scope="module")
+def covered_rule(tmp_path_factory):
+    """A grey fish without a marker passes over a yellow rule, seen through ripples."""
+    folder = tmp_path_factory.mktemp("rule")
+    return clutter.write(folder / "rule.mp4", Pool((rule(), clutter.fish(ACROSS)), ripple_px=2.0))
+
+
+def test_a_rule_that_is_covered_at_times_is_no_marker(tmp_path, covered_rule):
+    """It was found in all frames, its centre shifted by the passing fish: only it does not move."""
+    result = run("setup", covered_rule, "-o", tmp_path / "setup.yaml", status=4)
+    assert "yellow (hue" in result.output
+    assert "does not move (it lies at [8" in result.output
+    assert not (tmp_path / "setup.yaml").exists()
+
+
+@pytest.mark.parametrize("scale", ["", "scale: {metres_per_pixel: 0.002}\n"])
+def test_a_motionless_track_is_never_good(tmp_path, covered_rule, scale):
+    """Named in the setup by hand, the rule is followed in every frame; the verdict says what it is."""
+    (tmp_path / "setup.yaml").write_text(
+        "format: swimid-setup/1\nmarkers:\n  - name: mark\n"
+        "    hsv: {hue_deg: [40, 70], saturation: [0.4, 1], value: [0.3, 1]}\n" + scale
+    )
+    result = run("video", covered_rule, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    assert "SWM067" in result.output
+    proof = evidence.read(tmp_path / "run.evidence.json")
+    assert {c.name: c.verdict for c in proof.checks}["Motion"] in ("warn", "fail")
+    assert proof.verdict.level != "good"
+
+
+def test_a_track_within_its_noise_is_bad(tmp_path):
+    """A still disc without ripples: found in all frames, and no track; setup tells it, too."""
+    buoy = clutter.disc(clutter.still(200, 60), 6, YELLOW)
+    things = (buoy, clutter.fish(clutter.straight(20, 150, 93, 0)))
+    video = clutter.write(tmp_path / "buoy.mp4", Pool(things, duration_s=2.0))
+    result = run("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "buoy@200,60")
+    assert "SWM067" in result.output
+    output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    assert "which is its noise" in output.output
+    assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"
+
+
+def test_a_still_thing_before_a_camera_that_sways_is_no_marker(tmp_path):
+    """A buoy that moves as the whole scene does: dropped, and both verbs tell of the camera."""
+    floor = tuple(
+        clutter.rule(clutter.still(40 + 60 * k, 60 + 45 * (k % 4), 0.5 * k), 50, 9, clutter.DARK)
+        for k in range(5)
+    )
+    buoy = clutter.disc(clutter.still(230, 40), 5, YELLOW)
+    things = (*floor, buoy, clutter.fish(clutter.straight(20, 150, 93, 0)))
+    video = clutter.write(tmp_path / "sway.mp4", Pool(things, sway_px=8.0, flicker=0.02))
+    result = run("setup", video, "-o", tmp_path / "setup.yaml", status=4)
+    assert "yellow" in result.output
+    assert "does not move (stays within" in result.output
+    assert "SWM068" in result.output
+    (tmp_path / "setup.yaml").write_text(
+        "format: swimid-setup/1\nmarkers:\n  - name: buoy\n"
+        "    hsv: {hue_deg: [40, 70], saturation: [0.4, 1], value: [0.3, 1]}\n"
+        "scale: {metres_per_pixel: 0.002}\n"
+    )
+    run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    proof = evidence.read(tmp_path / "run.evidence.json")
+    assert {c.name: c.verdict for c in proof.checks}["Camera"] == "warn"
+    assert proof.verdict.level != "good"
+
+
+def test_a_robot_near_the_camera_is_not_the_scene():
+    """Over plain water it wears nearly all corners; they shift with it, not with the camera."""
+    near = clutter.straight(90, 120, 40, 0)
+    discs = ((RED, 50), (YELLOW, -50), (WHITE, 0))
+    things = (clutter.rule(near, 150, 60, clutter.DARK), *(clutter.disc(near, 9, c, a) for c, a in discs))
+    frames = clutter.frames(Pool(things, noise=1.0, flicker=0.0, duration_s=1.5))
+    assert np.isnan(camera.shifts(frames[::10])[1:]).all()
+
+
+def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
+    """What moves is the marker; the rule of the same colour is left out and the other colours named."""
+    fish = clutter.straight(20, 160, 93, 0)
+    things = (
+        rule(RED, 60),
+        rule(YELLOW, 100),
+        clutter.fish(fish),
+        clutter.disc(fish, 5, RED, ahead=20),
+    )
+    video = clutter.write(tmp_path / "two.mp4", Pool(things, ripple_px=2.0))
+    result = run("setup", video, "-o", tmp_path / "setup.yaml")
+    assert "head red; no tail" in result.output
+    assert "passed over: yellow" in result.output
+    assert "# Passed over: yellow" in (tmp_path / "setup.yaml").read_text()
+    run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    log = pd.read_csv(tmp_path / "run.csv", comment="#")
+    assert (log.red_x_px - (40 + 93 * log.t_s)).abs().median() < 1.5
+
+
+@pytest.mark.parametrize("nod_rad", [0.5, 0.8])
+def test_the_halves_of_a_ball_are_no_rigid_pair(tmp_path, nod_rad):
+    """Red and yellow of one ball keep no distance: one of them is proposed, without a tail."""
+    ball = clutter.ball(clutter.straight(40, 60, 80, 40), 18, (RED, YELLOW), nod_rad=nod_rad)
+    video = clutter.write(tmp_path / "ball.mp4", Pool((ball,)))
+    result = run("setup", video, "-o", tmp_path / "setup.yaml", "--json")
+    found = json.loads(result.stdout)["result"]
+    assert found["tail"] is None
+    assert len(found["markers"]) == 1
+    assert any("on no rigid part" in p["reason"] for p in found["passed_over"])
+
+
+def test_a_rigid_pair_under_a_camera_askew_stays_a_pair(tmp_path):
+    """Much smaller at the far side, a quarter shorter along the view: one robot that turns, all the same."""
+    pool = Pool(two_discs(clutter.circle(160, 120, 80, 3.0)), far=0.6, flat=0.75)
+    video = clutter.write(tmp_path / "askew.mp4", pool)
+    result = run("setup", video, "-o", tmp_path / "setup.yaml")
+    assert "head red, tail yellow" in result.output
+    assert "SWM042" not in result.output
+
+
+@pytest.mark.parametrize(
+    "colour, water",
+    [
+        (WHITE, (150, 122, 70)),
+        (BLACK, (150, 122, 70)),
+        (GREY, (190, 170, 140)),
+        (WHITE, (128, 126, 124)),
+    ],
+    ids=["white", "black", "grey", "white-on-grey"],
+)
+def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):
+    """Grey, white and black have no hue; what tells them from the water is found, and followed."""
+    motion = clutter.straight(30, 60, 85, 40)
+    pool = Pool((clutter.disc(motion, 8, colour),), water=water, flicker=0.04)
+    video = clutter.write(tmp_path / "shade.mp4", pool)
+    result = run("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "mark@30,60")
+    assert "mark: found in 100.0 %" in result.output
+    output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    assert "SWM046" not in output.output  # grey has no hue that could drift
+    log = pd.read_csv(tmp_path / "run.csv", comment="#")
+    assert (log.found == 1).mean() > 0.98
+    assert (log.mark_x_px - (30 + 85 * log.t_s)).abs().max() < 0.6
+    assert (log.mark_y_px - (60 + 40 * log.t_s)).abs().max() < 0.6
+
+
+def test_a_pixel_of_the_water_is_no_marker(tmp_path):
+    """Nothing stands out there, and the message gives the colour."""
+    video = clutter.write(tmp_path / "w.mp4", Pool(two_discs(ACROSS), duration_s=1.0))
+    result = run("setup", video, "-o", tmp_path / "s.yaml", "--marker", "a@200,40", status=3)
+    assert "stands out" in result.output or "colour of its surroundings" in result.output
+
+
+def school(count=8):
+    """Equal discs, each on its own course."""
+    return tuple(
+        clutter.disc(clutter.straight(30 + 34 * k, 30 + 20 * (k % 3), 2 * k, 35 + 4 * (k % 2)), 6, RED)
+        for k in range(count)
+    )
+
+
+def test_eight_markers_of_one_colour_need_no_tail(tmp_path):
+    """``number: 8`` is a whole setup: every marker has its columns, the first gives the position."""
+    video = clutter.write(tmp_path / "school.mp4", Pool(school(), duration_s=2.0))
+    (tmp_path / "setup.yaml").write_text(
+        "format: swimid-setup/1\nmarkers:\n  - name: red\n    number: 8\n"
+        "    hsv: {hue_deg: [345, 15], saturation: [0.45, 1], value: [0.3, 1]}\n"
+    )
+    for plane in ("", "plane: vertical\n"):
+        (tmp_path / "setup.yaml").write_text((tmp_path / "setup.yaml").read_text() + plane)
+        output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+        assert "Other markers found" in output.output
+    log = pd.read_csv(tmp_path / "run.csv", comment="#")
+    for k in range(8):
+        error = log[f"red{k + 1}_x_px"] - (30 + 34 * k + 2 * k * log.t_s)
+        assert error.abs().max() < 0.6, k
+    assert "yaw_rad" not in log
+
+
+def test_picks_of_one_name_are_equal_markers(tmp_path):
+    """Two discs of one colour on one fish become head and tail; on two courses there is no tail."""
+    fish = clutter.straight(60, 118, 60, 0)
+    pair = clutter.write(tmp_path / "pair.mp4", Pool(two_discs(fish, RED, RED), duration_s=2.0))
+    apart = clutter.write(tmp_path / "apart.mp4", Pool(school(2), duration_s=2.0))
+    for film, frame, (one, other), tail in (
+        (pair, 0, ("84,118", "36,118"), "tail red2"),
+        (pair, 20, ("144,118", "96,118"), "tail red2"),
+        (apart, 0, ("30,30", "64,50"), "no tail"),
+    ):
+        marks = ["--marker", f"red@{one}", "--marker", f"red@{other}", "--frame", frame]
+        result = run("setup", film, "-o", tmp_path / "s.yaml", "--force", *marks)
+        assert tail in result.output
+        rules = setup_format.read(tmp_path / "s.yaml")
+        assert rules.markers[0].number == 2
+        assert (rules.markers[0].start_px is None) == (frame > 0)
+        run("video", film, "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
+        if film == pair and not frame:
+            log = pd.read_csv(tmp_path / "run.csv", comment="#")
+            assert log.yaw_rad.abs().max() < 0.03  # the first pick is the head
+
+
+def test_picks_of_one_colour_and_two_names_are_refused(tmp_path):
+    """Each would be taken for the other: the hint names the way out."""
+    video = clutter.write(tmp_path / "pair.mp4", Pool(two_discs(ACROSS, RED, RED), duration_s=1.0))
+    marks = ["--marker", "nose@91,118", "--marker", "rear@43,118", "--frame", 10]
+    result = run("setup", video, "-o", tmp_path / "s.yaml", *marks, status=3)
+    assert "have one colour" in result.output
+    assert "name them alike" in result.output
+
+
+def test_a_buoy_among_equal_markers_is_told(tmp_path):
+    """Two discs that swim, a still one, three asked for: the third is named, and the track not good."""
+    buoy = clutter.disc(clutter.still(280, 200), 7, RED)
+    video = clutter.write(tmp_path / "three.mp4", Pool((*school(2), buoy), duration_s=2.0))
+    (tmp_path / "setup.yaml").write_text(
+        "format: swimid-setup/1\nmarkers:\n  - name: red\n    number: 3\n"
+        "    hsv: {hue_deg: [345, 15], saturation: [0.45, 1], value: [0.3, 1]}\n"
+        "scale: {metres_per_pixel: 0.002}\n"
+    )
+    result = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
+    assert "marker red3 never left" in result.output
+    assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "caution"

@@ -1,0 +1,280 @@
+"""Markers where the search ends: at the region's border, at the picture's edge, in and out of the picture."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from swimid.cli.track import track as track_command
+from swimid.errors import InputError
+from swimid.formats import evidence
+from swimid.formats.setup import Setup
+from swimid.tracking.follow import Follower
+from swimid.tracking.search import bars
+from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
+
+
+def followed(film, setup=ONE_RED):
+    """The raw track of a film's pictures, without a codec between."""
+    follower = Follower(Setup.model_validate(yaml.safe_load(setup)), film.width, film.height)
+    follower.run(zip(film.times(), film.frames(), strict=True))
+    return follower.track()
+
+
+def errors(track, film, marker=0):
+    """Distance of each sight from the truth, px."""
+    return np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(marker).T))
+
+
+def tracked(folder, film, setup=ONE_RED, *options, status=0):
+    """A film through the command line: its log and what is printed."""
+    path, log = folder / "setup.yaml", folder / "run.csv"
+    path.write_text(setup)
+    video = film.write(folder / "film.mp4")
+    command = ["video", str(video), "--setup", str(path), "-o", str(log), *map(str, options)]
+    result = CliRunner().invoke(track_command, command)
+    assert result.exit_code == status, result.output
+    return (None if status else pd.read_csv(log, comment="#")), result.output
+
+
+def checked(folder):
+    """Verdicts of the self-checks by name."""
+    return {check.name: check for check in evidence.read(folder / "run.evidence.json").checks}
+
+
+#: More large things of the colour, at the top, than are measured in one picture; a small marker below.
+CROWD = Film(
+    (
+        Disc(straight(60, 150, 40, 5), radius=5),
+        *(Disc(still(12 + 20 * (k % 15), 14 + 18 * (k // 15)), radius=7) for k in range(30)),
+    ),
+    duration_s=1.0,
+)
+
+
+@pytest.mark.parametrize("only", ["region_px: [0, 60, 320, 240]", "ignore_px: [[0, 0, 320, 60]]"])
+def test_what_is_outside_the_region_hides_nothing_in_it(only):
+    """Thirty things larger than the marker, where the setup says not to look."""
+    track = followed(CROWD, ONE_RED + only + "\n")
+    assert track.found.all()
+    assert np.nanmax(errors(track, CROWD)) < 0.3
+
+
+def test_a_marker_lost_in_a_crowd_is_found_again_by_its_size():
+    """The marker hides and comes back elsewhere among more things of its colour than are measured."""
+
+    def there_and_back(t):
+        return None if 0.8 < t < 2.2 else (60 + 40 * t, 150.0)
+
+    crowd = [Disc(lambda t, d=d: d.place(t) if t > 1 else None, radius=9) for d in CROWD.discs[1:]]
+    film = Film((Disc(there_and_back, radius=5), *crowd), duration_s=3.0)
+    track = followed(film, ONE_RED + "max_gap_s: 0.5\n")
+    there = np.isfinite(film.places()[:, 0])
+    assert track.found[0][there].all()
+    assert np.nanmax(errors(track, film)) < 0.3
+
+
+def test_a_marker_at_the_border_of_the_region_is_measured_whole():
+    """Its centre decides whether it is in the region; what of it is outside still counts."""
+    film = Film((Disc(straight(130, 120, 40), radius=12),), duration_s=2.0)
+    track = followed(film, ONE_RED + "region_px: [160, 60, 300, 200]\n")
+    inside = film.places()[:, 0] > 160
+    sure = np.abs(film.places()[:, 0] - 160) > 0.5
+    assert (track.found[0] == inside)[sure].all()
+    assert np.nanmax(errors(track, film)) < 0.3
+
+
+def test_a_region_outside_the_picture_is_refused():
+    with pytest.raises(InputError, match=r"region_px \[400.* lies outside the picture of 320 x 240"):
+        followed(CROWD, ONE_RED + "region_px: [400, 0, 600, 200]\n")
+
+
+def whole(film, disc=0):
+    """Frames in which a disc is in the picture and clear of its edge."""
+    return np.isfinite(film.places(disc)[:, 0]) & ~film.cut(disc)
+
+
+@pytest.mark.parametrize("speed", [20, 60, 200])
+def test_a_marker_that_swims_in_is_found_once_it_is_whole(speed):
+    """First seen cut by the edge, as small as may be: that says nothing of its size."""
+    film = Film((Disc(straight(-15, 120, speed, 4), radius=12),), duration_s=min(300 / speed, 3.0))
+    track = followed(film)
+    # A rim that touches the edge counts as cut, too: a frame or two later than the disc itself.
+    late = np.flatnonzero(track.found[0])[0] - np.flatnonzero(whole(film))[0]
+    assert 0 <= late <= 2 + 60 / speed
+    assert track.found[0][np.flatnonzero(track.found[0])[0] : whole(film).nonzero()[0][-1] + 1].all()
+    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+
+
+def test_a_marker_that_waits_at_the_edge_is_found_when_it_comes():
+    """Two seconds of a sliver, then the marker swims in."""
+    film = Film((Disc(lambda t: (-9.0 + 80 * max(t - 2, 0), 120.0), radius=12),), duration_s=4.0)
+    track = followed(film)
+    assert track.found[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+
+
+def test_equal_markers_swim_in_one_after_the_other():
+    """Each is itself, and measured only whole."""
+    film = Film((Disc(straight(-55, 120, 60, 4), 12), Disc(straight(-15, 120, 60, 4), 12)), duration_s=3.0)
+    track = followed(film, ONE_RED + "    number: 2\nhead: red1\ntail: red2\n")
+    for marker in (0, 1):
+        found = track.found[marker]
+        assert found[whole(film, 0)].mean() > 0.95
+        away = np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(marker).T))
+        assert np.nanmax(away[found]) < 0.3
+
+
+def test_a_reflection_taken_for_the_marker_is_given_up():
+    """Six frames of a small bright thing before the marker comes, four times its size and more."""
+
+    def reflection(t):
+        return (200 + 30 * t, 60.0) if t < 0.17 or 0.4 < t < 0.5 else None
+
+    marker = Disc(lambda t: (60 + 50 * t, 150.0) if t > 0.3 else None, radius=12)
+    film = Film((marker, Disc(reflection, radius=3)), duration_s=3.0)
+    track = followed(film)
+    assert track.found[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    count, area = track.mistaken["red"]
+    assert 6 <= count <= 9
+    assert area < 60
+
+
+def test_a_thing_at_the_edge_is_given_up_for_the_marker():
+    """Something of the colour is cut by the edge all the time; the marker appears in the open, at rest."""
+    film = Film(
+        (Disc(lambda t: (100.0, 150.0) if t > 0.5 else None), Disc(still(-2, 60), 12)), duration_s=2.0
+    )
+    track = followed(film)
+    assert track.found[0][whole(film)].mean() > 0.95
+    assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
+    assert not track.mistaken
+
+
+@pytest.mark.parametrize("later", [straight(60, 80, 20), still(60, 80)])
+def test_what_comes_after_the_marker_is_not_taken_for_it(later):
+    """The marker leaves; a larger thing comes, moving for not much longer, or at rest for good."""
+    film = Film(
+        (
+            Disc(lambda t: (60 + 120 * t, 150.0) if t < 1.5 else None, radius=8),
+            Disc(lambda t: later(t) if t > 2 else None, radius=25),
+        ),
+        duration_s=5.0,
+    )
+    track = followed(film)
+    assert (track.found[0] == np.isfinite(film.places()[:, 0])).all()
+    assert not track.mistaken
+
+
+def test_a_marker_cut_by_the_edge_is_no_measurement(tmp_path):
+    """Out by half and back, again and again: what the log holds is right within its deviation."""
+
+    def out_and_back(t):
+        return (280 + 35 * np.sin(2 * np.pi * t / 1.6), 120.0)
+
+    behind = Disc(lambda t: (out_and_back(t)[0] - 40, 120.0), 12, YELLOW)
+    film = Film((Disc(out_and_back, radius=12), behind), duration_s=4.0)
+    run, output = tracked(tmp_path, film, RED_AND_YELLOW)
+    assert "SWM045" in output
+    cut = (run.red_at_edge == 1).to_numpy()
+    assert cut[film.cut()].all()
+    assert (run.found[cut] == 0).all()
+    assert (run.status[cut] == "cut").all()
+    assert run.red_x_px[cut].isna().all()
+    assert (run.red_status[cut] == "window").all()
+    assert run.yellow_x_px.notna().all()
+    inner = run.segment == 1
+    assert inner.mean() > 0.9
+    assert (run.interpolated[cut] == 1)[inner].all()
+    off = np.abs(run.x_px - film.places()[:, 0]) / run.x_sd_px
+    assert off[inner & ~cut].max() < 4
+    assert off[inner & cut].max() < 4
+
+
+def test_a_marker_that_is_always_cut_is_said_to_be(tmp_path):
+    film = Film((Disc(lambda t: (-2.0, 60 + 30 * t), radius=12),), duration_s=1.0)
+    _, output = tracked(tmp_path, film, status=4)
+    assert "found in no frame of 30 (in 30 the edge of the picture cuts it)" in output
+
+
+def test_a_body_that_leaves_for_good_is_said_to(tmp_path):
+    """A third of the film shows it: found whenever it was there, and told when it went."""
+    film = Film((Disc(straight(200, 120, 40, 4), radius=12),), duration_s=8.0)
+    log, output = tracked(tmp_path, film)
+    last = np.flatnonzero(log.found == 1)[-1]
+    assert f"last seen at {log.t_s[last]:.2f} s of 7.97 s" in output
+    assert "SWM065" in output
+    assert "left the picture" in output
+    checks = checked(tmp_path)
+    assert checks["First and last sight"].verdict == "warn"
+    # Nothing was lost, but most of the film is empty: neither failed nor good.
+    assert checks["Frames found"].verdict == "warn"
+
+
+def test_a_body_that_is_lost_in_the_open_is_not_said_to_have_left(tmp_path):
+    """It vanishes in the middle of the picture: that is a failure, and where is said."""
+    film = Film((Disc(lambda t: (100 + 40 * t, 120.0) if t < 2 else None, radius=12),), duration_s=8.0)
+    _, output = tracked(tmp_path, film)
+    assert "lost for good" in output
+    assert "frame 59, at 179, 120 px" in output
+    assert checked(tmp_path)["Frames found"].verdict == "fail"
+
+
+def test_a_body_that_comes_late_is_said_to(tmp_path):
+    film = Film((Disc(lambda t: (-15 + 60 * max(t - 2, 0), 120.0), radius=12),), duration_s=5.0)
+    log, output = tracked(tmp_path, film)
+    first = np.flatnonzero(log.found == 1)[0]
+    assert f"first seen at {log.t_s[first]:.2f} s" in output
+    assert "last seen" not in output
+    assert checked(tmp_path)["Frames found"].verdict == "warn"
+
+
+@pytest.mark.parametrize("speed", [-40, 40])
+def test_a_black_bar_is_an_edge(tmp_path, speed):
+    """A film with bars beside the picture: a marker that swims behind one is cut, not hidden."""
+    film = Film((Disc(straight(160, 120, speed, 4), radius=12),), duration_s=5.0, bars_px=(24, 0))
+    log, output = tracked(tmp_path, film)
+    found = (log.found == 1).to_numpy()
+    assert not found[film.cut()].any()
+    assert found[whole(film)].mean() > 0.9
+    assert np.hypot(log.red_x_px - film.places()[:, 0], log.red_y_px - film.places()[:, 1]).max() < 0.3
+    assert "SWM045" in output
+    assert "then it left the picture" in output
+
+
+def test_a_dark_scene_has_no_bars():
+    """Only what is black to the edge, and not most of the picture."""
+    frame = np.full((100, 200, 3), 90, np.uint8)
+    assert bars(frame) == (0, 0, 200, 100)
+    frame[:, :20] = 5
+    frame[90:] = 5
+    assert bars(frame) == (20, 0, 200, 90)
+    frame[:] = 5
+    assert bars(frame) == (0, 0, 200, 100)
+
+
+def behind(cover, speed, duration):
+    """A marker that comes out from behind something, or passes behind it."""
+    start, hidden = (80, Disc(still(-900, 120), 1000, WATER)) if cover == "bridge" else (40, POLE)
+    return Film((Disc(straight(start, 120, speed), radius=12), hidden), duration_s=duration)
+
+
+POLE = Disc(still(160, 120), radius=10, colour=WATER)
+
+
+@pytest.mark.parametrize(
+    "film", [behind("bridge", 30, 4.0), behind("bridge", 60, 3.0), behind("pole", 60, 4.0)]
+)
+def test_a_marker_hidden_in_part_has_a_true_deviation(tmp_path, film):
+    """What is seen of it is up to 10 px aside; the path keeps within its deviation, and it is said."""
+    log, output = tracked(tmp_path, film)
+    raw = np.abs(log.red_x_px - film.places()[:, 0])
+    assert raw.max() > 5
+    known = log.x_px.notna()
+    assert (np.abs(log.x_px - film.places()[:, 0]) / log.x_sd_px)[known].max() < 4
+    clear = known & (raw < 0.3)
+    assert log.x_sd_px[clear].median() < 0.15
+    assert "SWM066" in output
+    assert checked(tmp_path)["Hidden in part"].verdict == "warn"
