@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.formats import gap
+from swimid.diagnosis import gap_file as gap
 from tests.blind import swim_actuation
 from tests.generators import gap_trials
 

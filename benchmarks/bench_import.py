@@ -42,7 +42,7 @@ print(time.perf_counter() - wall, time.process_time() - work)
 READING = """\
 import sys, time
 from pathlib import Path
-from swimid.formats import mapping
+from swimid.logs import mapping
 from swimid.progress import silent
 rules = mapping.read(sys.argv[2])
 wall, work = time.perf_counter(), time.process_time()

@@ -48,13 +48,13 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from swimid.estimators import output_error
-from swimid.experiments import swimmer as swimmer_trials
-from swimid.formats import robot
-from swimid.models.base import Parameter, Trial
-from swimid.models.multilink import drive, engine
-from swimid.models.multilink.model import DEFAULT_STEP, MultilinkModel
-from swimid.verbs.fit_graybox import fit_graybox
+from swimid.fitting import output_error
+from swimid.fitting.model import Parameter, Trial
+from swimid.robots import file as robot
+from swimid.swimmer import trials as swimmer_trials
+from swimid.swimmer.fit_graybox import fit_graybox
+from swimid.swimmer.planar import drive, engine
+from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
 from tests.generators import swimmer
 
 try:

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from swimid.estimators import output_error
-from swimid.models import rig
-from swimid.models.base import Trial
+from swimid.fitting import output_error
+from swimid.fitting.model import Trial
+from swimid.rig import model as rig
 
 AREA_FACTOR = 0.5 * 997 * 0.00698
 TRUTH = (0.705, 0.685, 0.0308)

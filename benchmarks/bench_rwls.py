@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from swimid.estimators.arx import estimate, regression
-from swimid.estimators.recursive import recursive_least_squares
-from swimid.models.difference import Orders, Record
-from swimid.verbs.rwls import KEPT
+from swimid.blackbox.arx import estimate, regression
+from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.recursive import recursive_least_squares
+from swimid.blackbox.rwls import KEPT
 
 SAMPLES = 100_000
 ORDERS = Orders(3, 4)

@@ -25,14 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from swimid.estimators import genetic
-from swimid.estimators.profiles import Profiles
-from swimid.formats import robot
-from swimid.models.base import Trial
-from swimid.models.hooks import NONE
-from swimid.models.multibody import engine
-from swimid.models.multibody.model import MultibodyModel
-from swimid.models.multibody.stroke import Cycle
+from swimid.fitting import genetic
+from swimid.fitting.hooks import NONE
+from swimid.fitting.model import Trial
+from swimid.robots import file as robot
+from swimid.swimmer.profiles import Profiles
+from swimid.swimmer.spatial import engine
+from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.stroke import Cycle
 
 try:
     import mujoco

@@ -23,8 +23,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.formats import setup as setup_format
 from swimid.tracking import plane
+from swimid.tracking import setup as setup_format
 from swimid.tracking.follow import Follower
 from swimid.tracking.reader import Video
 from tests.generators import pool_video

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.experiments.swimmer import robot_model
-from swimid.models.base import Trial
-from swimid.models.multilink.drive import Beat
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
-from swimid.verbs.fit_graybox import fit_graybox
+from swimid.swimmer.fit_graybox import fit_graybox
+from swimid.swimmer.planar.drive import Beat
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.trials import robot_model
 from tests.generators import swimmer
 
 SEED = 7

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from swimid.formats import robot as robot_format
-from swimid.formats.robot import Robot
-from swimid.models.base import Trial
-from swimid.models.multilink.drive import Beat
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.model import Trial
+from swimid.robots import file as robot_format
+from swimid.robots.file import Robot
+from swimid.swimmer.planar.drive import Beat
+from swimid.swimmer.planar.model import MultilinkModel
 
 SAMPLE_RATE_HZ = 100
 #: The tank is 5 m long: the fish has 10 to 20 s.

@@ -15,10 +15,11 @@ Time
     ``t_s``, seconds, strictly increasing, from the recording's own stamps.
 Missing data
     NaN in arrays, an empty cell in files. Nothing is filled silently.
-Layers
-    ``cli`` -> ``verbs`` -> ``experiments`` -> ``estimators`` -> ``models``, ``signals``;
-    verbs also use ``tracking`` and ``reporting``; all of them ``formats``, which rests on
-    ``errors``, ``notices`` and ``progress``. Imports run in that direction only.
+Rooms
+    A folder is named for what it is about: ``logs``, ``tracking``, ``inertial``; ``rig``, ``propulsion``,
+    ``swimmer`` and ``blackbox``, one for each family of experiment; ``fitting`` under them; ``simulation``,
+    ``effects``, ``diagnosis``, ``sensitivity``, ``export``; ``results``, ``robots`` and ``files`` below all;
+    ``cli`` on top. Imports run one way (``docs/architecture.md``).
 """
 
 __version__ = "0.1.0"

@@ -10,12 +10,12 @@ import numpy as np
 
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.formats import robot as robots
-from swimid.formats.robot import Robot
-from swimid.models import rig
-from swimid.models.base import Model, Trial
-from swimid.models.multilink.drive import Beat
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.model import Model, Trial
+from swimid.rig import model as rig
+from swimid.robots import file as robots
+from swimid.robots.file import Robot
+from swimid.swimmer.planar.drive import Beat
+from swimid.swimmer.planar.model import MultilinkModel
 
 INERTIA, FORCE = 1.25, 0.2
 TIME = np.linspace(0.0, 4.0, 161)

@@ -7,6 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import file as diagnose_file
+from swimid.diagnosis import gap_file as gap_format
+from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.result import (
     Absorbed,
     Advice,
@@ -23,10 +27,7 @@ from swimid.diagnosis.result import (
     Sketch,
     Threshold,
 )
-from swimid.formats import evidence as ev
-from swimid.formats import gap as gap_format
-from swimid.formats.gap import GapFile
-from swimid.verbs import diagnose_evidence, diagnose_file
+from swimid.results import evidence as ev
 
 TRIALS = [f"f{f}a{a}" for f in (10, 14, 18) for a in (15, 20, 30)]
 _CHANNELS = ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.formats import evidence, log, parameters
-from swimid.formats.evidence import (
+from swimid.logs import log
+from swimid.results import evidence, parameters
+from swimid.results.evidence import (
     Check,
     Evidence,
     Figure,
@@ -24,7 +25,7 @@ from swimid.formats.evidence import (
     Trace,
     Verdict,
 )
-from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile, Pole
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, Pole
 
 RNG_SEED = 20240611
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import parameters
+from swimid.results import parameters
 from tests.conftest import SAMPLES, Ran
 
 Run = Callable[..., Ran]

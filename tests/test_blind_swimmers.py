@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.experiments import swimmer as swimmer_trials
-from swimid.formats import parameters as parameter_format
+from swimid.results import parameters as parameter_format
+from swimid.swimmer import trials as swimmer_trials
 from tests.blind import swim_actuation as actuation
 from tests.blind import swim_body, swim_gap, swimmers
 from tests.blind.swim_case import Act, Trial

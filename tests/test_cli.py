@@ -17,8 +17,8 @@ from click.testing import CliRunner
 import swimid as package
 from swimid.cli.common import Shared, running, shared_options
 from swimid.cli.main import SECTIONS, main
-from swimid.formats.checkpoint import Checkpoint
-from swimid.verbs.outcome import Outcome
+from swimid.files.checkpoint import Checkpoint
+from swimid.results.outcome import Outcome
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -118,7 +118,7 @@ def test_a_bug_is_reported_as_one(swimid: Run, samples: Path, monkeypatch: pytes
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a / b")
 
-    monkeypatch.setattr("swimid.verbs.fit_drag.fit_drag", broken)
+    monkeypatch.setattr("swimid.rig.fit_drag.fit_drag", broken)
     ran = swimid("fit-drag", samples / "rig" / "trials.yaml")
     assert ran.status == 1
     assert "bug in swimid" in ran.err

@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.estimators import cycles, metrics
-from swimid.formats import comparison, evidence
-from swimid.formats import log as log_format
-from swimid.formats import parameters as parameters_format
-from swimid.formats.parameters import Estimate, ParameterFile
-from swimid.signals.derivative import slope
+from swimid.fitting import metrics
+from swimid.logs import log as log_format
+from swimid.logs.derivative import slope
+from swimid.results import evidence
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.simulation import comparison_file as comparison
+from swimid.simulation import cycles
 from tests.conftest import Ran
 from tests.generators import swimmer
 

@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from swimid.estimators import stroke_cycles
-from swimid.formats import comparison, evidence
-from swimid.formats import parameters as parameters_format
-from swimid.formats.parameters import Estimate, ParameterFile
+from swimid.results import evidence
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.simulation import comparison_file as comparison
+from swimid.swimmer import stroke_cycles
 from tests.conftest import SAMPLES, Ran
 
 Run = Callable[..., Ran]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from swimid.signals import course
+from swimid.logs import course
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]

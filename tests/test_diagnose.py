@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.formats import gap as gap_format
-from swimid.formats.gap import GapFile
+from swimid.diagnosis import gap_file as gap_format
+from swimid.diagnosis.gap_file import GapFile
 from tests.blind import cruises, swim_actuation, swim_effects
 from tests.blind.swim_case import Act, Channels, Trial
 from tests.conftest import ROOT, SAMPLES, Ran

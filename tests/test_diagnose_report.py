@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import figures as diagnose_figures
+from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.result import Absorbed, HeldOut, Number, Threshold
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.errors import InputError
-from swimid.formats import evidence as ev
-from swimid.models.base import Model, Trial
-from swimid.models.hooks import Hooks
-from swimid.reporting import figures, heat
-from swimid.verbs import diagnose_evidence, diagnose_figures, diagnose_summary
-from swimid.verbs.outcome import Outcome
-from swimid.verbs.report import report
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Model, Trial
+from swimid.results import evidence as ev
+from swimid.results import figures, heat
+from swimid.results.outcome import Outcome
+from swimid.results.report import report
 from tests import gap_cases as cases
 from tests.conftest import ROOT, Ran
 
@@ -246,7 +248,7 @@ def test_the_command_hands_over_what_was_asked(
         seen.update(options, trials=trials)
         return Outcome("diagnose", said("explained"), {"verdict": "explained"})
 
-    monkeypatch.setitem(sys.modules, "swimid.verbs.diagnose", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setitem(sys.modules, "swimid.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     ran = swimid(
         "diagnose", "t.yaml", "--params", "p.yaml", "--effects", "servo-lag, current", "--effects", "waves",
         "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--budget-s", 60, "--seed", 7,

@@ -31,9 +31,9 @@ from swimid.diagnosis.gram import Drawn, Folded
 from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
-from swimid.estimators.problem import Problem
-from swimid.models.base import Model, Parameter, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Model, Parameter, Trial
+from swimid.fitting.problem import Problem
 from tests.toy_models import Toy, parameter
 
 LINE = (parameter("a", 0.5), parameter("b", 0.5), parameter("start", 0.0, per_trial=True))

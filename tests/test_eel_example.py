@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import parameters as parameters_format
+from swimid.results import parameters as parameters_format
 from tests.conftest import ROOT, Ran
 from tests.generators import eel_logs
 

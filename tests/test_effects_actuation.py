@@ -10,25 +10,18 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
+from swimid.blackbox.difference import Orders
+from swimid.blackbox.model import Arma
 from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_backlash, servo_delay
 from swimid.effects.actuation import rate_limit as limit
 from swimid.effects.actuation import servo_lag as lag
 from swimid.effects.affected import Affected
-from swimid.formats import robot as robot_format
-from swimid.models.arx import Arma
-from swimid.models.base import Trial
-from swimid.models.difference import Orders
-from swimid.models.hooks import Hooks, Stroke
-from swimid.models.multilink import drive
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.propulsion import (
-    SPEED,
-    RecoilModel,
-    SurgeModel,
-    mean_speed,
-    terminal_speed,
-    velocity_ratio,
-)
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
+from swimid.robots import file as robot_format
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.model import MultilinkModel
 
 EFFECTS = [
     lag.ServoLag(),

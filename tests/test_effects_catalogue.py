@@ -23,8 +23,8 @@ PINNED = {
 }
 OWN = """
 from swimid.effects.base import Effect
-from swimid.models.base import Parameter
-from swimid.models.hooks import Hooks
+from swimid.fitting.model import Parameter
+from swimid.fitting.hooks import Hooks
 
 
 class Common(Effect):

@@ -16,12 +16,12 @@ from swimid.effects.environment.tether import Tether, pull_back
 from swimid.effects.environment.wall import Wall, push_off
 from swimid.effects.environment.waves import Waves, lines
 from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.formats import robot as robots
-from swimid.formats.multilink import Force
-from swimid.models import rig
-from swimid.models.base import Trial
-from swimid.models.multilink.drive import Beat
-from swimid.models.propulsion import RecoilModel
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import RecoilModel
+from swimid.rig import model as rig
+from swimid.robots import file as robots
+from swimid.robots.planar import Force
+from swimid.swimmer.planar.drive import Beat
 from tests.effect_cases import (
     INERTIA,
     TIME,

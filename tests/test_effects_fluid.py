@@ -16,12 +16,12 @@ from swimid.effects.fluid.linear_drag import LinearDrag
 from swimid.effects.fluid.quadratic_drag import QuadraticDrag
 from swimid.effects.fluid.wake_lift import WakeLift
 from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.formats import robot as robots
-from swimid.formats.multilink import AddedMass as AddedMassElement
-from swimid.formats.multilink import TrailingEdge
-from swimid.models import rig
-from swimid.models.base import Trial
-from swimid.models.propulsion import RecoilModel, SurgeModel
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import RecoilModel, SurgeModel
+from swimid.rig import model as rig
+from swimid.robots import file as robots
+from swimid.robots.planar import AddedMass as AddedMassElement
+from swimid.robots.planar import TrailingEdge
 from tests.effect_cases import (
     INERTIA,
     TIME,

@@ -12,10 +12,10 @@ from swimid.effects.rig.pulley_inertia import PulleyInertia
 from swimid.effects.rig.pulley_viscous import PulleyViscous
 from swimid.effects.rig.start_offset import StartOffset
 from swimid.effects.rig.string_stretch import StringStretch, oscillation
-from swimid.models import rig
-from swimid.models.base import Trial
-from swimid.models.hooks import Hooks
-from swimid.models.propulsion import RecoilModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import RecoilModel
+from swimid.rig import model as rig
 from tests.effect_cases import FORCE, INERTIA, TIME, acted, check_null, start, weight_model, weight_trial
 
 ALL = [InitialSpeed(), PulleyFriction(), PulleyInertia(), PulleyViscous(), StartOffset(), StringStretch()]
@@ -145,7 +145,7 @@ def test_late_clock_under_a_measured_force_delays_the_motion_not_the_force() -> 
 
 
 def test_more_forces_than_the_kernel_takes_are_refused() -> None:
-    from swimid.models.hooks import Force, no_force
+    from swimid.fitting.hooks import Force, no_force
 
     model = weight_model()
     many = Hooks(force=(Force(no_force, np.zeros(1)),) * 5)

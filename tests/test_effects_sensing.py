@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swimid.blackbox.difference import Orders
+from swimid.blackbox.model import Arma
 from swimid.effects.affected import Affected
 from swimid.effects.sensing import (
     camera_rotation,
@@ -18,14 +20,12 @@ from swimid.effects.sensing import (
     marker_offset,
     time_offset,
 )
-from swimid.formats import robot as robot_format
-from swimid.models import rig
-from swimid.models.arx import Arma
-from swimid.models.base import Trial
-from swimid.models.difference import Orders
-from swimid.models.multilink import drive
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.propulsion import SPEED, RecoilModel, SurgeModel
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
+from swimid.rig import model as rig
+from swimid.robots import file as robot_format
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
 SCALE, TURN, LATE = camera_scale.CameraScale(), camera_rotation.CameraRotation(), time_offset.TimeOffset()

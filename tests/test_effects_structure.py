@@ -15,12 +15,12 @@ from swimid.effects.structure.joint_damping import JointDamping
 from swimid.effects.structure.joint_locked import JointLocked
 from swimid.effects.structure.joint_stiffness import JointStiffness
 from swimid.effects.structure.water_ingress import WaterIngress
-from swimid.formats import robot as robots
-from swimid.formats.multilink import Hydrostatics
-from swimid.models import rig
-from swimid.models.base import Trial
-from swimid.models.hooks import Stroke
-from swimid.models.propulsion import RecoilModel
+from swimid.fitting.hooks import Stroke
+from swimid.fitting.model import Trial
+from swimid.propulsion.model import RecoilModel
+from swimid.rig import model as rig
+from swimid.robots import file as robots
+from swimid.robots.planar import Hydrostatics
 from tests.effect_cases import (
     INERTIA,
     TIME,

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.exporters.source import Source, about, central
-from swimid.formats import parameters, robot, yamlio
-from swimid.formats.parameters import Correlation, Estimate, ParameterFile
-from swimid.models.multilink import engine
-from swimid.verbs.export import load
+from swimid.export.export import load
+from swimid.export.source import Source, about, central
+from swimid.files import yamlio
+from swimid.results import parameters
+from swimid.results.parameters import Correlation, Estimate, ParameterFile
+from swimid.robots import file as robot
+from swimid.swimmer.planar import engine
 from tests.conftest import Ran
 
 #: A branched tree with everything a joint can have, and every element.
@@ -160,7 +162,7 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 def _residual(mujoco: Any, source: Source, text: str, rng: np.random.Generator, *, water: bool) -> float:
     """Largest generalised force MuJoCo still needs for the engine's accelerations, against its own forces."""
-    from swimid.exporters import mjcf
+    from swimid.export import mjcf
 
     mujoco.set_mjcb_passive(None)  # MuJoCo compiles no model while a Python callback is set
     model = mujoco.MjModel.from_xml_string(text)
@@ -246,10 +248,10 @@ def test_mujoco_moves_the_tfish_as_the_engine_does(
 
 def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -> None:
     """Servos of the exported gains track a beat, and the fish then swims as swimid says it should."""
-    from swimid.exporters import mjcf
-    from swimid.models.base import Trial
-    from swimid.models.multilink import drive
-    from swimid.models.multilink.model import MultilinkModel
+    from swimid.export import mjcf
+    from swimid.fitting.model import Trial
+    from swimid.swimmer.planar import drive
+    from swimid.swimmer.planar.model import MultilinkModel
 
     path = _tfish(tmp_path)
     text = _exported(swimid, path, "--to", "mjcf", "--added-mass", "fold")

@@ -12,13 +12,13 @@ from scipy import optimize
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from swimid.estimators import encoder, output_error, two_point
-from swimid.estimators.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
-from swimid.estimators.profile import profile_interval
-from swimid.formats import evidence, parameters
-from swimid.models import rig as rig_model
-from swimid.models import theory
-from swimid.models.base import Trial
+from swimid.fitting import output_error
+from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
+from swimid.fitting.model import Trial
+from swimid.fitting.profile import profile_interval
+from swimid.results import evidence, parameters
+from swimid.rig import encoder, theory, two_point
+from swimid.rig import model as rig_model
 from tests.conftest import Ran
 from tests.generators import rig as generator
 

@@ -18,14 +18,14 @@ import pytest
 from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import identifiability, output_error
-from swimid.experiments import swimmer as swimmer_trials
-from swimid.formats import evidence, parameters
-from swimid.formats import robot as robot_format
-from swimid.formats.parameters import ParameterFile
-from swimid.models.base import Parameter
+from swimid.fitting import identifiability, output_error
+from swimid.fitting.model import Parameter
 from swimid.progress import Step
-from swimid.verbs.fit_graybox import fit_graybox
+from swimid.results import evidence, parameters
+from swimid.results.parameters import ParameterFile
+from swimid.robots import file as robot_format
+from swimid.swimmer import trials as swimmer_trials
+from swimid.swimmer.fit_graybox import fit_graybox
 from tests.blind import swim_actuation
 from tests.conftest import Ran
 from tests.generators import gap_trials, swimmer

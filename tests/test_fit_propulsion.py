@@ -10,11 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from swimid.errors import InputError
-from swimid.experiments.propulsion import beat_averages
-from swimid.formats import evidence, log, parameters
-from swimid.formats import robot as robot_format
-from swimid.models import propulsion
-from swimid.signals.beat import find_beat
+from swimid.logs import log
+from swimid.logs.beat import find_beat
+from swimid.propulsion import model as propulsion
+from swimid.propulsion.trials import beat_averages
+from swimid.results import evidence, parameters
+from swimid.robots import file as robot_format
 from tests.conftest import SAMPLES, Ran
 from tests.generators import cruise
 

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError, SwimidError, UsageError
-from swimid.formats import atomic, cruise, evidence, log, parameters, robot, trials, yamlio
+from swimid.files import atomic, yamlio
+from swimid.logs import log, trials
 from swimid.notices import SwimidWarning, recorded
+from swimid.propulsion import cruise_table as cruise
+from swimid.results import evidence, parameters
+from swimid.robots import file as robot
 
 
 def _file(folder: Path, text: str, name: str = "x.csv") -> Path:

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.estimators import genetic, warping
-from swimid.estimators.profiles import Profiles
-from swimid.formats import evidence
-from swimid.formats import front as front_format
-from swimid.formats import parameters as parameters_format
-from swimid.formats.checkpoint import Checkpoint
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting import genetic, warping
+from swimid.results import evidence
+from swimid.results import parameters as parameters_format
+from swimid.swimmer import front_table as front_format
+from swimid.swimmer.profiles import Profiles
 from tests.conftest import SAMPLES, Ran
 from tests.generators import swimmer
 

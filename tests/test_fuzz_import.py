@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swimid.errors import SwimidError
-from swimid.formats import mapping
-from swimid.formats.foreign import Options, open_source
+from swimid.logs import mapping
+from swimid.logs.foreign import Options, open_source
+from swimid.logs.import_guess import guess_mapping
 from swimid.notices import SwimidWarning
-from swimid.verbs.import_guess import guess_mapping
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
 from tests.test_import import FILES, MAP

@@ -23,8 +23,12 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from swimid.errors import SwimidError
-from swimid.formats import cruise, evidence, log, parameters, robot, setup, trials
+from swimid.logs import log, trials
 from swimid.notices import SwimidWarning
+from swimid.propulsion import cruise_table as cruise
+from swimid.results import evidence, parameters
+from swimid.robots import file as robot
+from swimid.tracking import setup
 from tests.conftest import SAMPLES, Ran
 
 #: A spawned compiler or a loaded runner may stall one example; a hang is longer.

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from swimid.diagnosis import gap_file as gap_format
 from swimid.errors import InputError
-from swimid.formats import gap as gap_format
-from swimid.formats import yamlio
+from swimid.files import yamlio
 from tests import gap_cases as cases
 
 #: The pinned keys alone, as another program may write them.

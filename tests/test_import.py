@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import log, mapping, units
-from swimid.formats.foreign import open_source, readers
+from swimid.logs import log, mapping, units
+from swimid.logs.foreign import open_source, readers
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.inertial import paper, rest, strapdown
 from swimid.inertial.record import Record
-from swimid.signals.rotation import angles, from_angles
+from swimid.logs.rotation import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swimid.estimators import metrics
+from swimid.fitting import metrics
 
 
 def warped(a: np.ndarray, b: np.ndarray, band: int) -> float:

@@ -10,17 +10,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.formats import robot as robot_format
-from swimid.formats.multibody import Multibody
-from swimid.formats.robot import Fluid
-from swimid.models.multibody import engine
-from swimid.models.multibody.assembly import Assembly
-from swimid.models.multibody.elements import spheroid
-from swimid.models.multibody.inertia import full
-from swimid.models.multibody.planar import Lifted
-from swimid.models.multilink import drive
-from swimid.models.multilink import engine as planar_engine
-from swimid.models.multilink.model import MultilinkModel, joint_motion
+from swimid.robots import file as robot_format
+from swimid.robots.file import Fluid
+from swimid.robots.spatial import Multibody
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar import engine as planar_engine
+from swimid.swimmer.planar.model import MultilinkModel, joint_motion
+from swimid.swimmer.spatial import engine
+from swimid.swimmer.spatial.assembly import Assembly
+from swimid.swimmer.spatial.elements import spheroid
+from swimid.swimmer.spatial.inertia import full
+from swimid.swimmer.spatial.planar import Lifted
 
 WATER, G = 1000.0, 9.81
 

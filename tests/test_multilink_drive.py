@@ -10,10 +10,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 
-from swimid.formats.robot import Robot
-from swimid.models.base import Trial
-from swimid.models.multilink import drive
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.model import Trial
+from swimid.robots.file import Robot
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.model import MultilinkModel
 
 WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-cpg", -0.6)]
 

@@ -12,13 +12,13 @@ import pytest
 from ruamel.yaml import YAML
 
 import swimid
-from swimid.formats import robot as robot_format
-from swimid.formats.multilink import Multilink
-from swimid.formats.robot import Fluid, Robot
-from swimid.models.base import Trial
-from swimid.models.multilink import drive, engine, geometry
-from swimid.models.multilink.assembly import Assembly
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.model import Trial
+from swimid.robots import file as robot_format
+from swimid.robots.file import Fluid, Robot
+from swimid.robots.planar import Multilink
+from swimid.swimmer.planar import drive, engine, geometry
+from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.planar.model import MultilinkModel
 
 pytestmark = pytest.mark.kernels
 

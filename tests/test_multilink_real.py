@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swimid.estimators import metrics, output_error, start_states
-from swimid.estimators.fit_result import FitResult
-from swimid.experiments import swimmer
-from swimid.models.base import Array, Trial, chosen
-from swimid.models.multilink.drive import Beat
+from swimid.fitting import metrics, output_error, start_states
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Trial, chosen
+from swimid.swimmer import trials as swimmer
+from swimid.swimmer.planar.drive import Beat
 from tests.conftest import ROOT, Ran
 from tests.generators import real_logs
 

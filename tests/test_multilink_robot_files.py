@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
-from swimid.experiments import swimmer as experiment
-from swimid.formats import robot as robot_format
-from swimid.models.base import Trial
-from swimid.models.multilink import drive
+from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
+from swimid.robots import file as robot_format
+from swimid.swimmer import trials as experiment
+from swimid.swimmer.planar import drive
 from tests.conftest import Ran
 from tests.test_fuzz_readers import examples, mutated, rewritten
 

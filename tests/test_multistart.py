@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import output_error
-from swimid.estimators.multistart import agreeing, multistart
+from swimid.fitting import output_error
+from swimid.fitting.multistart import agreeing, multistart
 from tests.toy_models import FRICTION, FRICTION_TRUTH, Toy, friction, parameter, trials
 
 

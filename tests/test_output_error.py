@@ -12,10 +12,10 @@ import pytest
 from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import output_error, start_states
-from swimid.estimators.problem import Problem
-from swimid.estimators.sandwich import sandwich
-from swimid.models.base import Trial
+from swimid.fitting import output_error, start_states
+from swimid.fitting.model import Trial
+from swimid.fitting.problem import Problem
+from swimid.fitting.sandwich import sandwich
 from swimid.progress import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import log
-from swimid.reporting import log_figures
+from swimid.logs import figures as log_figures
+from swimid.logs import log
 from tests.conftest import Ran
 from tests.generators.polled_camera import polled
 

@@ -18,13 +18,15 @@ from click.testing import CliRunner
 
 from swimid.cli.report import command
 from swimid.errors import InputError, UsageError
-from swimid.formats import evidence, log, parameters, yamlio
-from swimid.formats.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.files import yamlio
+from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
-from swimid.reporting import page, results, sections
-from swimid.reporting.results import reader
-from swimid.reporting.sections import Section
-from swimid.verbs.report import report
+from swimid.results import evidence, page, parameters, sections
+from swimid.results import reader as results
+from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.results.reader import reader
+from swimid.results.report import report
+from swimid.results.sections import Section
 from tests import report_cases as cases
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use", "rect", "circle"}
@@ -467,7 +469,7 @@ def _panel(**options: object) -> Panel:
 )
 def test_odd_panels_are_drawn(panel: Panel) -> None:
     """Empty, constant, missing, tiny and huge data give an SVG and no warning."""
-    from swimid.reporting.figures import draw
+    from swimid.results.figures import draw
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -492,7 +494,7 @@ def test_long_traces_are_reduced_and_said(tmp_path: Path) -> None:
 
 def test_every_point_of_a_cloud_is_drawn() -> None:
     """A cloud of dots has one dot per sample that is there."""
-    from swimid.reporting.figures import draw
+    from swimid.results.figures import draw
 
     rng = np.random.default_rng(7)
     y = rng.normal(size=400)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swimid.reporting import numbers
+from swimid.results import numbers
 
 
 @pytest.mark.parametrize(

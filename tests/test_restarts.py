@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.estimators import output_error
-from swimid.experiments import rig as rig_experiment
-from swimid.models import rig as rig_model
-from swimid.models.base import Array, Channel, Model, Parameter, Trial, chosen
+from swimid.fitting import output_error
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
+from swimid.rig import model as rig_model
+from swimid.rig import trials as rig_experiment
 from tests.conftest import Ran
 from tests.generators import real_logs
 from tests.generators import rig as generator

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.models import theory
+from swimid.rig import theory
 from tests.conftest import Ran
 from tests.generators import rig as generator
 

@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
+from swimid.blackbox import model as arma
 from swimid.cli.rwls import command
-from swimid.formats import evidence, parameters
-from swimid.models import arx as arma
-from swimid.models.base import Trial
+from swimid.fitting.model import Trial
+from swimid.results import evidence, parameters
 from tests.generators import longfin
 
 A, B = [-1.5, 0.7], [0.5, 0.25]

@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from swimid.blackbox import armax, difference, order, prediction, recursive, working_point
+from swimid.blackbox.arx import estimate, regression
+from swimid.blackbox.difference import Orders, Record
 from swimid.errors import NoTrustworthyResult
-from swimid.estimators import armax, order, prediction, recursive, working_point
-from swimid.estimators.arx import estimate, regression
-from swimid.models import difference
-from swimid.models.difference import Orders, Record
-from swimid.signals import sampling
+from swimid.logs import sampling
 
 pytestmark = pytest.mark.kernels
 

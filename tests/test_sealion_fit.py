@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from swimid.formats import comparison, evidence
-from swimid.formats import parameters as parameters_format
-from swimid.formats.parameters import Estimate, ParameterFile
+from swimid.results import evidence
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.simulation import comparison_file as comparison
 from tests.conftest import Ran
 from tests.generators import sealion
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from swimid.experiments import swimmer as experiment
+from swimid.swimmer import trials as experiment
 from tests.generators import sealion
 
 NO_DRAG = {"area_m2": [0.0, 0.0, 0.0]}

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.estimators import sensitivity as indices
-from swimid.formats import evidence
-from swimid.formats import sensitivity as sensitivity_format
-from swimid.formats.checkpoint import Checkpoint
-from swimid.formats.sensitivity import SensitivityFile
-from swimid.verbs import sensitivity_outputs
+from swimid.files.checkpoint import Checkpoint
+from swimid.results import evidence
+from swimid.sensitivity import file as sensitivity_format
+from swimid.sensitivity import indices
+from swimid.sensitivity import outputs as sensitivity_outputs
+from swimid.sensitivity.file import SensitivityFile
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]

@@ -11,13 +11,16 @@ from scipy.interpolate import CubicSpline
 
 from swimid.cli.track import track
 from swimid.errors import InputError
-from swimid.estimators import stroke_cycles
-from swimid.formats import comparison, evidence, parameters, robot, yamlio
-from swimid.formats import log as log_format
-from swimid.formats import setup as setup_format
-from swimid.formats.parameters import Estimate, ParameterFile
+from swimid.files import yamlio
+from swimid.logs import log as log_format
 from swimid.notices import recorded
+from swimid.results import evidence, parameters
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.robots import file as robot
+from swimid.simulation import comparison_file as comparison
+from swimid.swimmer import stroke_cycles
 from swimid.tracking import checks, plane, pose
+from swimid.tracking import setup as setup_format
 from swimid.tracking.rawtrack import WINDOW, RawTrack
 from tests.generators import side_video
 from tests.generators.side_video import FRONT, PERIOD_S, REAR, View

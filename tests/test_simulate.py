@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from swimid.formats import log as log_format
-from swimid.formats import parameters as parameters_format
-from swimid.formats.parameters import Correlation, Estimate, Fit, ParameterFile
+from swimid.logs import log as log_format
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 from tests.conftest import Ran
 from tests.generators import swimmer
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swimid.signals import rhythm
-from swimid.signals.beat import find_beat
+from swimid.logs import rhythm
+from swimid.logs.beat import find_beat
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import trials as trials_format
+from swimid.logs import trials as trials_format
 from tests.generators import swimmer
 
 #: Of the identification runs: speed (m/s) and yaw rate (rad/s).

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from swimid.signals import swimming
-from swimid.signals.swimming import Track
+from swimid.logs import swimming
+from swimid.logs.swimming import Track
 from swimid.tracking.smooth import smooth
 
 RATE, BEAT, SWAY, TURN = 30.0, 1.3, 0.02, 0.15

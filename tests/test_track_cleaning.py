@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.formats import log
-from swimid.signals import rhythm, track_cleaning, track_speed
+from swimid.logs import log, rhythm, track_cleaning, track_speed
 from tests.conftest import Ran
 from tests.generators.polled_camera import Polled, polled
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from swimid.cli.report import command as report
 from swimid.cli.track import track
-from swimid.formats import evidence
+from swimid.results import evidence
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import RED, YELLOW, Pool
 

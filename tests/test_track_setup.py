@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from swimid.cli.track import track
-from swimid.formats import evidence
-from swimid.formats import setup as setup_format
+from swimid.results import evidence
 from swimid.tracking import camera
+from swimid.tracking import setup as setup_format
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import BLACK, GREY, RED, WHITE, YELLOW, Pool
 

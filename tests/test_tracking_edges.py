@@ -8,10 +8,10 @@ from click.testing import CliRunner
 
 from swimid.cli.track import track as track_command
 from swimid.errors import InputError
-from swimid.formats import evidence
-from swimid.formats.setup import Setup
+from swimid.results import evidence
 from swimid.tracking.follow import Follower
 from swimid.tracking.search import bars
+from swimid.tracking.setup import Setup
 from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
 
 

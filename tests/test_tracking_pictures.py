@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from swimid.cli.track import track
-from swimid.formats import evidence
+from swimid.results import evidence
 from swimid.tracking.reader import Video
 from tests.generators.disc_film import ONE_RED, Disc, Film, straight
 

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from swimid.cli.track import track
-from swimid.formats import evidence
-from swimid.formats import setup as setup_format
+from swimid.results import evidence
 from swimid.tracking import plane
+from swimid.tracking import setup as setup_format
 from tests.generators import pool_video
 from tests.generators.pool_video import SEPARATION_M, Scene
 

@@ -13,12 +13,15 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
+from swimid.blackbox import data as rwls_data
+from swimid.blackbox import trials as arma
 from swimid.errors import InputError, SwimidError
-from swimid.experiments import arma, propulsion, rig, swimmer
-from swimid.formats import trials as trials_format
-from swimid.formats.parameters import ParameterFile
+from swimid.logs import trials as trials_format
 from swimid.notices import recorded
-from swimid.verbs import rwls_data
+from swimid.propulsion import trials as propulsion
+from swimid.results.parameters import ParameterFile
+from swimid.rig import trials as rig
+from swimid.swimmer import trials as swimmer
 
 RATE_HZ = 20.0
 TIME = np.arange(0.0, 14.0, 1.0 / RATE_HZ)

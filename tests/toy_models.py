@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from swimid.models.base import Channel, Model, Parameter, Trial
+from swimid.fitting.model import Channel, Model, Parameter, Trial
 
 Formula = Callable[[np.ndarray, np.ndarray], dict[str, np.ndarray]]
 

@@ -25,7 +25,7 @@ from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
 
 if TYPE_CHECKING:
-    from swimid.verbs.outcome import Outcome
+    from swimid.results.outcome import Outcome
 
 #: Version of the ``--json`` envelope.
 ENVELOPE = 1
@@ -219,7 +219,7 @@ def _interrupts() -> Iterator[list[int]]:
 
 def _left(output: Path | None) -> str:
     """What an interrupted verb leaves behind."""
-    from swimid.formats.checkpoint import place
+    from swimid.files.checkpoint import place
 
     kept = None if output is None else place(output)
     # a first line alone holds nothing yet
@@ -285,7 +285,7 @@ def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ..
         return
     if str(output) == "-":
         raise UsageError("this result is files, not a stream: name one", hint="--json prints it on stdout")
-    from swimid.formats import atomic
+    from swimid.files import atomic
 
     atomic.check_writable(output, inputs=inputs)
     if output.exists() and not shared.force and not _ours(output):

@@ -63,7 +63,7 @@ def command(
     """
     with running("compare", shared) as run:
         protect(shared.output, shared, inputs=(trials, params))
-        from swimid.verbs.compare import compare
+        from swimid.simulation.compare import compare
 
         run.finish(
             compare(

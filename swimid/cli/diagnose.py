@@ -93,7 +93,7 @@ def command(
     """
     with running("diagnose", shared) as run:
         protect(shared.output, shared, inputs=(trials, *([params] if params else []), *own))
-        from swimid.verbs.diagnose import diagnose
+        from swimid.diagnosis.diagnose import diagnose
 
         run.finish(
             diagnose(

@@ -20,6 +20,6 @@ def command(warm_up: bool, shared: Shared) -> None:
       swimid doctor --warm-up
     """
     with running("doctor", shared) as run:
-        from swimid.verbs.doctor import doctor
+        from swimid.cli.doctor_verb import doctor
 
         run.finish(doctor(warm_up=warm_up, output=shared.output, progress=run.progress))

@@ -51,8 +51,8 @@ def command(
       swimid export tfish.yaml --to json -o tfish.json
     """
     with running("export", shared) as run:
-        from swimid.verbs.export import export
-        from swimid.verbs.outcome import Outcome
+        from swimid.export.export import export
+        from swimid.results.outcome import Outcome
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         protect(output, shared, inputs=(params,))

@@ -63,7 +63,7 @@ def command(
     """
     with running("fit-drag", shared) as run:
         protect(shared.output, shared, inputs=(trials,))
-        from swimid.verbs.fit_drag import fit_drag
+        from swimid.rig.fit_drag import fit_drag
 
         run.finish(
             fit_drag(

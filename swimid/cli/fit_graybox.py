@@ -188,8 +188,8 @@ def command(
         if method == "least-squares" and (front is not None or resume is not None):
             raise UsageError("--front and --resume belong to --method nsga2 or hybrid")
         protect(shared.output, shared, inputs=(trials,))
-        from swimid.verbs.fit_graybox import fit_graybox
-        from swimid.verbs.fit_graybox_front import Genetic
+        from swimid.swimmer.fit_graybox import fit_graybox
+        from swimid.swimmer.front import Genetic
 
         run.finish(
             fit_graybox(

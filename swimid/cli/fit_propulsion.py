@@ -57,7 +57,7 @@ def command(
     """
     with running("fit-propulsion", shared) as run:
         protect(shared.output, shared, inputs=(trials, *([drag] if drag else [])))
-        from swimid.verbs.fit_propulsion import fit_propulsion
+        from swimid.propulsion.fit_propulsion import fit_propulsion
 
         run.finish(
             fit_propulsion(

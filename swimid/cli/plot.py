@@ -24,7 +24,7 @@ def command(logs: tuple[Path, ...], title: str | None, shared: Shared) -> None:
       swimid plot imu.csv camera.csv -o both.html
     """
     with running("plot", shared) as run:
-        from swimid.verbs.plot import plot
+        from swimid.logs.plot import plot
 
         protect(shared.output, shared, inputs=logs)
         assert shared.output is not None

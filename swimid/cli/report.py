@@ -33,8 +33,8 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
     """
     with running("report", shared) as run:
         from swimid.errors import UsageError
-        from swimid.verbs.outcome import Outcome
-        from swimid.verbs.report import report
+        from swimid.results.outcome import Outcome
+        from swimid.results.report import report
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         if output is None and shared.output is None and kind in (None, "html") and not shared.as_json:

@@ -112,7 +112,7 @@ def command(logs: tuple[Path, ...], validate: tuple[str, ...], shared: Shared, *
           --validate 0.25 -o arma.yaml
     """
     with running("rwls", shared) as run:
-        from swimid.verbs.rwls import rwls
+        from swimid.blackbox.rwls import rwls
 
         protect(shared.output, shared, inputs=(*logs, *validate))
         run.finish(

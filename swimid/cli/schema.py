@@ -20,6 +20,6 @@ def command(name: str | None, shared: Shared) -> None:
       swimid schema trials > trials.schema.json
     """
     with running("schema", shared) as run:
-        from swimid.verbs.schema import schema
+        from swimid.cli.schema_verb import schema
 
         run.finish(schema(name, output=shared.output))

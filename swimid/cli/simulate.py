@@ -94,7 +94,7 @@ def command(
     """
     with running("simulate", shared) as run:
         inputs = tuple(p for p in (params, trials, input) if p is not None)
-        from swimid.verbs.simulate import simulate
+        from swimid.simulation.simulate import simulate
 
         run.finish(
             simulate(

@@ -55,7 +55,7 @@ def video_command(
       swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
     """
     with running("track video", shared) as run:
-        from swimid.verbs.track_video import track_video
+        from swimid.tracking.track_video import track_video
 
         protect(shared.output, shared, inputs=(video, setup))
         protect(overlay_path, shared, inputs=(video, setup))
@@ -137,7 +137,7 @@ def setup_command(
       swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
     """
     with running("track setup", shared) as run:
-        from swimid.verbs.track_setup import Pick, track_setup
+        from swimid.tracking.track_setup import Pick, track_setup
 
         assert shared.output is not None
         run.finish(

@@ -144,8 +144,8 @@ def imu_command(imu: Path, map_path: Path | None, other: Path | None, shared: Sh
       swimid track imu imu.csv --method paper --motion-mode marching -o paper.csv
     """
     with running("track imu", shared) as run:
-        from swimid.verbs.track_imu import track_imu
-        from swimid.verbs.track_imu_options import settings_of
+        from swimid.inertial.track_imu import track_imu
+        from swimid.inertial.track_imu_options import settings_of
 
         inputs = tuple(path for path in (imu, map_path, other) if path is not None)
         protect(shared.output, shared, inputs=inputs)

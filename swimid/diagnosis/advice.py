@@ -13,8 +13,8 @@ from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.lens import Lens
 from swimid.diagnosis.places import knobs
 from swimid.diagnosis.result import Advice
-from swimid.estimators.problem import Problem
-from swimid.models.base import Array, Model, Trial
+from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.problem import Problem
 
 #: Proposals reported.
 MOST = 4

@@ -31,7 +31,7 @@ from swimid.diagnosis.result import (
     Threshold,
 )
 from swimid.effects.sensing.marker_dropout import MarkerDropout
-from swimid.models.base import Array, Trial
+from swimid.fitting.model import Array, Trial
 from swimid.progress import Progress, silent
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.

@@ -14,9 +14,9 @@ from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.lens import Lens
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.estimators import levenberg
-from swimid.estimators.problem import Problem
-from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.fitting import levenberg
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.problem import Problem
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
 EFFECT_PRIOR = 5.0

@@ -13,8 +13,8 @@ from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens
 from swimid.effects.base import Effect
-from swimid.formats.checkpoint import Checkpoint
-from swimid.models.base import Array, Parameter
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting.model import Array, Parameter
 
 #: A change smaller than this (squared, in units of the noise) is none.
 NOTHING = 1e-6

@@ -24,9 +24,9 @@ from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.remainder import Generic, Left, Slow
 from swimid.diagnosis.result import Threshold
 from swimid.effects.base import Effect
-from swimid.estimators import noise as noise_model
-from swimid.formats.checkpoint import Checkpoint
-from swimid.models.base import Array, Model, Parameter, Trial
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting import noise as noise_model
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.progress import Progress, show, silent
 
 #: Rounds of weighting by the residuals before anything is tried.

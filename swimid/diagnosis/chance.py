@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.effects.base import Effect, Stage
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
 #: their scale, or by a share of a common number.

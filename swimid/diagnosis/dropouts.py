@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, median_filter
 
-from swimid.models.base import Array, Trial
+from swimid.fitting.model import Array, Trial
 
 #: A change of the residual between two samples beyond this many robust deviations is a jump: no body jumps.
 JUMP = 9.0

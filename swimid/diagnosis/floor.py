@@ -8,7 +8,7 @@ import numpy as np
 
 from swimid.diagnosis.bench import Bench, Fit, beyond
 from swimid.diagnosis.folds import setting
-from swimid.models.base import Array
+from swimid.fitting.model import Array
 
 #: Fewest repeats (beyond the first of each setting) from which the noise is read.
 FEWEST = 2

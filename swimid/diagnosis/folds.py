@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.models.base import Array, Trial
+from swimid.fitting.model import Array, Trial
 
 #: Fewest settings for which whole trials are held out; below, stretches of trials are.
 FEWEST = 4

@@ -14,8 +14,8 @@ import numpy as np
 from numba import cfunc
 
 from swimid.effects.base import Effect, Stage
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: What a residual force may depend on, in the order of the force's factors.
 TERMS = (

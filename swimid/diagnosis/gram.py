@@ -15,7 +15,7 @@ import numpy as np
 
 from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.lens import Lens
-from swimid.models.base import Array
+from swimid.fitting.model import Array
 
 #: Where the other folds hardly tell a shared number, it leans on all of them by this share of what they
 #: tell together: left to itself it would throw the held-out fold anywhere, and hide what an effect gains.

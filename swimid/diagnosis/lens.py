@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 
 from swimid.diagnosis.chance import Kind
-from swimid.estimators.problem import Problem
-from swimid.estimators.residual_tests import fit_autoregression, joined
-from swimid.models.base import Array
+from swimid.fitting.model import Array
+from swimid.fitting.problem import Problem
+from swimid.fitting.residual_tests import fit_autoregression, joined
 
 #: Largest order of the autoregression, and samples each coefficient needs.
 ORDER, PER_ORDER = 6, 25

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.models.base import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 
 #: Prior of a coefficient that these very trials told: a factor of its size. Of one from other trials: its
 #: standard error, and this share of its value on top, since days differ.

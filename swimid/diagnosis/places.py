@@ -14,7 +14,7 @@ from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import beat_hz
 from swimid.diagnosis.remainder import Left
 from swimid.diagnosis.result import Cell, Sketch
-from swimid.models.base import Array, Trial
+from swimid.fitting.model import Array, Trial
 
 Mask = NDArray[np.bool_]
 #: Bins of the stroke's phase, and of the time of a trial.

@@ -14,7 +14,7 @@ from swimid.diagnosis.candidates import DRAWS, PER_SAMPLE, QUANTILE, least_gain,
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
-from swimid.models.base import Array
+from swimid.fitting.model import Array
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)

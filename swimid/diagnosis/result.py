@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from swimid.models.base import Array
+from swimid.fitting.model import Array
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]

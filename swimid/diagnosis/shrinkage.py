@@ -14,8 +14,8 @@ from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.candidates import LEAST_GAIN
 from swimid.diagnosis.lens import Lens
 from swimid.diagnosis.result import Overlay, Shrinkage
-from swimid.estimators import start_states
-from swimid.models.base import Array, Model, Trial
+from swimid.fitting import start_states
+from swimid.fitting.model import Array, Model, Trial
 
 #: Relative tolerance of the search for a held-out trial's start state.
 TOLERANCE = 1e-4

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.effects.base import Effect
-from swimid.models import hooks as hook_places
-from swimid.models.base import Array, Model, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting import hooks as hook_places
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Trial
 
 
 class Affected(Model):

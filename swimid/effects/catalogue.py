@@ -15,7 +15,7 @@ from types import ModuleType
 
 from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.models.base import Model, Trial
+from swimid.fitting.model import Model, Trial
 
 #: What an effect may hook into.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})

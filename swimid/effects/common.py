@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from swimid.models.base import Array, Model, Trial
-from swimid.models.multilink import engine
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.polynomial import Polynomial
-from swimid.models.propulsion import RecoilModel
-from swimid.models.rig import COORDINATES, RigModel
+from swimid.fitting.model import Array, Model, Trial
+from swimid.propulsion.model import RecoilModel
+from swimid.rig.model import COORDINATES, RigModel
+from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.polynomial import Polynomial
 
 #: Columns that hold a position.
 POSITIONS = ("x_m", "y_m", "z_m")

@@ -14,7 +14,7 @@ from swimid.inertial.record import Array, Record
 from swimid.inertial.rest import Noise, Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
 from swimid.inertial.smoother import Aid, Nominal
-from swimid.signals.rotation import angles
+from swimid.logs.rotation import angles
 
 #: Time between repeated observations of one thing, s.
 EVERY_S = 0.5

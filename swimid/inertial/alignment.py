@@ -12,7 +12,7 @@ from swimid.inertial import clock, strapdown
 from swimid.inertial.attitude import Source
 from swimid.inertial.clock import Offset
 from swimid.inertial.record import Array, Record
-from swimid.signals.rotation import angles, from_angles
+from swimid.logs.rotation import angles, from_angles
 
 #: Slower than this is drift, s: of an integrated gyroscope, of a twice integrated accelerometer.
 SLOW_TURN_S, SLOW_WAY_S = 10.0, 2.0

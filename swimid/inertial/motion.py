@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from swimid.inertial.errorstate import ALONE, BG, LEVER, MOUNT, P, T, V, cross_matrix
 from swimid.inertial.record import Array
 from swimid.inertial.smoother import Smoothed
-from swimid.signals.rotation import angles
+from swimid.logs.rotation import angles
 
 
 @dataclass(frozen=True)

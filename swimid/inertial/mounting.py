@@ -12,7 +12,7 @@ from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Array, Record, level
 from swimid.inertial.rest import Rest, mean_accelerations
 from swimid.inertial.sensor import DEG
-from swimid.signals.rotation import from_angles
+from swimid.logs.rotation import from_angles
 
 NAME = "gravity axis"
 #: Within this angle of the z axis gravity is where it should be; farther off the sensor lies on its side.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.formats.log import runs
 from swimid.inertial.record import Array, Flags, Record
+from swimid.logs.log import runs
 
 #: Length over which motion is judged, s, and the shortest rest, s.
 WINDOW_S, SHORTEST_S = 0.5, 1.0

@@ -1,1 +1,1 @@
-"""The built-in robots, one YAML file each (see :mod:`swimid.formats.robot`)."""
+"""The robot file (``file``), links of a robot in its plane and in space, and the built-in robots."""

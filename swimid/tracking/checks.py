@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.formats.evidence import Check
-from swimid.formats.setup import Setup
 from swimid.notices import warn
+from swimid.results.evidence import Check
 from swimid.tracking import camera, motion
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, irregular
+from swimid.tracking.setup import Setup
 
 Grade = Literal["pass", "warn", "fail"]
 Array = NDArray[np.float64]

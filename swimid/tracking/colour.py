@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.formats.setup import HsvRange
+from swimid.tracking.setup import HsvRange
 
 #: Share of the way a confident sight moves the model.
 ADAPTATION = 0.12

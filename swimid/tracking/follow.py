@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from swimid.formats.setup import Marker, Setup
 from swimid.tracking import detect, search
 from swimid.tracking.colour import ColourModel, same_hue_and_saturation
 from swimid.tracking.detect import Blob
@@ -27,6 +26,7 @@ from swimid.tracking.rawtrack import (
 )
 from swimid.tracking.reader import Frame
 from swimid.tracking.search import Kind, Search, is_new, same_place
+from swimid.tracking.setup import Marker, Setup
 from swimid.tracking.target import Bond, Challenger, Target
 
 #: Area without one in the setup: px, and share of the picture.

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.formats import atomic
-from swimid.formats.setup import Setup
-from swimid.formats.video import REMARK, Mpeg4, open_writer
+from swimid.files import atomic
+from swimid.files.video import REMARK, Mpeg4, open_writer
 from swimid.progress import Progress, silent
 from swimid.tracking.pictures import Painter
 from swimid.tracking.reader import Video
+from swimid.tracking.setup import Setup
 
 
 def write(

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.formats.setup import HsvRange, Marker
 from swimid.tracking import census
 from swimid.tracking.colour import SLACK, ColourModel
 from swimid.tracking.propose import colour_range
 from swimid.tracking.reader import Frame
+from swimid.tracking.setup import HsvRange, Marker
 
 #: The patch about a pixel is sought with colours this far from the pixel's: hue (deg), saturation, value;
 WIDEST = (20.0, 0.3, 0.3)

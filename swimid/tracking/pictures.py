@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.formats import atomic
-from swimid.formats.evidence import Figure, Image, Panel, Span, Trace, thinned
-from swimid.formats.setup import Setup
+from swimid.files import atomic
+from swimid.results.evidence import Figure, Image, Panel, Span, Trace, thinned
 from swimid.tracking import checks
 from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.reader import Frame
+from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.formats.setup import Setup
 from swimid.notices import warn
+from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
-from swimid.formats.log import runs
-from swimid.formats.setup import Setup
+from swimid.logs.log import runs
 from swimid.tracking.plane import Plane
 from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
+from swimid.tracking.setup import Setup
 from swimid.tracking.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]

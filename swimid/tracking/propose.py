@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
-from swimid.formats.setup import HsvRange, Marker
 from swimid.progress import Step
 from swimid.tracking import census
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import marker_mask
 from swimid.tracking.reader import Frame, Video, VideoInfo
+from swimid.tracking.setup import HsvRange, Marker
 
 Array = NDArray[np.float64]
 

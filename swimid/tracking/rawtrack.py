@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.formats.log import runs
+from swimid.logs.log import runs
 from swimid.tracking.colour import same_hue_and_saturation
 
 #: Words of the status column, by code.

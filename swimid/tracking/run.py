@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.formats.setup import Setup
 from swimid.notices import warn
 from swimid.progress import Step
 from swimid.tracking import motion
@@ -15,6 +14,7 @@ from swimid.tracking.follow import Follower
 from swimid.tracking.pictures import FrameKeeper
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, Video, VideoInfo
+from swimid.tracking.setup import Setup
 
 #: Least way, in marker radii, for a second look to be preferred.
 _LEAST_WAY = 3.0

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.formats.setup import Setup
 from swimid.tracking import detect
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import Blob, Patch
 from swimid.tracking.reader import Frame
+from swimid.tracking.setup import Setup
 
 Box = tuple[float, float, float, float]
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class DriveDroop(Effect):

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from swimid.blackbox.model import Arma
 from swimid.effects.base import Effect
-from swimid.models.arx import Arma
-from swimid.models.base import Array, Model, Trial
-from swimid.models.hooks import Command, Hooks
-from swimid.models.multilink.model import MultilinkModel, joint_motion
+from swimid.fitting.hooks import Command, Hooks
+from swimid.fitting.model import Array, Model, Trial
+from swimid.swimmer.planar.model import MultilinkModel, joint_motion
 
 #: Grid on which a drive's command is read, s.
 GRID = 0.0025

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from swimid.effects.actuation import _commands
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks, Stroke
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class AmplitudeLoss(_commands.Actuation):

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from swimid.blackbox.model import Arma
 from swimid.effects.actuation import _commands
 from swimid.effects.base import Effect
-from swimid.models.arx import Arma
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks, Stroke
-from swimid.models.multilink import drive
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
 EASE_S = 0.5

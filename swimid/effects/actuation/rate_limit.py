@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from swimid.effects.actuation import _commands
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks, Stroke
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
 #: ``1 / sqrt(1 + pi^2 / 4)``.

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from swimid.effects.actuation import _commands
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ServoDelay(_commands.Actuation):

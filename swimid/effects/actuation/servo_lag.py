@@ -10,8 +10,8 @@ import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks, Stroke
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ServoLag(_commands.Actuation):

@@ -8,9 +8,9 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: Largest current, in typical speeds of the robot.
 MOST = 3.0

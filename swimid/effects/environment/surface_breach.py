@@ -10,9 +10,9 @@ from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: Height over which the force sets in, m.
 ROUND = 0.002

@@ -10,10 +10,10 @@ from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.rig import RigModel
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.rig.model import RigModel
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
 STEEPEST = 2.0

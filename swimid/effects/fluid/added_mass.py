@@ -8,10 +8,10 @@ from typing import Any
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.rig import RigModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.rig.model import RigModel
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: The least of the inertia that may be left, as a share of the rigid body's.
 LEAST = 0.5

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: Most added mass per length, in those of the plate that gives the scale.
 MOST = 10.0
@@ -21,7 +21,7 @@ class WakeLift(Effect):
     """``-m u w n + m w^2 t / 2`` at the rear end of the last link.
 
     u and w are the edge's velocities along and across its link, m the added mass per length there
-    (:mod:`swimid.models.multilink.elements.trailing_edge`).
+    (:mod:`swimid.swimmer.planar.elements.trailing_edge`).
     """
 
     name = "wake-lift"

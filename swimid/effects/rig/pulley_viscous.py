@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.rig import RigModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.rig.model import RigModel
 
 OWN = ("linear_drag", "linear_damping")
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.rig import RigModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.rig.model import RigModel
 
 #: Gravity that turns a pulling force into the mass of the weight, m/s2.
 GRAVITY = 9.81

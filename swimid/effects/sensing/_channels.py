@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.models.base import Model, Trial
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.propulsion import SPEED
-from swimid.models.rig import RigModel
+from swimid.fitting.model import Model, Trial
+from swimid.propulsion.model import SPEED
+from swimid.rig.model import RigModel
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: What a camera, or an encoder on a rig, measures as a length.
 POSITIONS = ("x_m", "y_m", "z_m")

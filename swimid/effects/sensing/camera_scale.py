@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class CameraScale(Effect):

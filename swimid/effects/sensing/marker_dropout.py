@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import NONE, Hooks
+from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class MarkerDropout(Effect):

@@ -9,9 +9,9 @@ import numpy as np
 
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.model import MultilinkModel
 
 #: Farthest a marker may be off, m.
 FARTHEST_M = 0.5

@@ -9,9 +9,9 @@ from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.propulsion import SPEED, RecoilModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.propulsion.model import SPEED, RecoilModel
 
 #: Channels of a camera.
 POSES = (*_channels.POSITIONS, "yaw_rad", "pitch_rad")

@@ -11,9 +11,9 @@ from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.model import MultilinkModel
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)

@@ -7,10 +7,10 @@ from typing import Any
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.engine import PASSIVE
-from swimid.models.multilink.model import MultilinkModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.swimmer.planar.engine import PASSIVE
+from swimid.swimmer.planar.model import MultilinkModel
 
 COLUMN = PASSIVE.index("stiffness")
 #: The most a joint may be locked, and how much stiffer than its own spring half a lock makes it.

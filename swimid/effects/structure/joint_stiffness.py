@@ -9,11 +9,11 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.engine import PASSIVE
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.rig import RigModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.rig.model import RigModel
+from swimid.swimmer.planar.engine import PASSIVE
+from swimid.swimmer.planar.model import MultilinkModel
 
 LINEAR, CUBIC = PASSIVE.index("stiffness"), PASSIVE.index("cubic")
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from swimid.effects import common
 from swimid.effects.base import Effect
-from swimid.models.base import Array, Model, Parameter, Trial
-from swimid.models.hooks import Hooks
-from swimid.models.multilink.model import MultilinkModel
-from swimid.models.propulsion import SurgeModel
+from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.propulsion.model import SurgeModel
+from swimid.swimmer.planar.model import MultilinkModel
 
 
 class WaterIngress(Effect):

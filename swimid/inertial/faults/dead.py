@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.formats.log import runs
 from swimid.inertial.faults.base import Finding, bridged
 from swimid.inertial.record import ACCELERATION, RATE, Record
+from swimid.logs.log import runs
 
 NAME = "dead channel"
 #: A channel that keeps one value for longer than this while others move is stuck, s and samples.

@@ -6,7 +6,7 @@ import numpy as np
 
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Record
-from swimid.signals import sampling
+from swimid.logs import sampling
 
 NAME = "clock jitter"
 #: Jitter worth a word, in sample times.

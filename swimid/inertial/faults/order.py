@@ -5,7 +5,7 @@ from __future__ import annotations
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import ACCELERATION, RATE, Record
-from swimid.signals.time_order import in_order
+from swimid.logs.time_order import in_order
 
 NAME = "repeated stamps"
 #: More rows without a usable time than this share: the clock cannot be trusted.

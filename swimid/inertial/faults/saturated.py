@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.formats.log import runs
 from swimid.inertial.faults.base import Finding, bridged
 from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
+from swimid.logs.log import runs
 
 NAME = "saturated channel"
 #: A value is the end of the range when it is an extreme held in this many runs of two or more samples.

@@ -1,0 +1,1 @@
+"""Discrete-time ARX and ARMAX models: records, recursive least squares, orders, prediction, result."""

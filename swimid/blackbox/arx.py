@@ -1,0 +1,471 @@
+"""ARX and ARMAX models from records with gaps: regression, estimate, uncertainty.
+
+Model (long-fin paper [1]_ Eq 4-7, with a delay and a noise polynomial added),
+
+    A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
+    A = 1 + a1 z^-1 + ... + a_na z^-na
+    B = b1 z^-nk + b2 z^-(nk+1) + ... + b_nb z^-(nk+nb-1)
+    C = 1 + c1 z^-1 + ... + c_nc z^-nc
+
+A row of the regression exists only where every sample it needs is there; a gap costs the
+rows around it and nothing else.
+
+References
+----------
+.. [1] L. Shang, S. Wang, M. Tan, L. Cheng, Robotica 30 (2012) 913-923.
+   doi:10.1017/S0263574711001159
+.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.blackbox import armax, recursive
+from swimid.blackbox.difference import Orders, Record
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import residual_tests as rt
+from swimid.logs.sampling import rounding
+
+#: Residuals below this share of the output's deviation are rounding, not noise.
+EXACT = 1e-9
+#: A singular value of the scaled regression below this share of the largest is zero.
+RANK_TOLERANCE = 1e-10
+#: Rounding never empties a direction whose singular value is above this share of the largest.
+ROUNDING_LIMIT = 0.01
+#: Variance inflation (scaled columns) from which on columns count as nearly dependent: standard
+#: errors a hundred times those of independent columns.
+NEARLY_DEPENDENT = 1e4
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The rows of ``z = H theta + e``, for A and B (C has no data columns).
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n, na + nb)
+        H.
+    outputs : ndarray, shape (n,)
+        z.
+    record, sample : ndarray of int, shape (n,)
+        Which record and which of its samples each row predicts.
+    fresh : ndarray of bool, shape (n,)
+        True where a row does not continue the one before.
+    possible : int
+        Number of rows without any missing sample or gap.
+    """
+
+    rows: np.ndarray
+    outputs: np.ndarray
+    record: np.ndarray
+    sample: np.ndarray
+    fresh: np.ndarray
+    possible: int
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    def spread(self, values: np.ndarray, *, gap: int) -> np.ndarray:
+        """Values of the rows on the time grid: NaN where a row is missing and between records.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,) or (n, p)
+            One per row.
+        gap : int
+            Samples of NaN between records.
+        """
+        if len(self) == 0:
+            return np.asarray(values, dtype=float)
+        lengths = [int(self.sample[self.record == i].max()) + 1 for i in np.unique(self.record)]
+        starts = np.cumsum([0] + [length + gap for length in lengths])
+        _, order = np.unique(self.record, return_inverse=True)
+        shape = (int(starts[-1]), *np.shape(values)[1:])
+        result = np.full(shape, np.nan)
+        result[starts[order] + self.sample] = values
+        return result
+
+
+def columns(record: Record, orders: Orders) -> np.ndarray:
+    """The regression vectors of every sample of a record, NaN where they are not whole.
+
+    Returns
+    -------
+    ndarray, shape (n, na + nb)
+        ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7).
+    """
+    n = len(record)
+    result = np.full((n, orders.na + orders.nb), np.nan)
+    for i in range(orders.na):
+        result[i + 1 :, i] = -record.output[: max(n - i - 1, 0)]
+    for j in range(orders.nb):
+        lag = orders.nk + j
+        result[lag:, orders.na + j] = record.source[: max(n - lag, 0)]
+    return result
+
+
+def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> Regression:
+    """Every whole row of several records.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        All at the same rate.
+    orders : Orders
+        C plays no part.
+    skip : int
+        Leave out the first ``skip`` samples of each record even where a row exists (so that
+        models of different order see the same rows).
+    """
+    rows, outputs, number, sample = [], [], [], []
+    possible = 0
+    for i, record in enumerate(records):
+        h = columns(record, orders)
+        whole = np.isfinite(record.output) & np.isfinite(h).all(axis=1)
+        whole[:skip] = False
+        k = np.flatnonzero(whole)
+        possible += max(len(record) - max(orders.lag, skip), 0)
+        rows.append(h[k])
+        outputs.append(record.output[k])
+        number.append(np.full(len(k), i))
+        sample.append(k)
+    if not rows:
+        empty = np.empty(0, dtype=int)
+        return Regression(
+            np.empty((0, orders.na + orders.nb)), np.empty(0), empty, empty, empty.astype(bool), 0
+        )
+    record_of, samples = np.concatenate(number), np.concatenate(sample)
+    fresh = np.ones(len(samples), dtype=bool)
+    fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
+    return Regression(np.vstack(rows), np.concatenate(outputs), record_of, samples, fresh, possible)
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Which parameters the regression determines.
+
+    Attributes
+    ----------
+    determined : ndarray of bool, shape (p,)
+    rank : int
+        Number of determined directions.
+    input_rank : int
+        Number of directions the input columns alone excite: the order of excitation.
+    condition : float
+        Condition number of the regression with columns scaled to length one.
+    """
+
+    determined: np.ndarray
+    rank: int
+    input_rank: int
+    condition: float
+
+
+def identifiability(
+    data: Regression, orders: Orders, quanta: tuple[float, float] = (0.0, 0.0)
+) -> Identifiability:
+    """Find the directions in which the data say nothing.
+
+    Parameters
+    ----------
+    data : Regression
+        The rows of A and B.
+    orders : Orders
+        What the columns stand for.
+    quanta : (float, float)
+        Rounding step of input and output as they were logged. A direction in which the
+        regression holds no more than rounding is not determined by it.
+
+    Notes
+    -----
+    Singular values of the regression with columns scaled to length one. The rounding of n
+    samples with step q adds a column of length ``q sqrt(n / 12)`` to each; a direction v is
+    empty when its singular value is below three times the length of that in its direction,
+    and below :data:`ROUNDING_LIMIT` of the largest: a well-conditioned regression is never empty.
+    """
+    steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
+    determined, rank, condition = directions(data.rows, steps)
+    _, input_rank, _ = directions(data.rows[:, orders.na :], steps[orders.na :])
+    return Identifiability(np.append(determined, np.ones(orders.nc, dtype=bool)), rank, input_rank, condition)
+
+
+def without_indistinct(
+    known: Identifiability,
+    data: Regression,
+    orders: Orders,
+    theta: np.ndarray,
+    stderr: np.ndarray,
+    noise_sd: float,
+) -> Identifiability:
+    """Leave out coefficients the noise does not let tell apart, though the regression has full rank.
+
+    Sensor noise on a single sine excites every coefficient of B a little, and their estimates
+    become huge numbers that cancel. A coefficient of A or B is one of those when its column
+    is nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error alone moves
+    the prediction by more than the whole polynomial does; they are left out together when
+    the standard error of any is above half its size. A coefficient that is known to be small stays.
+
+    Parameters
+    ----------
+    known : Identifiability
+        Of the regression.
+    data, orders
+        See :func:`identifiability`.
+    theta, stderr : ndarray, shape (p,)
+        The estimate.
+    noise_sd : float
+        Standard deviation of the one-step errors.
+    """
+    count = orders.na + orders.nb
+    length = np.linalg.norm(data.rows, axis=0)
+    scaled = data.rows / np.where(length > 0, length, 1.0)
+    inflation = np.sum(np.linalg.pinv(np.linalg.qr(scaled, mode="r")) ** 2, axis=1)
+    determined = known.determined.copy()
+    rank, input_rank = known.rank, known.input_rank
+    for block in (slice(0, orders.na), slice(orders.na, count)):
+        effect = float(np.linalg.norm(data.rows[:, block] @ theta[block]))
+        lost = determined[block] & (inflation[block] > NEARLY_DEPENDENT)
+        lost &= stderr[block] * length[block] > effect
+        if not np.any(stderr[block][lost] > 0.5 * np.abs(theta[block][lost])):
+            continue
+        determined[block] &= ~lost
+        singular = np.linalg.svd(np.linalg.qr(scaled[:, block], mode="r"), compute_uv=False)
+        empty = int(np.clip(np.count_nonzero(noise_sd > effect * singular), 1, len(singular) - 1))
+        rank = min(rank, count - max(empty, 1))
+        if block.stop == count:
+            input_rank = min(input_rank, orders.nb - empty)
+    return replace(known, determined=determined, rank=rank, input_rank=input_rank)
+
+
+def directions(rows: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int, float]:
+    """Which columns are determined, the rank, and the condition of the determined part.
+
+    ``steps`` is the rounding step of each column, shape (p,).
+    """
+    n, p = rows.shape
+    if p == 0:
+        return np.ones(0, dtype=bool), 0, 1.0
+    length = np.linalg.norm(rows, axis=0)
+    scale = np.where(length > 0, length, 1.0)
+    _, singular, vectors = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"), full_matrices=True)
+    singular = np.append(singular, np.zeros(p - len(singular)))
+    largest = max(singular[0], 1e-300)
+    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
+    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
+    # A parameter is undetermined when an empty direction has a real part of it.
+    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
+    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
+    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
+    return share < 1e-3, int(np.count_nonzero(~empty)), condition
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted model.
+
+    Attributes
+    ----------
+    orders : Orders
+    theta, stderr : ndarray, shape (p,)
+        Coefficients and standard errors; NaN for a parameter the data do not determine.
+    covariance : ndarray, shape (p, p)
+    noise_sd : float
+        Standard deviation of e.
+    residuals : ndarray, shape (n,)
+        One-step errors of the final model at every row, z - h' theta.
+    data : Regression
+    recursion : recursive.Recursion
+    determined : Identifiability
+    whiteness : residual_tests.TestResult
+        Of the one-step errors (with forgetting: of the recursion's innovations).
+    robust : bool
+        Whether the covariance is the sandwich for correlated residuals.
+    exact : bool
+        Whether the residuals are no more than rounding.
+    """
+
+    orders: Orders
+    theta: np.ndarray
+    stderr: np.ndarray
+    covariance: np.ndarray
+    noise_sd: float
+    residuals: np.ndarray
+    data: Regression
+    recursion: recursive.Recursion
+    determined: Identifiability
+    whiteness: rt.TestResult
+    robust: bool
+    exact: bool
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation matrix of the parameters the data determine, shape (m, m)."""
+        use = self.determined.determined
+        sd = self.stderr[use]
+        sd = np.where(sd > 0, sd, 1.0)
+        matrix = self.covariance[np.ix_(use, use)] / np.outer(sd, sd)
+        np.fill_diagonal(matrix, 1.0)
+        return np.clip(matrix, -1.0, 1.0)
+
+
+def check_enough(data: Regression, orders: Orders) -> None:
+    """Refuse a regression that cannot give a result.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        Fewer usable rows than parameters plus one, or an output that never changes.
+    """
+    if len(data) <= orders.count:
+        raise NoTrustworthyResult(
+            f"{len(data)} usable rows for {orders.count} parameters ({orders}); "
+            f"at least {orders.count + 1} are needed",
+            hint="a row needs na outputs and nb inputs without a gap: give longer logs or lower orders",
+        )
+    span = float(np.ptp(data.outputs))
+    if span <= 1e-12 * float(np.max(np.abs(data.outputs), initial=0.0)) or span == 0:
+        raise NoTrustworthyResult(
+            f"the output is constant ({data.outputs[0]:.6g}) in all {len(data)} usable rows: "
+            "there is nothing to identify"
+        )
+
+
+def estimate(
+    records: Sequence[Record],
+    orders: Orders,
+    *,
+    weight: float = 1.0,
+    forgetting: float = 1.0,
+    prior_scale: float = recursive.PRIOR_SCALE,
+    stride: int = 1,
+) -> Estimate:
+    """Fit a model to one or several records.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        All at the same rate, working point removed where there is one
+        (:mod:`swimid.blackbox.working_point`).
+    orders : Orders
+        Of A, B and C.
+    weight, forgetting, prior_scale, stride
+        See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs
+        through the records one after the other.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    NoTrustworthyResult
+        Too few rows, a constant output, or a regression that determines no parameter of A
+        and B, or nothing of the input's effect.
+
+    Notes
+    -----
+    With ``nc`` = 0 theta is the recursion's last estimate, equal to batch weighted least
+    squares with the prior. With ``nc`` > 0 the extended recursion gives the start of a
+    Gauss-Newton search for the least one-step error (:mod:`swimid.blackbox.armax`), whose
+    standard errors are known.
+
+    Standard errors: with weights w_k = forgetting^(n-1-k), J the derivative of the one-step
+    prediction and S = J'WJ + prior, the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``; where the
+    residuals are not white, ``S^-1 M S^-1`` with M of
+    :func:`swimid.fitting.residual_tests.long_run_covariance`.
+    """
+    data = regression(records, orders)
+    check_enough(data, orders)
+    quanta = (_quantum(records, "source"), _quantum(records, "output"))
+    known = identifiability(data, orders, quanta)
+    _check_determined(known, orders)
+    padded = np.hstack((data.rows, np.zeros((len(data), orders.nc))))
+    run = recursive.recursive_least_squares(
+        padded,
+        data.outputs,
+        weight=weight,
+        forgetting=forgetting,
+        prior_scale=prior_scale,
+        noise_terms=orders.nc,
+        fresh=data.fresh,
+        stride=stride,
+    )
+    # Ages in rows: forgetting counts rows, not gaps.
+    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)
+    theta = run.theta
+    if orders.nc:
+        theta = armax.refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
+        residuals, jacobian = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+    else:
+        residuals, jacobian = data.outputs - data.rows @ theta, data.rows
+    prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
+    tested = residuals
+    if forgetting < 1:
+        settled = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
+        tested = np.where(np.arange(len(data)) < settled, np.nan, run.innovations)
+    deviation = float(np.std(data.outputs))
+    exact = float(np.sqrt(np.mean(residuals**2))) <= EXACT * deviation
+    gap = rt.default_lags(len(data))
+    white = rt.ljung_box(data.spread(tested, gap=gap), fitted=orders.na + orders.nc)
+    robust = not (white.passed or exact)
+    matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data if robust else None)
+    stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    known = without_indistinct(known, data, orders, theta, stderr, noise_sd)
+    _check_determined(known, orders)
+    stderr = np.where(known.determined, stderr, np.nan)
+    return Estimate(
+        orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
+    )
+
+
+def _quantum(records: Sequence[Record], field: str) -> float:
+    return max((rounding(getattr(record, field)) for record in records), default=0.0)
+
+
+def _check_determined(known: Identifiability, orders: Orders) -> None:
+    data_columns = orders.na + orders.nb
+    if not np.any(known.determined[:data_columns]):
+        raise NoTrustworthyResult(
+            f"the regression is singular: its {data_columns} columns span {known.rank} directions, "
+            f"and no coefficient of the {orders} model is determined",
+            hint="lower the orders, or excite the robot with more than one frequency",
+        )
+    if known.input_rank == 0:
+        raise NoTrustworthyResult(
+            "the input does not move: nothing can be said of its effect",
+            hint="check the input column, or give --input-model",
+        )
+
+
+def covariance(
+    jacobian: np.ndarray,
+    residuals: np.ndarray,
+    weights: np.ndarray,
+    prior: float,
+    correlated: Regression | None,
+) -> tuple[np.ndarray, float]:
+    """Covariance of a least-squares estimate and standard deviation of its noise.
+
+    With ``correlated`` (the regression the rows belong to) it is the sandwich for correlated
+    residuals; see the notes of :func:`estimate`.
+    """
+    n, p = jacobian.shape
+    root = np.sqrt(weights)[:, None]
+    r = np.linalg.qr(np.vstack((jacobian * root, np.sqrt(prior) * np.eye(p))), mode="r")
+    inverse = np.linalg.pinv(r)
+    whitened = (jacobian * weights[:, None]) @ inverse
+    middle = whitened.T @ whitened
+    # Samples that remain for the noise after p parameters; n - p without forgetting.
+    remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
+    variance = float(np.sum(weights * residuals**2)) / remaining
+    if correlated is None:
+        middle = middle * variance
+    else:
+        scores = correlated.spread(whitened * residuals[:, None], gap=rt.default_lags(n))
+        middle = rt.long_run_covariance(scores) * (n / max(n - p, 1))
+    matrix = inverse @ middle @ inverse.T
+    return (matrix + matrix.T) / 2, float(np.sqrt(variance))

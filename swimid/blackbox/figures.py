@@ -1,0 +1,367 @@
+"""The figures of ``swimid rwls``, as data for the report."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swimid.blackbox import difference, prediction
+from swimid.blackbox.difference import Record
+from swimid.blackbox.material import Material
+from swimid.blackbox.model import to_control
+from swimid.fitting.residual_tests import Correlation
+from swimid.results import numbers
+from swimid.results.evidence import Figure, Mark, Panel, Span, Trace, thinned
+
+if TYPE_CHECKING:
+    pass
+
+
+def figures(m: Material) -> list[Figure]:
+    """Every figure, in the order of the report."""
+    return [
+        *_measured(m),
+        _horizon(m),
+        _trajectories(m),
+        _residuals(m),
+        _pole_map(m),
+        _bode(m),
+        _step(m),
+        *_order_figure(m),
+    ]
+
+
+def _measured(m: Material) -> list[Figure]:
+    figures = []
+    sets = dict(m.held_out) or {"fitted": m.fit}
+    title = numbers.column_title(m.columns[1])
+    for number, (name, records) in enumerate(sets.items(), start=1):
+        time, measured, one, run = _joined(records, m, m.scores[name].level if name in m.scores else 0.0)
+        top = Panel(
+            x_label="t (s)",
+            y_label=title,
+            title=name,
+            traces=[
+                Trace(x=time, y=measured, label="measured", group=0),
+                Trace(x=time, y=one, label="one step ahead", style="dashed", group=1),
+                Trace(x=time, y=run, label="free run", group=2),
+            ],
+        )
+        below = Panel(
+            x_label="t (s)",
+            y_label=f"error, {title}",
+            traces=[
+                Trace(x=time, y=measured - one, label="one step ahead", style="dashed", group=1),
+                Trace(x=time, y=measured - run, label="free run", group=2),
+            ],
+            marks=[Mark(at=0.0)],
+        )
+        for panel in (top, below):
+            for trace in panel.traces:
+                x, y = thinned(time, np.array([np.nan if v is None else v for v in trace.y], dtype=float))
+                trace.x, trace.y = x.tolist(), [v if math.isfinite(v) else None for v in y.tolist()]
+        figures.append(
+            Figure(
+                id=f"free-run-{number}",
+                title=f"Measured, predicted and simulated: {name}",
+                caption="The free run sees the input only, after its first samples. A good model's free "
+                "run stays on "
+                "the measurement, and its error shows neither drift nor the beat.",
+                panels=[top, below],
+            )
+        )
+    return figures
+
+
+def _joined(
+    records: list[Record], m: Material, shift: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time, output, one-step prediction and free run of a set of records, with breaks between them."""
+    parts: list[list[np.ndarray]] = [[], [], [], []]
+    end = 0.0
+    for k, record in enumerate(records):
+        one = prediction.predict(record, m.found.orders, m.found.theta)
+        run = difference.simulate(record, m.found.orders, m.found.theta)
+        delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.sample_time_s - record.time_s[0]
+        time = record.time_s + delay
+        if k:
+            for part in parts:
+                part.append(np.array([np.nan]))
+            parts[0][-1] = np.array([end])
+        for part, values in zip(parts, (time, record.output, one, run), strict=True):
+            part.append(values)
+        end = float(time[-1])
+    time, *rest = (np.concatenate(part) for part in parts)
+    return (time, *(values + m.level + shift for values in rest))  # type: ignore[return-value]
+
+
+def _horizon(m: Material) -> Figure:
+    traces = []
+    for group, (name, s) in enumerate({"fitted": m.fit_scores, **m.scores}.items()):
+        x, y = [h * m.sample_time_s for h, _ in s.horizons], [e for _, e in s.horizons]
+        traces.append(Trace(x=x, y=y, label=name, group=group))
+        traces.append(Trace(x=x, y=y, style="points", group=group))
+    unit = numbers.unit_text(m.units[1])
+    return Figure(
+        id="horizon",
+        title="Error over the prediction horizon",
+        caption="How fast a prediction loses the measurement it started from. A stable model levels off; an "
+        "integrating one keeps growing.",
+        panels=[
+            Panel(
+                x_label="horizon (s)",
+                y_label=f"RMSE ({unit})" if unit else "RMSE",
+                x_scale="log",
+                traces=traces,
+            )
+        ],
+    )
+
+
+def _trajectories(m: Material) -> Figure:
+    run, data, orders = m.found.recursion, m.found.data, m.found.orders
+    single = len(m.fit) == 1
+    x = m.fit[0].time_s[data.sample[run.kept]] if single else run.kept.astype(float)
+    scale = m.found.noise_sd * math.sqrt(m.weight)
+    # The first rows only replace the prior; drawn, they would flatten everything else.
+    settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * orders.count)
+    shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
+    panels = []
+    for i, name in enumerate(orders.names):
+        value, spread = run.thetas[shown, i], 1.96 * scale * run.spreads[shown, i]
+        panels.append(
+            Panel(
+                x_label="t (s)" if single else "row",
+                y_label=name,
+                traces=[
+                    Trace(
+                        x=x[shown],
+                        y=value,
+                        lower=value - spread,
+                        upper=value + spread,
+                        label="estimate, 95 % band" if i == 0 else "",
+                        group=0,
+                    )
+                ],
+                marks=[Mark(at=float(m.found.theta[i]), label="final" if i == 0 else "")],
+            )
+        )
+    return Figure(
+        id="trajectories",
+        title="Parameters as the recursion proceeds",
+        caption="A good run settles well before the end and stays inside its band. Steps late in the run "
+        "mean that the "
+        "robot, or its working point, changed. The band takes the residuals as white.",
+        panels=panels,
+        columns=2,
+    )
+
+
+def _correlogram(c: Correlation, label: str, x_label: str, *, skip_zero: bool) -> Panel:
+    keep = c.lags != 0 if skip_zero else np.ones(len(c.lags), dtype=bool)
+    lags = c.lags[keep].astype(float)
+    return Panel(
+        x_label=x_label,
+        y_label=label,
+        traces=[
+            Trace(
+                x=lags,
+                y=np.zeros(len(lags)),
+                lower=-c.bound[keep],
+                upper=c.bound[keep],
+                label="95 % band",
+                group=1,
+            ),
+            Trace(x=lags, y=c.values[keep], style="stems", label="residuals", group=0),
+        ],
+        marks=[Mark(at=0.0)],
+    )
+
+
+def _residuals(m: Material) -> Figure:
+    return Figure(
+        id="residuals",
+        title="What the one-step residuals still hold",
+        caption="Autocorrelation, and correlation with the input at earlier (positive) and later "
+        "(negative lag) "
+        "samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders or delay "
+        "are wrong. At "
+        "negative lags: the input reacts to the output.",
+        panels=[
+            _correlogram(m.tests.autocorrelation, "autocorrelation", "lag (samples)", skip_zero=True),
+            _correlogram(m.tests.cross, "correlation with the input", "lag (samples)", skip_zero=False),
+        ],
+        columns=2,
+    )
+
+
+def _pole_map(m: Material) -> Figure:
+    angle = np.linspace(0, 2 * np.pi, 181)
+    _, b, _ = m.found.orders.split(m.found.theta)
+    zeros = np.roots(b) if len(b) > 1 and np.any(b != 0) else np.empty(0)
+    near = zeros[np.abs(zeros) <= 3]
+    traces = [
+        Trace(x=np.cos(angle), y=np.sin(angle), label="unit circle", style="dashed", group=1),
+        Trace(
+            x=[p.value.real for p in m.poles],
+            y=[p.value.imag for p in m.poles],
+            label="poles",
+            style="points",
+            group=0,
+        ),
+    ]
+    if len(near):
+        traces.append(Trace(x=near.real, y=near.imag, label="zeros", style="points", group=2))
+    left_out = f" {len(zeros) - len(near)} zeros lie beyond |z| = 3." if len(near) < len(zeros) else ""
+    return Figure(
+        id="poles-map",
+        title="Poles and zeros in the z plane",
+        caption="Good: every pole inside the circle by more than twice its uncertainty. A pole on top of "
+        "a zero says that "
+        f"the order is too high.{left_out}",
+        panels=[Panel(x_label="real part", y_label="imaginary part", equal_aspect=True, traces=traces)],
+    )
+
+
+def _bode(m: Material) -> Figure:
+    import control
+
+    system = to_control(m.file)
+    nyquist = np.pi / m.sample_time_s
+    rows = len(m.found.data)
+    omega = np.geomspace(max(4 * nyquist / rows, 1e-4 * nyquist), nyquist * 0.999, 300)
+    response = control.frequency_response(system, omega)
+    gain = np.atleast_1d(np.squeeze(np.abs(response.complex)))
+    phase = np.unwrap(np.atleast_1d(np.squeeze(np.angle(response.complex))))
+    covariance = m.found.covariance
+    log_gain, phase_sd = prediction.response_spread(
+        m.found.orders, m.found.theta, covariance, m.sample_time_s, omega
+    )
+    hertz = omega / (2 * np.pi)
+    spans = _excited(m)
+    u, y = (numbers.unit_text(unit) or "1" for unit in m.units)
+    factor = np.exp(np.clip(1.96 * log_gain, 0, 20))
+    return Figure(
+        id="bode",
+        title="Frequency response",
+        caption="Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the "
+        "data speak; "
+        "elsewhere the curve is an extrapolation.",
+        panels=[
+            Panel(
+                x_label="frequency (Hz)",
+                y_label=f"gain ({y} per {u})",
+                x_scale="log",
+                y_scale="log",
+                traces=[
+                    Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, label="model", group=0)
+                ],
+                spans=spans,
+            ),
+            Panel(
+                x_label="frequency (Hz)",
+                y_label="phase (deg)",
+                x_scale="log",
+                traces=[
+                    Trace(
+                        x=hertz,
+                        y=np.degrees(phase),
+                        lower=np.degrees(phase - 1.96 * np.minimum(phase_sd, np.pi)),
+                        upper=np.degrees(phase + 1.96 * np.minimum(phase_sd, np.pi)),
+                        group=0,
+                    )
+                ],
+                spans=spans,
+            ),
+        ],
+    )
+
+
+def _excited(m: Material) -> list[Span]:
+    """The band that holds the central 90 % of the input's power."""
+    longest = max(m.fit, key=len)
+    u = np.nan_to_num(longest.source - np.nanmean(longest.source))
+    power = np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2
+    total = np.cumsum(power)
+    if len(power) < 8 or total[-1] <= 0:
+        return []
+    hertz = np.fft.rfftfreq(len(u), m.sample_time_s)
+    low, high = (hertz[int(np.searchsorted(total, q * total[-1]))] for q in (0.05, 0.95))
+    step = hertz[1]
+    return [
+        Span(start=max(float(low), float(step)), end=float(high + step), label="90 % of the input's power")
+    ]
+
+
+def _step(m: Material) -> Figure:
+    import control
+
+    inside = [p.magnitude for p in m.poles if p.magnitude < difference.INTEGRATING]
+    slowest = max(inside, default=0.5)
+    count = (
+        60 if any(p.unstable for p in m.poles) else int(np.clip(5 / -math.log(max(slowest, 0.1)), 30, 1000))
+    )
+    time = np.arange(count + 1) * m.sample_time_s
+    answer = control.step_response(to_control(m.file), time)
+    u, y = (numbers.unit_text(unit) or "1" for unit in m.units)
+    return Figure(
+        id="step",
+        title="Step response",
+        caption="The output after the input steps from 0 to 1. A stable model settles at its static "
+        "gain; an integrating "
+        "one climbs on, an unstable one runs away.",
+        panels=[
+            Panel(
+                x_label="t (s)",
+                y_label=f"output ({y} per {u})",
+                traces=[Trace(x=time, y=np.atleast_1d(np.squeeze(answer.outputs)), style="step", group=0)],
+            )
+        ],
+    )
+
+
+def _order_figure(m: Material) -> list[Figure]:
+    if not m.candidates:
+        return []
+    best: dict[int, dict[str, float]] = {}
+    for c in m.candidates:
+        entry = best.setdefault(c.orders.count, {"aic": math.inf, "bic": math.inf, "fit": -math.inf})
+        entry["aic"], entry["bic"] = min(entry["aic"], float(c.aic)), min(entry["bic"], float(c.bic))
+        entry["fit"] = max(entry["fit"], float(c.free_run_fit))
+    counts = sorted(best)
+    for name in ("aic", "bic"):
+        least = min(entry[name] for entry in best.values())
+        for entry in best.values():
+            entry[name] -= least
+    x = [float(n) for n in counts]
+    chosen = Mark(at=float(m.found.orders.na + m.found.orders.nb), axis="x", label="chosen")
+    where = "held-out data" if m.scores else "the fitted data"
+    return [
+        Figure(
+            id="order-choice",
+            title="Choice of the order",
+            caption="The best model of each size. The criteria fall while parameters earn their place "
+            "and rise after; "
+            "where the free run stops gaining, more parameters only describe noise.",
+            panels=[
+                Panel(
+                    x_label="parameters",
+                    y_label="criterion above its least",
+                    traces=[
+                        Trace(x=x, y=[best[n]["bic"] for n in counts], label="BIC", group=0),
+                        Trace(x=x, y=[best[n]["aic"] for n in counts], label="AIC", style="dashed", group=1),
+                    ],
+                    marks=[chosen],
+                ),
+                Panel(
+                    x_label="parameters",
+                    y_label=f"free-run fit on {where} (%)",
+                    traces=[Trace(x=x, y=[best[n]["fit"] for n in counts], group=0)],
+                    marks=[chosen],
+                ),
+            ],
+            columns=2,
+        )
+    ]

@@ -1,0 +1,159 @@
+"""What an ARX or ARMAX model predicts, how well, and what its coefficients mean.
+
+One step ahead, k steps ahead, and the free run (simulation), which sees no output after its
+start. Poles, stability and frequency response come with uncertainty by the delta method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swimid.blackbox import armax
+from swimid.blackbox.arx import regression
+from swimid.blackbox.difference import Orders, Record, simulate
+from swimid.fitting.metrics import Score, score
+
+
+def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    result = np.full(len(x), np.nan)
+    if lag < len(x):
+        result[lag:] = x[: len(x) - lag]
+    return result
+
+
+def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int) -> Iterator[np.ndarray]:
+    """Predictions 1, 2, .. ``steps`` samples ahead, one array after the other.
+
+    The input is known throughout; the output only up to the sample the prediction is made at.
+
+    Yields
+    ------
+    ndarray, shape (n,)
+        The prediction of y(k) from what was measured until k - j; NaN where that is missing.
+    """
+    a, b, c = orders.split(theta)
+    driven = np.zeros(len(record))
+    for j, value in enumerate(b):
+        driven = driven + value * _lagged(record.source, orders.nk + j)
+    errors = one_step_errors(record, orders, theta) if orders.nc else np.empty(0)
+    # Before its first row a model with C knows no error; it takes zero, as the fit does.
+    errors = np.nan_to_num(errors)
+    done: list[np.ndarray] = []  # the predictions 1, 2, .. steps ahead so far
+    for ahead in range(1, steps + 1):
+        total = driven.copy()
+        for i, value in enumerate(a, start=1):
+            total -= value * _lagged(done[ahead - i - 1] if ahead > i else record.output, i)
+        for i in range(ahead, orders.nc + 1):
+            total += c[i - 1] * np.nan_to_num(_lagged(errors, i))
+        done.append(total)
+        if ahead > orders.na:
+            done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
+        yield total
+
+
+def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
+    """The prediction ``steps`` samples ahead, shape (n,); see :func:`predictions`."""
+    result = np.full(len(record), np.nan)
+    for result in predictions(record, orders, theta, steps=steps):  # noqa: B007 - the last one is wanted
+        pass
+    return result
+
+
+def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """One-step errors on the record's samples, shape (n,); NaN where there is no whole row."""
+    data = regression([record], orders)
+    result = np.full(len(record), np.nan)
+    if len(data):
+        result[data.sample] = armax.errors_and_gradient(
+            theta, data.rows, data.outputs, data.fresh, orders.nc
+        )[0]
+    return result
+
+
+def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> float:
+    """The output level about which records deviate, best for the free run.
+
+    For a model of deviations on data with a working point of their own: one number, so that
+    ``y - level`` is simulated, initial samples included.
+
+    Returns
+    -------
+    float
+        Unit of the output; 0 where no free run can tell.
+
+    Notes
+    -----
+    The free run is linear in its initial samples, so that with level L it is
+    ``s_0 + L (s_1 - s_0)`` with s_0 the run at level 0 and s_1 at level 1: least squares in L.
+    """
+    plain = [simulate(r, orders, theta) for r in records]
+    raised = [simulate(replace(r, output=r.output - 1.0), orders, theta) + 1.0 for r in records]
+    run, moved = np.concatenate(plain), np.concatenate(raised)
+    slope = moved - run
+    error = np.concatenate([r.output for r in records]) - run
+    use = np.isfinite(slope) & np.isfinite(error)
+    weight = float(np.sum(slope[use] ** 2))
+    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
+
+
+def about_own_level(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[list[Record], float]:
+    """The records relative to their :func:`own_level`, and that level."""
+    level = own_level(records, orders, theta)
+    return [replace(r, output=r.output - level) for r in records], level
+
+
+def horizon_errors(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray, horizons: Sequence[int]
+) -> list[Score]:
+    """Score of the prediction at several horizons, over all records together."""
+    predicted: dict[int, list[np.ndarray]] = {h: [] for h in horizons}
+    for record in records:
+        for ahead, values in enumerate(predictions(record, orders, theta, steps=max(horizons)), start=1):
+            if ahead in predicted:
+                predicted[ahead].append(values)
+    measured = np.concatenate([r.output for r in records])
+    return [score(measured, np.concatenate(predicted[h])) for h in horizons]
+
+
+def response_spread(
+    orders: Orders, theta: np.ndarray, covariance: np.ndarray, sample_time_s: float, omega_rad_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Standard errors of the frequency response B / A.
+
+    Parameters
+    ----------
+    orders : Orders
+        Of the model.
+    theta, covariance : ndarray, shape (p,) and (p, p)
+        Coefficients and their covariance.
+    sample_time_s : float
+        Sample time, s.
+    omega_rad_s : ndarray, shape (m,)
+        Angular frequencies, rad/s.
+
+    Returns
+    -------
+    log_gain, phase_rad : ndarray, shape (m,)
+        Standard errors of ln of the gain and of the phase, rad.
+    """
+    a, b, _ = orders.split(theta)
+    backward = np.exp(-1j * np.asarray(omega_rad_s) * sample_time_s)
+    denominator = 1.0 + sum(value * backward**i for i, value in enumerate(a, start=1))
+    powers = [backward ** (orders.nk + j) for j in range(orders.nb)]
+    numerator = sum(value * power for value, power in zip(b, powers, strict=True))
+    # d ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j.
+    gradient = np.array(
+        [-(backward**i) / denominator for i in range(1, orders.na + 1)]
+        + [power / numerator for power in powers]
+    )
+    used = covariance[: orders.na + orders.nb, : orders.na + orders.nb]
+
+    def spread(part: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(np.einsum("im,ij,jm->m", part, used, part), 0.0))
+
+    return spread(gradient.real), spread(gradient.imag)

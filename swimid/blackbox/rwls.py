@@ -1,0 +1,459 @@
+"""``swimid rwls``: a discrete-time model from input and output columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.blackbox import data as rwls_data
+from swimid.blackbox import difference, working_point
+from swimid.blackbox import evidence as rwls_evidence
+from swimid.blackbox import order as order_search
+from swimid.blackbox import scores as rwls_scores
+from swimid.blackbox.arx import Estimate, estimate, regression
+from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.material import Material
+from swimid.blackbox.model import NAME
+from swimid.blackbox.scores import Scores, Tests
+from swimid.errors import UsageError
+from swimid.files import provenance
+from swimid.fitting import fit_common
+from swimid.notices import recorded, warn
+from swimid.progress import Progress, silent
+from swimid.results import numbers, parameters
+from swimid.results.outcome import Outcome
+
+#: Rows of the trajectory kept when no stride is given.
+KEPT = 1000
+#: A scaled regression above this condition number is worth a warning.
+ILL_CONDITIONED = 1e6
+#: Held-out error over fit error from which on it is worth a warning.
+WORSE = 2.0
+
+
+def rwls(
+    logs: Sequence[str | Path],
+    *,
+    input_column: str | None = None,
+    output_column: str | None = None,
+    input_model: str | None = None,
+    na: int | None = None,
+    nb: int | None = None,
+    nk: int = 1,
+    nc: int = 0,
+    order: str = "given",
+    max_na: int = 6,
+    max_nb: int = 6,
+    max_nk: int = 4,
+    criterion: str = "bic",
+    weight: float = 1.0,
+    forgetting: float = 1.0,
+    prior_scale: float = 1e6,
+    centre: str = "auto",
+    validate: Sequence[str | Path | float] = (),
+    horizon: int = 10,
+    stride: int | None = None,
+    output: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Identify an ARX or ARMAX model by recursive weighted least squares.
+
+    Parameters
+    ----------
+    logs : sequence of paths
+        Logs, or trials files of the experiment ``arma``.
+    input_column, output_column : str
+        u and y. A trials file may name them instead.
+    input_model : str, optional
+        ``"sine:A,F"`` or ``"sine:A,F,PHASE"`` in place of an input column.
+    na, nb, nk, nc : int
+        Orders; see :class:`swimid.blackbox.arx.Orders`.
+    order : {"given", "auto"}
+        auto chooses na, nb, nk.
+    max_na, max_nb, max_nk : int
+        Grid of that choice, na and nk from 0, nb from 1.
+    criterion : {"bic", "aic", "free-run"}
+        What that choice minimises.
+    weight, forgetting, prior_scale : float
+        See :mod:`swimid.blackbox.recursive`.
+    centre : {"auto", "none", "mean"}
+        See :func:`swimid.blackbox.working_point.centre`.
+    validate : sequence
+        At most one share of every log (its end) and any number of other logs.
+    horizon : int
+        Steps of the k-step prediction.
+    stride : int, optional
+        Of the kept trajectory.
+    output : Path, optional
+        Parameter file; its evidence goes beside it.
+    progress : Progress
+        Shows the order search.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    UsageError, InputError, NoTrustworthyResult
+    """
+    if order not in ("given", "auto"):
+        raise UsageError(f"order '{order}' is not known; use 'given' or 'auto'")
+    if order == "given" and (na is None or nb is None):
+        raise UsageError("give --na and --nb, or --order auto")
+    with recorded(repeat=True) as notices:
+        data = rwls_data.read(logs, validate, input_column, output_column, input_model)
+        orders = Orders(na or 0, nb or 1, nk, nc)
+        table: list[order_search.Candidate] = []
+        if order == "auto":
+            orders, table = _choose(data, orders, (max_na, max_nb, max_nk), criterion, centre, progress)
+        point = working_point.centre(data.fit, orders, centre)
+        fit = working_point.shifted(data.fit, point)
+        held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
+        rows = len(regression(fit, orders))
+        found = estimate(
+            fit,
+            orders,
+            weight=weight,
+            forgetting=forgetting,
+            prior_scale=prior_scale,
+            stride=stride or max(1, -(-rows // KEPT)),
+        )
+        a, _, _ = orders.split(found.theta)
+        poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
+        fit_scores = rwls_scores.scores(fit, found, poles, horizon)
+        scores: dict[str, Scores] = {}
+        for name, part in held.items():
+            if point.removed:
+                held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, horizon)
+            else:
+                scores[name] = rwls_scores.scores(part, found, poles, horizon)
+        settings = {
+            "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
+            "order": order if order == "given" else f"auto, {criterion}",
+            "input": data.columns.source,
+            "output": data.columns.output,
+            "output_unit": data.columns.units[1],
+            "weight": weight,
+            "forgetting": forgetting,
+            "prior_scale": prior_scale,
+            "centre": centre,
+            "input_level": point.source,
+            "output_level": point.output,
+            "horizon": horizon,
+        }
+        if data.columns.sine:
+            names = ("amplitude", "frequency_hz", "phase_rad")
+            settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
+        _warn(data, found, point, poles, fit_scores, scores)
+    block = provenance.collect(data.files, settings={**settings, "validate": [str(v) for v in validate]})
+    tests = rwls_scores.tests(fit, found)
+    file = _parameter_file(data, found, poles, fit_scores, scores, held, tests, settings, horizon, block)
+    outputs: list[Path] = []
+    if output is not None:
+        shown = rwls_evidence.build(
+            Material(
+                columns=(data.columns.source, data.columns.output),
+                units=data.columns.units,
+                sample_time_s=data.sample_time_s,
+                fit=fit,
+                held_out=held,
+                level=point.output,
+                centred=point.removed,
+                found=found,
+                poles=poles,
+                weight=weight,
+                forgetting=forgetting,
+                fit_scores=fit_scores,
+                scores=scores,
+                horizon=horizon,
+                candidates=table,
+                criterion=criterion,
+                tests=tests,
+                file=file,
+            ),
+            notices=fit_common.notices(notices),
+        )
+        outputs = fit_common.save(output, file, shown)
+    result = file.model_dump(mode="python")
+    result["orders_tried"] = [
+        {
+            **{k: getattr(c.orders, k) for k in ("na", "nb", "nk")},
+            "aic": float(c.aic),
+            "bic": float(c.bic),
+            "free_run_fit_percent": float(c.free_run_fit),
+            "stable": c.stable,
+        }
+        for c in table
+    ]
+    return Outcome("rwls", _summary(data, found, file, poles, fit_scores, scores, horizon), result, outputs)
+
+
+# ---------------------------------------------------------------- computing
+
+
+def _choose(
+    data: rwls_data.Data,
+    orders: Orders,
+    limits: tuple[int, int, int],
+    criterion: str,
+    centre: str,
+    progress: Progress,
+) -> tuple[Orders, list[order_search.Candidate]]:
+    max_na, max_nb, max_nk = limits
+    widest = Orders(max_na, max_nb, 1)
+    point = working_point.centre(data.fit, widest, centre)
+    held = [working_point.shifted(part, point) for part in data.held_out.values()]
+    candidates = order_search.search(
+        working_point.shifted(data.fit, point),
+        held,
+        max_na=max_na,
+        max_nb=max_nb,
+        max_nk=max_nk,
+        level_removed=point.removed,
+        progress=progress,
+    )
+    best = order_search.best(candidates, criterion).orders
+    edge = order_search.on_edge(best, max_na=max_na, max_nb=max_nb, max_nk=max_nk)
+    if edge:
+        options = ", ".join(f"--max-{name}" for name in edge)
+        warn(
+            "SWM023",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {max_na}, "
+            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {options}",
+        )
+    if criterion == "free-run" and held:
+        warn(
+            "SWM023",
+            "the order was chosen on the held-out data, which therefore no longer judge the model "
+            "independently",
+        )
+    return replace(best, nc=orders.nc), candidates
+
+
+# ---------------------------------------------------------------- telling
+
+
+def _warn(
+    data: rwls_data.Data,
+    found: Estimate,
+    point: working_point.WorkingPoint,
+    poles: list[difference.Pole],
+    fit_scores: Scores,
+    scores: dict[str, Scores],
+) -> None:
+    orders, unit = found.orders, data.columns.units[1]
+    lost = found.data.possible - len(found.data)
+    restarts = int(np.count_nonzero(found.data.fresh)) - len(data.logs)
+    if lost or restarts > 0:
+        warn(
+            "SWM001",
+            f"{lost} of {found.data.possible} regression rows left out around missing samples, and the "
+            "regression "
+            f"restarted {max(restarts, 0)} times at gaps; no value was filled in",
+        )
+    if point.removed:
+        text = (
+            f"working point removed: {data.columns.source} {point.source:.6g}, {data.columns.output} "
+            f"{point.output:.6g} (means of the fitted part; constant term t = {point.t:.1f}); the model "
+            "describes "
+            "deviations from it"
+        )
+        moved = [f"{name} by {s.level:.3g}" for name, s in scores.items() if abs(s.level) > s.free_run.rmse]
+        if moved:
+            suffix = f" {unit}" if unit != "1" else ""
+            text += f". Held-out data sit at another level: {', '.join(moved)}{suffix}"
+        warn("SWM021", text)
+    undetermined = [n for n, ok in zip(orders.names, found.determined.determined, strict=True) if not ok]
+    if undetermined:
+        warn(
+            "SWM010",
+            f"the data do not determine {', '.join(undetermined)}; their values are arbitrary in part",
+        )
+    rank = found.determined.input_rank
+    source = np.concatenate([record.source for record in data.fit])
+    if np.ptp(source[np.isfinite(source)]) == 0:
+        warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
+    elif rank < orders.nb:
+        why = "; a single sine excites two" if rank == 2 else ""
+        warn("SWM022", f"the input excites {rank} of the {orders.nb} coefficients of B{why}")
+    elif found.determined.condition > ILL_CONDITIONED:
+        warn(
+            "SWM022",
+            f"the regression is ill-conditioned (condition number {found.determined.condition:.1e}): the "
+            "orders are "
+            "higher than the excitation supports",
+        )
+    if found.recursion.windup:
+        warn(
+            "SWM022",
+            f"with forgetting, P grew without limit in directions the input does not excite; it was held at "
+            f"{found.recursion.windup} of {len(found.data)} samples",
+        )
+    if found.robust:
+        cure = "raise the orders" if orders.nc else "raise the orders or model the noise with --nc"
+        warn(
+            "SWM013",
+            f"one-step residuals are not white (Ljung-Box p = {found.whiteness.p_value:.2g}): ARX "
+            "coefficients are then "
+            "biased, and the standard errors (a sandwich for correlated residuals) do not cover that "
+            f"bias; {cure}",
+        )
+    _warn_stability(poles, fit_scores, scores)
+    suffix = "" if unit == "1" else f" {unit}"
+    for name, s in scores.items():
+        if s.free_run.rmse > WORSE * fit_scores.free_run.rmse:
+            warn(
+                "SWM015",
+                f"the free-run error is {s.free_run.rmse:.3g}{suffix} on {name}, "
+                f"{fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
+            )
+
+
+def _warn_stability(poles: list[difference.Pole], fit_scores: Scores, scores: dict[str, Scores]) -> None:
+    diverged = [n for n, s in {"the fitted part": fit_scores, **scores}.items() if s.diverged]
+    tail = f"; its free run diverges on {', '.join(diverged)}" if diverged else ""
+    outside = [p for p in poles if p.unstable]
+    near = [p for p in poles if p.integrating and not p.unstable]
+    if outside:
+        kind = " (not to be told from an integrator)" if outside[0].integrating else ""
+        warn(
+            "SWM020",
+            f"the model is UNSTABLE{kind}: |z| = "
+            f"{numbers.measured(outside[0].magnitude, outside[0].stderr)}; "
+            f"judge it by its prediction, do not simulate far{tail}",
+        )
+    elif near:
+        warn(
+            "SWM020",
+            f"the model integrates: |z| = {numbers.measured(near[0].magnitude, near[0].stderr)} cannot "
+            "be told from 1; "
+            f"a free run drifts{tail}",
+        )
+
+
+def stability(poles: list[difference.Pole]) -> str:
+    """``stable``, ``integrating`` or ``unstable``."""
+    if any(p.unstable for p in poles):
+        return "unstable"
+    return "integrating" if any(p.integrating for p in poles) else "stable"
+
+
+def _parameter_file(
+    data: rwls_data.Data,
+    found: Estimate,
+    poles: list[difference.Pole],
+    fit_scores: Scores,
+    scores: dict[str, Scores],
+    held: dict[str, list[Record]],
+    tests: Tests,
+    settings: dict[str, Any],
+    horizon: int,
+    block: dict[str, Any],
+) -> parameters.ParameterFile:
+    orders = found.orders
+    unit, channel = data.columns.units[1], data.columns.output
+    estimates, identifiable = {}, []
+    for name, value, stderr in zip(orders.names, found.theta, found.stderr, strict=True):
+        known = math.isfinite(stderr)
+        estimates[name] = parameters.Estimate(
+            value=float(value),
+            stderr=float(stderr) if known else None,
+            unit=data.columns.gain_unit if name.startswith("b") else "1",
+            status="estimated" if known else "unidentifiable",
+        )
+        if known:
+            identifiable.append(name)
+    validation: dict[str, Any] = {}
+    if scores:
+        together = rwls_scores.pooled(list(held.values()), found)
+        by_set = {name: s.as_dict(unit, horizon) for name, s in scores.items()}
+        validation[channel] = {**together.as_dict(unit), "data": by_set}
+    words = []
+    if len(identifiable) < orders.count:
+        words.append(
+            f"the data span {found.determined.rank} of {orders.na + orders.nb} directions; only "
+            "combinations of "
+            f"{', '.join(n for n in orders.names if n not in identifiable)} are determined"
+        )
+    return parameters.ParameterFile(
+        model=NAME,
+        robot=data.robot,
+        parameters=estimates,
+        identifiability=words,
+        correlation=parameters.Correlation(names=identifiable, matrix=found.correlation.tolist()),
+        delay=orders.nk,
+        sample_time_s=data.sample_time_s,
+        poles=[
+            parameters.Pole(
+                real=p.value.real,
+                imag=p.value.imag,
+                magnitude=p.magnitude,
+                stderr_magnitude=p.stderr if math.isfinite(p.stderr) else None,
+            )
+            for p in poles
+        ],
+        stable=not any(p.unstable for p in poles),
+        settings=settings,
+        fit=parameters.Fit(
+            trials=data.logs,
+            channels={channel: {**fit_scores.free_run.as_dict(unit), **fit_scores.as_dict(unit, horizon)}},
+            validation=validation,
+            converged=True,
+            noise={
+                "sd": found.noise_sd,
+                "unit": unit,
+                "white": tests.white.passed,
+                "white_p": tests.white.p_value,
+                "input_independent": tests.independent.passed,
+                "input_independent_p": tests.independent.p_value,
+                "standard_errors": "sandwich" if found.robust else "sigma^2 (H'H)^-1",
+            },
+            rows=len(found.data),  # type: ignore[call-arg]
+            rows_left_out=found.data.possible - len(found.data),  # type: ignore[call-arg]
+            condition=found.determined.condition,  # type: ignore[call-arg]
+            input_excites=found.determined.input_rank,  # type: ignore[call-arg]
+            stability=stability(poles),  # type: ignore[call-arg]
+            integrating=any(p.integrating for p in poles),  # type: ignore[call-arg]
+            recursion_end=dict(zip(orders.names, found.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
+        ),
+        provenance=block,
+    )
+
+
+def _summary(
+    data: rwls_data.Data,
+    found: Estimate,
+    file: parameters.ParameterFile,
+    poles: list[difference.Pole],
+    fit_scores: Scores,
+    scores: dict[str, Scores],
+    horizon: int,
+) -> str:
+    kind = "ARMAX" if found.orders.nc else "ARX"
+    lines = [
+        f"{kind} {found.orders}: {data.columns.source} -> {data.columns.output}, "
+        f"{len(found.data)} rows every {data.sample_time_s:.6g} s",
+        "",
+    ]
+    for name, e in file.parameters.items():
+        remark = "" if e.status == "estimated" else f"   {e.status}"
+        lines.append(f"  {name:<4} {numbers.measured(e.value, e.stderr, e.unit)}{remark}")
+    lines += ["", f"  {'fit %':<28}{'one step':>10}{f'{horizon} steps':>10}{'free run':>10}"]
+    for name, s in {"fitted": fit_scores, **scores}.items():
+        cells = "".join(f"{_percent(x.fit_percent):>10}" for x in (s.one_step, s.k_step, s.free_run))
+        extra = f"   ({_percent(s.strict.fit_percent)} at the predicted level)" if s.strict else ""
+        lines.append(f"  {name:<28}{cells}{extra}{'   DIVERGES' if s.diverged else ''}")
+    state = stability(poles)
+    largest = f", largest pole |z| = {numbers.measured(poles[0].magnitude, poles[0].stderr)}" if poles else ""
+    lines += ["", f"  {state.upper() if state == 'unstable' else state}{largest}"]
+    return "\n".join(lines)
+
+
+def _percent(value: float) -> str:
+    return numbers.NOTHING if not math.isfinite(value) else f"{value:.1f}"

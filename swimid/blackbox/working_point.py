@@ -1,0 +1,147 @@
+"""The working point: when the means must be removed before a linear model is fitted.
+
+A model without a constant term describes deviations. Data recorded around a working point
+(20 degrees, half throttle) need it removed; data that obey the model as they stand must not
+be touched, or the estimate would change for nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.blackbox.arx import EXACT, Regression, covariance, directions, regression
+from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate
+from swimid.fitting import residual_tests as rt
+
+#: |t| of a constant term from which on the working point is removed.
+CLEAR_T = 5.0
+#: |t| that is enough when the free run gains clearly. By chance alone, data that need no constant
+#: reach both less than once in a hundred records, those of slow systems included.
+LIKELY_T = 3.5
+#: |t| that is enough where the data sit far from zero and the free run gains at all. There a
+#: missing constant hides in the other coefficients (A(1) goes to zero: a pole at 1 that is not
+#: in the robot), and shows weakly or not at all in t.
+WEAK_T = 2.0
+#: Gain of the free run, as a share of its error, that is clear.
+CLEAR_GAIN = 0.1
+#: Mean of the output over its standard deviation from which on that counts as far.
+FAR = 3.0
+
+
+@dataclass(frozen=True)
+class WorkingPoint:
+    """Means removed from the data, and why.
+
+    Attributes
+    ----------
+    source, output : float
+        Removed from u and y; zero where nothing was removed.
+    constant, constant_stderr : float
+        The constant term of the regression on raw data; NaN where it was not tested.
+    removed : bool
+    """
+
+    source: float
+    output: float
+    constant: float
+    constant_stderr: float
+    removed: bool
+
+    @property
+    def t(self) -> float:
+        """The constant over its standard error."""
+        if not self.constant_stderr > 0:
+            return 0.0 if self.constant == 0 or np.isnan(self.constant) else float("inf")
+        return self.constant / self.constant_stderr
+
+
+def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
+    """Decide whether the working point must be removed.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The fit part.
+    orders : Orders
+        C plays no part.
+    mode : {"auto", "none", "mean"}
+        auto removes the means when a constant term beside A and B has a t value above
+        :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
+        better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
+        from zero, it also does when the free run gets better by that much whatever t is, at all
+        with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
+        without an offset stay as they are.
+
+    Returns
+    -------
+    WorkingPoint
+    """
+    source = _mean([r.source for r in records])
+    output = _mean([r.output for r in records])
+    data = regression(records, replace(orders, nc=0))
+    constant, stderr = _constant(data)
+    level = float(np.sqrt(np.mean(data.outputs**2))) if len(data) else 0.0
+    point = WorkingPoint(source, output, constant, stderr, True)
+    if mode == "none":
+        return replace(point, source=0.0, output=0.0, removed=False)
+    if mode == "auto":
+        size = abs(point.t) if abs(constant) > EXACT * level else 0.0
+        if size <= CLEAR_T:
+            far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
+            worth_trying = len(data) > orders.count and (far or size > LIKELY_T)
+            if not (worth_trying and _helps(records, orders, point, far=far, likely=size > WEAK_T)):
+                return replace(point, source=0.0, output=0.0, removed=False)
+    return point
+
+
+def _helps(
+    records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
+) -> bool:
+    """Whether removing the working point betters the free run, or takes away a spurious integrator.
+
+    ``far`` and ``likely``: the output sits far from zero; a constant term is likely.
+    """
+    plain = replace(orders, nc=0)
+    rms, largest = [], []
+    for part in (list(records), shifted(records, point)):
+        data = regression(part, plain)
+        theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
+        errors = np.concatenate([r.output - simulate(r, plain, theta) for r in part])
+        rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
+        found = poles(theta[: orders.na], None, 1.0)
+        largest.append(found[0].magnitude if found else 0.0)
+    if far and largest[0] > INTEGRATING >= largest[1]:
+        return True
+    return rms[1] < rms[0] * (1.0 if far and likely else 1.0 - CLEAR_GAIN)
+
+
+def _mean(parts: list[np.ndarray]) -> float:
+    values = np.concatenate(parts) if parts else np.empty(0)
+    values = values[np.isfinite(values)]
+    return float(np.mean(values)) if len(values) else 0.0
+
+
+def _constant(data: Regression) -> tuple[float, float]:
+    """Constant term beside the regression, and its standard error; NaN where undetermined."""
+    n, p = data.rows.shape
+    if n <= p + 1:
+        return float("nan"), float("nan")
+    rows = np.hstack((data.rows, np.ones((n, 1))))
+    determined, _, _ = directions(rows, np.zeros(p + 1))
+    if not determined[-1]:
+        return float("nan"), float("nan")
+    theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
+    residuals = data.outputs - rows @ theta
+    white = rt.ljung_box(data.spread(residuals, gap=rt.default_lags(n))).passed
+    spread, _ = covariance(rows, residuals, np.ones(n), 0.0, None if white else data)
+    return float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
+
+
+def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
+    """The records relative to a working point; the given ones are not touched."""
+    if not point.removed:
+        return list(records)
+    return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]

@@ -1,0 +1,64 @@
+"""JSON Schema of every file format, from the models that validate it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from swimid.diagnosis import gap_file as gap
+from swimid.errors import UsageError, suggestion
+from swimid.files import atomic
+from swimid.logs import mapping, trials
+from swimid.results import evidence, parameters
+from swimid.results.outcome import Outcome
+from swimid.robots import file as robot
+from swimid.sensitivity import file as sensitivity
+from swimid.simulation import comparison_file as comparison
+from swimid.tracking import setup
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """Every format by name, with its JSON Schema."""
+    models: dict[str, Any] = {
+        "trials": TypeAdapter(trials.AnyTrials),
+        "robot": robot.Robot,
+        "parameters": parameters.ParameterFile,
+        "setup": setup.Setup,
+        "mapping": mapping.Mapping,
+        "comparison": comparison.ComparisonFile,
+        "gap": gap.GapFile,
+        "sensitivity": sensitivity.SensitivityFile,
+        "evidence": evidence.Evidence,
+    }
+    return {
+        name: model.model_json_schema()
+        if isinstance(model, type) and issubclass(model, BaseModel)
+        else model.json_schema()
+        for name, model in models.items()
+    }
+
+
+def schema(name: str | None, *, output: Path | None = None) -> Outcome:
+    """The schema of one format, or the list of formats.
+
+    Raises
+    ------
+    UsageError
+        When there is no such format; names the nearest.
+    """
+    known = schemas()
+    if name is None:
+        text = "\n".join(known)
+        return Outcome("schema", text, {"formats": list(known)})
+    if name not in known:
+        hint = suggestion(name, list(known))
+        raise UsageError(f"there is no format '{name}'", hint=hint)
+    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **known[name]}
+    text = json.dumps(document, indent=2)
+    if output is None:
+        return Outcome("schema", text, document)
+    atomic.write_text(output, text + "\n")
+    return Outcome("schema", "", document, [output])

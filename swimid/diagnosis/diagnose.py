@@ -1,0 +1,172 @@
+"""``diagnose``: where the gap between a model and its trials lies, and which effect causes it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from swimid.diagnosis import answer, chain, nominal
+from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import file as diagnose_file
+from swimid.diagnosis import gap_file as gap_format
+from swimid.diagnosis import summary as diagnose_summary
+from swimid.diagnosis.nominal import Given
+from swimid.effects import catalogue as effect_catalogue
+from swimid.errors import NoTrustworthyResult
+from swimid.files import provenance
+from swimid.files.checkpoint import Checkpoint
+from swimid.files.provenance import sha256
+from swimid.fitting import fit_common
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results.outcome import Outcome
+from swimid.simulation import catalogue as experiment_catalogue
+from swimid.simulation.catalogue import Loaded
+from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel, prepare
+
+
+def diagnose(
+    trials_file: str | Path,
+    *,
+    parameters: str | Path | None = None,
+    output: Path | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[str | Path] = (),
+    jobs: int | None = None,
+    budget_s: float | None = None,
+    seed: int = 0,
+    most_causes: int = chain.COMBINED,
+    robot: str | None = None,
+    readings: Mapping[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+    progress: Progress = silent,
+) -> Outcome:
+    """Find the effect behind the gap between a model and its trials.
+
+    Parameters
+    ----------
+    trials_file : path
+        Trials of any experiment.
+    parameters : path, optional
+        Parameter file of the model; without one the robot file's values are where its refit begins, and
+        nothing is taken as known of them.
+    output : path, optional
+        Gap file to write; its evidence goes beside it.
+    effects : sequence of str
+        Those of the catalogue to try; default all that apply.
+    own : sequence of path
+        The user's own effects, Python files.
+    jobs : int, optional
+        Threads, by default one per processor; the result does not depend on it.
+    budget_s : float, optional
+        Stop trying further effects after so many seconds.
+    seed : int
+        Of the draws behind thresholds and intervals.
+    most_causes : int
+        Effects in a combination at most.
+    robot : str, optional
+        Accept the parameters for this robot although the file names another one.
+    readings : mapping, optional
+    max_step : float, s
+
+    Raises
+    ------
+    InputError, UsageError
+        For bad files and options.
+    NoTrustworthyResult
+        When there is nothing to compare: no trial of role ``fit``, or the model cannot be simulated.
+    """
+    with recorded(repeat=True) as notices:
+        loaded = experiment_catalogue.load(
+            trials_file, parameters, robot=robot, readings=dict(readings or {}), max_step=max_step
+        )
+        experiment, applied = loaded.experiment, loaded.applied
+        model = experiment.model
+        if isinstance(model, MultilinkModel):
+            prepare(progress)
+        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
+        known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
+        given = _given(loaded)
+        refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
+        model.parameters = refitted
+        trials = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
+        fitted = [t for t in trials if t.role == "fit"]
+        validation = [t for t in trials if t.role == "validate"]
+        if not fitted:
+            raise NoTrustworthyResult("no trial has the role 'fit'")
+        tried = effect_catalogue.applicable(known, model, fitted)
+        # what differs between trials by chance does so whatever effects are tried
+        every = effect_catalogue.applicable(effect_catalogue.catalogue(), model, fitted) if effects else tried
+        same = _own_data(loaded)
+        prior = nominal.prior(refitted, given, own_data=same)
+        origin = provenance.collect(
+            [*experiment.inputs, *(Path(p) for p in own)],
+            settings={
+                "effects": list(effects),
+                "own_effects": [str(p) for p in own],
+                "seed": seed,
+                "budget_s": budget_s,
+                "max_causes": most_causes,
+                "readings": dict(readings or {}),
+                "max_step_s": max_step,
+            },
+        )
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        workers = jobs or os.cpu_count() or 1
+        state = chain.run(
+            model, refitted, fitted, prior, tried,
+            scattering=every, seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, checkpoint=keep,
+            progress=progress,
+        )  # fmt: skip
+        with threadpool_limits(limits=1, user_api="blas"):
+            gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
+    file = diagnose_file.gap_file(
+        gap,
+        model=model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params="the robot file" if parameters is None else str(parameters),
+        trials=[t.id for t in experiment.trials],
+        settings={
+            "prior": "none but the bounds"
+            if parameters is None
+            else ("from other trials" if not same else "these trials: none but the bounds"),
+            "held_out": "validation trials"
+            if validation
+            else ("folds of settings" if state.bench.folds.whole else "stretches of trials"),
+            "folds": state.bench.folds.labels if len(state.bench.folds.labels) <= 30 else [],
+        },
+        provenance=origin,
+    )
+    evidence = diagnose_evidence.evidence(
+        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+    )
+    outputs: list[Path] = []
+    if output is not None:
+        gap_format.write(output, file)
+        outputs = ev.write_beside(output, evidence)
+        keep.done()
+    return Outcome("diagnose", diagnose_summary.summary(file), file.model_dump(mode="json"), outputs)
+
+
+def _given(loaded: Loaded) -> dict[str, Given]:
+    file = loaded.applied.file
+    if file is None:
+        return {}
+    return {
+        name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
+    }
+
+
+def _own_data(loaded: Loaded) -> bool:
+    """Whether the parameters were fitted to one of these very logs."""
+    file = loaded.applied.file
+    if file is None:
+        return False
+    known = set((file.provenance.get("inputs") or {}).values())
+    logs = [p for p in loaded.experiment.inputs if p.suffix.lower() in (".csv", ".parquet")]
+    return any(sha256(p) in known for p in logs)

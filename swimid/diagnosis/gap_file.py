@@ -1,0 +1,225 @@
+"""The gap file (``swimid-gap/1``): what is between trials and a model, and what causes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from swimid.files import yamlio
+from swimid.files.yamlio import Number, Pair
+from swimid.results.parameters import Status
+
+FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
+Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
+HeldOut = Literal["validation", "trials", "stretches"]
+#: What each means in words.
+HELD_OUT: dict[HeldOut | None, str] = {
+    None: "on held-out data",
+    "validation": "on the validation trials",
+    "trials": "in approximate cross-validation over trials",
+    "stretches": "in approximate cross-validation over stretches of trials",
+}
+#: A verdict as a badge has it.
+WORDS: dict[Verdict, str] = {
+    "none": "No gap",
+    "explained": "Explained",
+    "ambiguous": "Ambiguous",
+    "unexplained": "Unexplained",
+}
+Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
+
+
+class ChannelGap(yamlio.Document):
+    """One channel over all trials, the nominal model refitted; errors over the measured range."""
+
+    channel: str
+    nrmse: Number
+    #: The error that noise alone would leave.
+    floor: Number
+    #: Of the whole gap's squared size.
+    share: Number
+    rmse: Number = None
+    unit: str = "1"
+    #: ``nrmse`` of the parameters as given.
+    shipped: Number = None
+
+
+class Cell(yamlio.Document):
+    """One part of the data: of the stroke, of the settings, or of the time."""
+
+    #: What is divided: ``phase``, ``frequency``, ``amplitude``, ``time``, ``change`` ...
+    kind: str
+    label: str
+    #: Root-mean-square residual there over the noise floor.
+    ratio: Number
+    share: Number
+
+
+class Where(yamlio.Document):
+    """Where the gap is; every list begins with the largest."""
+
+    channels: list[ChannelGap]
+    #: Share of the evidence that each stage of the chain has.
+    stage: dict[Stage, Number]
+    phase: list[Cell] = []
+    regime: list[Cell] = []
+    time: list[Cell] = []
+
+
+class Value(yamlio.Document):
+    """An estimate."""
+
+    value: Number
+    stderr: Number = None
+    unit: str
+    status: Status = "estimated"
+
+
+class Shrinkage(yamlio.Document):
+    """One channel on held-out data (see ``held_out`` of the file); errors over the measured range."""
+
+    channel: str
+    #: Nominal model refitted, without and with the causes.
+    before: Number
+    after: Number
+    floor: Number
+    #: (before - after) / (before - floor).
+    closed: Number
+    ci95: Pair = (None, None)
+    #: The parameters as given.
+    shipped: Number = None
+
+
+class Absorbed(yamlio.Document):
+    """A coefficient of the model: as given, refitted without the causes, and with them."""
+
+    coefficient: str
+    given: Value | None = None
+    without: Value
+    with_effect: Value
+    bounds: Pair = (None, None)
+
+
+class Extrapolation(yamlio.Document):
+    """Error on a setting that was left out of the fit, in units of the noise."""
+
+    left_out: str
+    before: Number
+    after: Number
+
+
+class Cause(yamlio.Document):
+    """An effect that is part of the answer."""
+
+    effect: str
+    #: Softmax weight of the effect and its equivalents, at most 0.85; not a posterior probability.
+    probability: Number
+    #: Effects these trials cannot tell from it.
+    equivalent: list[str] = []
+    parameters: dict[str, Value]
+    shrinkage: list[Shrinkage] = []
+    stage: Stage | None = None
+    meaning: str = ""
+    sources: list[str] = []
+    #: Drop of the held-out misfit, squared residuals in units of the noise.
+    gain: Number = None
+    gain_stderr: Number = None
+    absorbed: list[Absorbed] = []
+    extrapolation: list[Extrapolation] = []
+
+
+class Remaining(yamlio.Document):
+    """What the causes leave."""
+
+    #: Of the gap's squared size.
+    share: Number
+    where: str
+    #: No structure is left.
+    white: bool
+    #: Held-out gain of a generic description of it.
+    gain: Number = None
+
+
+class Advice(yamlio.Document):
+    """A next experiment."""
+
+    text: str
+    #: The rivals it tells apart.
+    separates: list[str] = []
+    #: Predicted difference between them, in units of the noise; and on the trials at hand.
+    difference: Number = None
+    now: Number = None
+
+
+class Score(yamlio.Document):
+    """How one effect of the catalogue did."""
+
+    effect: str
+    stage: Stage | None = None
+    variant: str = ""
+    gain: Number
+    stderr: Number = None
+    #: Trials on which it helps, of how many.
+    won: tuple[int, int] = (0, 0)
+    #: Share of its signature that the nominal coefficients imitate.
+    absorbed: Number = None
+    #: Gain predicted by the screen, and whether it went on from there.
+    screened: Number = None
+    refitted: bool = True
+    probability: Number = None
+
+
+class GapFile(yamlio.Document):
+    """A gap file."""
+
+    format: Literal["swimid-gap/1"] = FORMAT
+    verdict: Verdict
+    where: Where
+    #: Ranked; the first is the answer. Several form one answer together.
+    causes: list[Cause]
+    remaining: Remaining
+    advice: list[Advice] = []
+    model: str = ""
+    robot: str = ""
+    experiment: str = ""
+    params: str = ""
+    trials: list[str] = []
+    #: Held-out gain an effect needs: the largest of the three numbers in ``threshold_parts``.
+    threshold: Number = None
+    #: ``noise``: gain that the best effect reaches on simulated noise once in forty draws; ``per_sample``:
+    #: 0.002 a sample; ``constant``: 50, less of few samples.
+    threshold_parts: dict[str, Number] = {}
+    #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn by
+    #: approximate cross-validation, over ``trials`` or ``stretches`` of trials.
+    held_out: HeldOut | None = None
+    #: How the noise floor was found.
+    floor_from: str = ""
+    #: Every effect tried, best first.
+    scores: list[Score] = []
+    #: Held-out gain of generic residual forces and sensor terms, by axis.
+    forces: dict[str, Number] = {}
+    #: What each round did, and why the verdict is what it is, in words.
+    rounds: list[str] = []
+    reasons: list[str] = []
+    settings: dict[str, Any] = {}
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+def write(path: str | Path, gap: GapFile) -> None:
+    """Write a gap file, whole or not at all; what is not known is null."""
+    yamlio.write(path, gap.model_dump(mode="python"))
+
+
+def read(path: str | Path) -> GapFile:
+    """Read a gap file.
+
+    Raises
+    ------
+    InputError
+        When it is none.
+    """
+    path = Path(path)
+    data = yamlio.of_format(path, FORMAT, "gap file")
+    return yamlio.validate(data, GapFile, path)

@@ -1,0 +1,258 @@
+"""What a diagnosis says, in plain words: for the terminal, and sentences the report shares."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Sequence
+
+from swimid.diagnosis import gap_file as gap_format
+from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChannelGap, GapFile, Shrinkage, Value
+from swimid.results import numbers
+
+#: Extent of the terminal summary.
+MOST_LINES, WIDTH = 24, 100
+#: A coefficient has moved when it did by more standard errors than this, and by this share of its value.
+MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
+#: Of these so many are named on one screen.
+_CHANNELS, _CELLS, _CAUSES, _MOVED = 3, 3, 3, 2
+#: A channel with a smaller share of the gap is left to the report.
+_SMALL = 0.02
+#: Width of the left column.
+_MARGIN = 11
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Names as a sentence has them: ``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def verdict_sentence(file: GapFile) -> str:
+    """The verdict in one sentence."""
+    names = [_or_rivals(c) for c in file.causes]
+    if file.verdict == "none":
+        return "No gap above the noise floor: the model describes these trials as well as their noise allows."
+    if file.verdict == "explained":
+        both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
+        return f"The model has a gap, and {both} it {held_out_text(file)}."
+    if file.verdict == "ambiguous":
+        rivals = [cannot_tell(c) for c in file.causes if c.equivalent]
+        likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
+        return f"The model has a gap; {'; '.join(rivals) or likeliest}."
+    if names:
+        close = "close" if len(names) > 1 else "closes"
+        return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
+    return "The model has a gap, and no effect in the catalogue closes it."
+
+
+def held_out_text(file: GapFile) -> str:
+    """On what data a cause is judged: ``on the validation trials``."""
+    return gap_format.HELD_OUT[file.held_out]
+
+
+def threshold_text(file: GapFile) -> str:
+    """The gain an effect needs, and what that number is: ``50, a constant (simulated noise: 18.2)``."""
+    parts = {name: value for name, value in file.threshold_parts.items() if value is not None}
+    required = numbers.number(file.threshold, 3)
+    if not parts:
+        return required
+    binding = max(parts, key=lambda name: parts[name] or 0.0)
+    simulated = f"noise alone reaches {numbers.number(parts.get('noise'), 3)} in one of 40 simulated draws"
+    if binding == "noise":
+        return f"{required} ({simulated})"
+    what = {"per_sample": "0.002 a sample", "constant": "a constant"}[binding]
+    return f"{required} ({what}; {simulated})"
+
+
+def _or_rivals(cause: Cause) -> str:
+    if not cause.equivalent:
+        return cause.effect
+    return f"{cause.effect} (or {listed(cause.equivalent, 'or')}, which these trials cannot tell from it)"
+
+
+def cannot_tell(cause: Cause) -> str:
+    """Which effects the data cannot tell from a cause: ``these trials cannot tell a from b or c``."""
+    return f"these trials cannot tell {cause.effect} from {listed(cause.equivalent, 'or')}"
+
+
+def size_of(channel: ChannelGap) -> str:
+    """How large the gap of a channel is."""
+    share = f" ({numbers.percent(channel.share, 2)} of the gap)" if channel.share else ""
+    return (
+        f"{channel.channel} {numbers.percent(channel.nrmse)} of its range, "
+        f"noise alone {numbers.percent(channel.floor)}{share}"
+    )
+
+
+def closed_text(s: Shrinkage) -> str:
+    """What is closed of a channel's gap: ``89 % (95 %: 81 … 94 %)``."""
+    low, high = s.ci95
+    if s.closed is None:
+        return "no gap in it to close"
+    share = numbers.percent(s.closed, 2)
+    if low is None or high is None:
+        return share
+    return f"{share} (95 %: {_bare_percent(low)} … {numbers.percent(high, 2)})"
+
+
+def _bare_percent(value: float) -> str:
+    return numbers.number(100.0 * value, 2)
+
+
+def errors_text(s: Shrinkage) -> str:
+    """The errors before and after, over the measured range."""
+    return f"{numbers.percent(s.before)} → {numbers.percent(s.after)}, noise alone {numbers.percent(s.floor)}"
+
+
+def held_out(file: GapFile) -> list[Shrinkage]:
+    """Errors on held-out data with all causes together, by channel."""
+    return file.causes[0].shrinkage if file.causes else []
+
+
+def value_text(value: Value) -> str:
+    """An estimate with its error and unit, angles in degrees beside."""
+    if value.status == "unidentifiable":
+        return "not determined by these trials"
+    text = numbers.measured(value.value, value.stderr, value.unit)
+    if value.unit in ("rad", "rad/s") and value.value is not None:
+        text += f" ({numbers.number(math.degrees(value.value), 3, 'deg' + value.unit[3:])})"
+    return text + (" (at its bound)" if value.status == "at-bound" else "")
+
+
+def moved(causes: Iterable[Cause]) -> list[Absorbed]:
+    """Coefficients that stood in for the causes, those that moved farthest first."""
+    known = {a.coefficient: a for c in causes for a in c.absorbed}
+    far = [(_shift(a), a) for a in known.values()]
+    return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
+
+
+def _shift(a: Absorbed) -> float:
+    """Movement in standard errors; 0 where it is small."""
+    before, after = a.without.value, a.with_effect.value
+    errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
+    if before is None or after is None or not errors:
+        return 0.0
+    by = abs(before - after)
+    count = by / max(errors)
+    return count if count > MOVED_STDERR and by > MOVED_SHARE * abs(after) else 0.0
+
+
+def moved_text(a: Absorbed) -> str:
+    """What a coefficient absorbed."""
+    text = (
+        f"{a.coefficient} {numbers.measured(a.without.value, a.without.stderr, a.without.unit)} without, "
+        f"{numbers.measured(a.with_effect.value, a.with_effect.stderr, a.with_effect.unit)} with the effect"
+    )
+    return text + ("; at its bound without" if a.without.status == "at-bound" else "")
+
+
+def place(cell: Cell) -> str:
+    """A part of the data in words: ``phase 30-60 deg``, ``start-up``."""
+    return cell.label if cell.kind in ("time", "change") else f"{cell.kind} {cell.label}"
+
+
+def worst_cells(file: GapFile) -> list[Cell]:
+    """The parts of the data in which the gap is largest, one of each kind."""
+    first: dict[str, Cell] = {}
+    for cell in sorted(
+        (c for c in (*file.where.regime, *file.where.phase, *file.where.time) if c.ratio is not None),
+        key=lambda c: -(c.ratio or 0.0),
+    ):
+        first.setdefault(cell.kind, cell)
+    return list(first.values())
+
+
+def remaining_text(file: GapFile) -> str:
+    """What the causes leave."""
+    left = file.remaining
+    known = left.share is not None
+    share = f"{numbers.percent(left.share, 2)} of the squared gap" if known else "an unknown share"
+    where = f", {left.where}" if left.where else ""
+    return f"{share}{where}" + (", no structure in it" if left.white else "")
+
+
+def summary(file: GapFile) -> str:
+    """One screen for the terminal.
+
+    Returns
+    -------
+    str
+        At most :data:`MOST_LINES` lines of :data:`WIDTH` characters.
+    """
+    head = f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}"
+    lines = [*_wrapped("", head, ""), ""]
+    lines += [*_wrapped("", f"{file.verdict.upper()}: {verdict_sentence(file)}", ""), ""]
+    rows = _gap_rows(file)
+    if file.verdict != "none":
+        rows += _cause_rows(file)
+        rows.append(("left", remaining_text(file)))
+    if file.advice:
+        rows.append(("next", file.advice[0].text))
+    body = [_wrapped(f"  {label:<{_MARGIN - 2}}", text, " " * _MARGIN) for label, text in rows]
+    # what comes last matters least of the cause's details, but the next step has to be seen
+    tail = body.pop() if file.advice else []
+    flat = [line for part in body for line in part]
+    room = MOST_LINES - len(lines) - min(len(tail), 4)
+    if len(flat) > room:
+        flat = [*flat[: room - 1], " " * _MARGIN + "... the rest is in the gap file and its report"]
+    return "\n".join([*lines, *flat, *_cut(tail, 4)])
+
+
+def _cut(lines: list[str], most: int) -> list[str]:
+    return (
+        lines if len(lines) <= most else [*lines[: most - 1], lines[most - 1][: WIDTH - 4].rstrip() + " ..."]
+    )
+
+
+def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
+    shown = [
+        c
+        for k, c in enumerate(file.where.channels[:_CHANNELS])
+        if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL or file.verdict == "none")
+    ]
+    first = "error" if file.verdict == "none" else "gap"
+    rows = [("" if k else first, size_of(c)) for k, c in enumerate(shown)]
+    if file.verdict == "none":
+        best = next((s for s in file.scores if s.refitted and s.gain is not None), None)
+        if best is not None and file.threshold is not None:
+            told = (
+                f"{len({s.effect for s in file.scores})} effects; the most gained is "
+                f"{numbers.number(best.gain, 3)} ({best.effect}), required are {threshold_text(file)}"
+            )
+            why = next((r for r in file.reasons if r.startswith(f"{best.effect}: ")), "")
+            rows.append(("tried", f"{told}; {why}" if why and (best.gain or 0.0) > file.threshold else told))
+        return rows
+    cells = worst_cells(file)[:_CELLS]
+    if cells:
+        rows.append(
+            ("largest", ", ".join(f"{place(c)} {numbers.number(c.ratio, 2)} ×" for c in cells) + " the noise")
+        )
+    return rows
+
+
+def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
+    rows = []
+    for cause in file.causes[:_CAUSES]:
+        meaning = f": {cause.meaning.rstrip('.')}" if cause.meaning else ""
+        sure = f"weight {numbers.percent(cause.probability, 2)}"
+        known = [cause.stage or "", "" if cause.equivalent else sure]
+        said = ", ".join(part for part in known if part)
+        rows.append(("cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"))
+        rows += [("", f"{name}  {value_text(v)}") for name, v in cause.parameters.items() if "[" not in name]
+        if cause.equivalent:
+            rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"))
+    closing = [s for s in held_out(file) if s.closed is not None]
+    rows += [
+        ("" if k else "closed", f"{s.channel} {closed_text(s)}: {errors_text(s)}")
+        for k, s in enumerate(closing[:_CHANNELS])
+    ]
+    rows += [("" if k else "absorbed", moved_text(a)) for k, a in enumerate(moved(file.causes)[:_MOVED])]
+    return rows
+
+
+def _wrapped(first: str, text: str, rest: str) -> list[str]:
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
+    ) or [first.rstrip()]

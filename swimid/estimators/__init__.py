@@ -1,1 +1,0 @@
-"""Estimators: parameters from measurements, with honest uncertainty, for whatever model."""

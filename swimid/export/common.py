@@ -1,0 +1,133 @@
+"""What the XML targets share: the header, numbers, and limits that hold for all of them."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+import numpy as np
+
+from swimid.export.source import Element, Link, Source, about, central, isotropic
+from swimid.fitting.model import Array
+from swimid.results.parameters import Estimate
+
+NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
+
+
+def number(*values: float) -> str:
+    """Numbers as XML wants them, to the last bit.
+
+    >>> number(0.1, -0.0)
+    '0.1 0.0'
+    """
+    return " ".join(repr(float(v) + 0.0) for v in values)
+
+
+def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
+    """The XML text, with the source of the numbers and the limits in a comment."""
+    ET.indent(root)
+    held = [f"  {name} = {_shown(e)}" for name, e in source.parameters.parameters.items()]
+    lines = [
+        f"Written by swimid {source.origin['version']}.",
+        f"Parameters: {source.origin['file']}, sha256 {source.origin['sha256']}.",
+        f"Robot: {source.robot.name}.",
+        *held,
+        "Not carried by this format:",
+        *(f"  {limit}" for limit in limits),
+    ]
+    # a comment must not hold two hyphens in a row
+    note = "\n".join(lines).replace("--", "- -")
+    return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _shown(estimate: Estimate) -> str:
+    error = "" if estimate.stderr is None else f" +- {estimate.stderr!r}"
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    return f"{estimate.value!r}{error}{unit} ({estimate.status})"
+
+
+def bodies(source: Source, *, fold: bool) -> list[Array]:
+    """Inertia each link's body gets, over (u, v, r) at its origin; with ``fold`` the water's is in it.
+
+    An anisotropic added mass is folded with its mean.
+    """
+    found = []
+    for link in source.links:
+        inertia = link.rigid
+        if fold and np.any(link.added):
+            mass, (x, y), moment = central(link.added)
+            whole = about(np.diag([mass, mass, moment]), -x, -y)
+            inertia = inertia + whole
+        found.append(inertia)
+    return found
+
+
+def added_mass_limits(source: Source, choice: str) -> list[str]:
+    """Limits of folding or leaving out the added mass, for a target without one of its own."""
+    wet = [link for link in source.links if np.any(link.added)]
+    if not wet:
+        return []
+    if choice == "none":
+        return ["added mass and inertia are left out, as asked"]
+    if choice != "fold":
+        return []
+    limits = [
+        "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
+    ]
+    uneven = [link for link in wet if not isotropic(link.added)]
+    if uneven:
+        limits.append(
+            "added mass that differs by direction is folded with its mean: "
+            + ", ".join(
+                f"{k.name} {k.added[0, 0]:.4g} kg forward, {k.added[1, 1]:.4g} kg sideways" for k in uneven
+            )
+        )
+    return limits
+
+
+def element_limits(source: Source) -> list[str]:
+    """Limits of a target that knows drag only."""
+    limits = []
+    for kind, what in (
+        ("foil", "lift and drag of foils"),
+        ("wake", "thrust and side force of trailing edges"),
+        ("force", "weight, buoyancy and constant forces"),
+    ):
+        left = [e for e in source.elements if e.kind == kind]
+        if left:
+            limits.append(f"{what} are left out: {named(left, source.links)}")
+    return limits
+
+
+def friction_limits(source: Source) -> list[str]:
+    """Limit of dry friction: swimid rounds it off where a joint nearly rests."""
+    return [
+        f"{name}: swimid rounds the dry friction of {law.friction:.4g} N m off below "
+        f"{law.friction_below:g} rad/s; the target holds the joint still there"
+        for name, law in source.laws.items()
+        if law.friction
+    ]
+
+
+def drive_limits(source: Source, servo_hz: float) -> list[str]:
+    """Limit of driven joints: swimid prescribes their motion."""
+    assumed = [
+        a.joint.name for a in source.assembly.driven if a.joint.driven and a.joint.driven.servo is None
+    ]
+    if not assumed:
+        return []
+    return [
+        f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
+        f"moves them: {', '.join(assumed)}"
+    ]
+
+
+def named(elements: Iterable[Element], links: list[Link]) -> str:
+    """The links elements act on, for a message."""
+    return ", ".join(dict.fromkeys(links[e.link].name for e in elements))
+
+
+def reading_limits(source: Source) -> list[str]:
+    """What no planar identification tells a simulator in three dimensions."""
+    out = "roll, pitch and heave" if not source.vertical else "roll, yaw and sway"
+    return [f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed"]

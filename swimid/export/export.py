@@ -1,0 +1,168 @@
+"""``export``: identified coefficients as input of a simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import swimid
+from swimid.errors import InputError, UsageError, nearest
+from swimid.export import targets
+from swimid.export.base import AddedMass, Options
+from swimid.export.source import Source
+from swimid.files import atomic
+from swimid.files.provenance import sha256
+from swimid.notices import warn
+from swimid.results import parameters
+from swimid.results.outcome import Outcome
+from swimid.robots import file as robot
+from swimid.swimmer.planar.model import MultilinkModel
+
+#: Models whose parameters can be exported.
+RIGID = ("falling-weight", "towed")
+MODELS = ("multilink", *RIGID)
+
+
+def export(
+    *,
+    params: str | Path,
+    to: str,
+    output: str | Path | None = None,
+    robot_name: str | None = None,
+    added_mass: AddedMass = "native",
+    servo_hz: float = 20.0,
+) -> Outcome:
+    """Write a parameter file's coefficients as a simulator reads them.
+
+    Parameters
+    ----------
+    params : path
+        A parameter file of a multi-link robot, a falling weight or a towed body.
+    to : {"mjcf", "gazebo", "stonefish", "json"}
+    output : path, optional
+        None or ``-`` returns the text as the outcome's summary.
+    robot_name : str, optional
+        Built-in name or path of a robot file in place of the one the parameter file names, which is
+        looked for beside that file.
+    added_mass : {"native", "fold", "plugin", "none"}
+        See :data:`swimid.export.base.AddedMass`.
+    servo_hz : float
+        Natural frequency of servos the robot file does not describe.
+
+    Returns
+    -------
+    Outcome
+        Its result has the target, the added-mass choice and the limits. Every limit is also a
+        warning SWM060, every danger of instability a SWM061.
+
+    Raises
+    ------
+    InputError
+        For a broken file, another model, or a robot file without what the target needs.
+    UsageError
+        For an unknown target, and for one that cannot take this model or this added-mass choice.
+    """
+    known = targets()
+    if to not in known:
+        close = nearest(to, list(known))
+        raise UsageError(
+            f"there is no target '{to}'",
+            hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}",
+        )
+    target = known[to]
+    if added_mass not in target.added_mass:
+        raise UsageError(
+            f"{to} has no added-mass choice '{added_mass}'", hint=f"there are: {', '.join(target.added_mass)}"
+        )
+    if not servo_hz > 0:
+        raise UsageError(f"a servo's frequency must be positive, not {servo_hz:g} Hz")
+    path = Path(params)
+    source = load(path, robot_name)
+    if not source.multilink and not target.rigid:
+        able = ", ".join(name for name, t in known.items() if t.rigid)
+        raise UsageError(
+            f"{to} needs a multi-link robot; this file holds the surge drag of one rigid body",
+            hint=f"export it to one of: {able}",
+        )
+    out = None if output is None or str(output) == "-" else Path(output)
+    if out is not None:
+        atomic.check_writable(out, inputs=(path,))
+    done = target.export(source, Options(added_mass, servo_hz))
+    _warn_unknown(source)
+    for limit in done.limits:
+        warn("SWM060", f"{target.title}: {limit}")
+    for danger in done.dangers:
+        warn("SWM061", f"{target.title}: {danger}")
+    result = {
+        "target": to,
+        "model": source.parameters.model,
+        "robot": source.robot.name,
+        "added_mass": added_mass,
+        "limits": list(done.limits),
+        "dangers": list(done.dangers),
+    }
+    if out is None:
+        return Outcome("export", done.text.rstrip("\n"), result | {"text": done.text})
+    atomic.write_text(out, done.text)
+    count = len(done.limits)
+    carried = (
+        "everything" if not count else f"all but {count} thing{'s' if count > 1 else ''}, see the warnings"
+    )
+    return Outcome("export", f"{source.robot.name} as {target.title}: {carried}", result, [out])
+
+
+def load(path: Path, robot_name: str | None = None) -> Source:
+    """A parameter file with its robot.
+
+    Raises
+    ------
+    InputError
+    """
+    file = parameters.read(path, model=MODELS)
+    name = robot_name or file.robot
+    if name is None:
+        raise InputError("names no robot", file=path, column="robot", hint="give one with --robot")
+    folder = None if robot_name else path.parent
+    chosen = file.settings.get("readings")
+    readings = {str(k): str(v) for k, v in chosen.items()} if isinstance(chosen, dict) else {}
+    if robot_name:
+        # another file may lack the readings of the one the parameters were found with
+        other = robot.read(name).readings
+        readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
+    found = robot.read(name, folder, readings=readings)
+    place = robot.locate(name, folder)
+    origin = {"file": path.name, "sha256": sha256(path), "version": swimid.__version__, "robot": name}
+    source = Source(file, found, origin, readings)
+    if source.multilink:
+        if found.multilink is None:
+            raise InputError("has no multilink part", file=place, column="multilink")
+        try:
+            source.assembly.check(source.values)
+        except InputError as error:
+            raise robot.located(error, place) from error
+        _check_names(source, path)
+    return source
+
+
+def _check_names(source: Source, path: Path) -> None:
+    """Refuse parameters that the robot has no use for: they are another robot's."""
+    known = {p.name for p in MultilinkModel(source.robot).parameters}
+    known |= set(source.parameters.settings.get("shared") or {})
+    for name in source.parameters.parameters:
+        if name.partition("[")[0] not in known:
+            raise InputError(
+                f"the robot '{source.robot.name}' has no coefficient '{name}'",
+                file=path,
+                column=f"parameters.{name}",
+                hint=f"it has: {', '.join(source.assembly.names) or 'none'}",
+            )
+
+
+def _warn_unknown(source: Source) -> None:
+    unknown = [
+        n for n, e in source.parameters.parameters.items() if e.status == "unidentifiable" and "[" not in n
+    ]
+    if unknown:
+        warn(
+            "SWM010",
+            f"exported as they stand, though their trials do not determine them: {', '.join(unknown)}",
+        )

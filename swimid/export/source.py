@@ -1,0 +1,287 @@
+"""What is exported: a parameter file and its robot, with every quantity evaluated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.fitting.model import Array
+from swimid.results.parameters import ParameterFile
+from swimid.robots.file import Robot
+from swimid.robots.planar import Joint, Multilink
+from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.assembly import Assembly
+
+#: Origin of a file that is exported.
+Origin = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link with its numbers; the frame sits at its front end, x forward, y to port.
+
+    Attributes
+    ----------
+    name : str
+    parent : int
+        Its parent's number, -1 for the base.
+    joint : Joint or None
+        The joint it hangs on.
+    at : (float, float), m
+        Where the joint sits in the parent's frame.
+    mount_rad : float
+        Angle against the parent when the joint's own angle is zero.
+    length_m : float
+    rigid, added : ndarray, shape (3, 3)
+        Inertia of the body and of the water over (u, v, r) at the link's origin; kg, kg m, kg m2.
+    """
+
+    name: str
+    parent: int
+    joint: Joint | None
+    at: tuple[float, float]
+    mount_rad: float
+    length_m: float
+    rigid: Array
+    added: Array
+
+
+@dataclass(frozen=True)
+class Law:
+    """A passive joint's law; columns of :data:`swimid.swimmer.planar.engine.PASSIVE`."""
+
+    stiffness: float
+    cubic: float
+    damping: float
+    quadratic_damping: float
+    rest: float
+    spring: float
+    pretension: float
+    arm: float
+    crank: float
+    friction: float
+    friction_below: float
+
+    @property
+    def wire_stiffness(self) -> float:
+        """Stiffness of wire and spring for small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, N m/rad."""
+        if self.spring == 0.0:
+            return 0.0
+        return self.spring * self.pretension * self.arm * self.crank / (self.arm - self.crank)
+
+
+@dataclass(frozen=True)
+class Element:
+    """One row of an element table.
+
+    Attributes
+    ----------
+    kind : {"drag", "foil", "force", "wake"}
+    link : int
+    numbers : dict of str to float
+        Columns of ``engine.DRAG``, ``engine.FOIL``, ``engine.FORCE`` or ``engine.WAKE``.
+    """
+
+    kind: Literal["drag", "foil", "force", "wake"]
+    link: int
+    numbers: dict[str, float]
+
+    @property
+    def at(self) -> tuple[float, float]:
+        """Where it acts in the link's frame, m."""
+        return self.numbers["x"], self.numbers["y"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A parameter file, its robot and where they come from.
+
+    Attributes
+    ----------
+    parameters : ParameterFile
+    robot : Robot
+    origin : mapping
+        ``file`` (name of the parameter file), ``sha256``, ``version``, ``robot`` (path or name).
+    readings : mapping
+        Readings of the robot file's ambiguities that the parameters were found with.
+    """
+
+    parameters: ParameterFile
+    robot: Robot
+    origin: Origin
+    readings: Mapping[str, str]
+
+    @property
+    def multilink(self) -> bool:
+        """Whether this is a multi-link robot, not the drag of one rigid body."""
+        return self.parameters.model == "multilink"
+
+    @property
+    def body(self) -> Multilink:
+        """The robot's multi-link part."""
+        assert self.robot.multilink is not None
+        return self.robot.multilink
+
+    @property
+    def vertical(self) -> bool:
+        """Whether it swims in the vertical plane."""
+        return self.multilink and self.body.plane == "vertical"
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """The robot's checked tables."""
+        return Assembly(self.body, self.robot.fluid)
+
+    @cached_property
+    def values(self) -> Array:
+        """The coefficients, from the parameter file; those it does not hold from the robot file."""
+        held = self.parameters.parameters
+        return np.array(
+            [held[n].value if n in held else self.body.coefficients[n].value for n in self.assembly.names]
+        )
+
+    @cached_property
+    def tables(self) -> dict[str, Any]:
+        """The engine's tables at these values."""
+        return self.assembly.tables(self.values)
+
+    @cached_property
+    def links(self) -> list[Link]:
+        """The links, parents before children."""
+        bare = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
+        rigid = np.asarray(bare.tables(self.values)["inertia"])
+        tables = self.tables
+        joint_of = {j.child: j for j in self.body.joints}
+        found = []
+        for i, link in enumerate(self.assembly.links):
+            x, y, cos, sin = tables["joint"][i]
+            body = full(rigid[i])
+            found.append(
+                Link(
+                    link.name, int(tables["topology"][i, 0]), joint_of.get(link.name), (float(x), float(y)),
+                    math.atan2(sin, cos), link.length_m, body, full(tables["inertia"][i]) - body,
+                )
+            )  # fmt: skip
+        return found
+
+    @cached_property
+    def laws(self) -> dict[str, Law]:
+        """The laws of the passive joints, by joint."""
+        rows = self.tables["passive"]
+        return {
+            axis.joint.name: Law(*(float(v) for v in row))
+            for axis, row in zip(self.assembly.passive, rows, strict=True)
+        }
+
+    @cached_property
+    def elements(self) -> list[Element]:
+        """Drag points, foils, forces and trailing edges."""
+        found = []
+        tables = {
+            "drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE,
+        }  # fmt: skip
+        for kind, columns in tables.items():
+            for owner, row in zip(self.tables[f"{kind}_link"], self.tables[kind], strict=True):
+                numbers = {c: float(v) for c, v in zip(columns, row, strict=True)}
+                found.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
+        return found
+
+    def servo(self, joint: Joint, default_hz: float) -> tuple[float, float]:
+        """Natural frequency (rad/s) and damping ratio of a driven joint's position servo."""
+        law = joint.driven.servo if joint.driven else None
+        if law is None:
+            return 2.0 * math.pi * default_hz, 1.0
+        from swimid.swimmer.polynomial import Polynomial
+
+        values = dict(zip(self.assembly.names, self.values, strict=True))
+        frequency = Polynomial.of(law.natural_frequency_hz).at(values)
+        return 2.0 * math.pi * frequency, Polynomial.of(law.damping_ratio).at(values)
+
+
+def surge(source: Source) -> dict[str, float]:
+    """Surge drag and added mass of one rigid body, from a rig identification.
+
+    Returns
+    -------
+    dict
+        ``quadratic`` (N s2/m2), ``linear`` (N s/m), ``added_mass`` (kg); force
+        ``-(quadratic |u| + linear) u``, ``quadratic = rho C_d A / 2`` (boxfish paper, Eq 7).
+
+    Raises
+    ------
+    InputError
+        Without a drag coefficient and frontal area, or a quadratic drag.
+    """
+    held = source.parameters.parameters
+    if "quadratic_drag" in held:
+        quadratic = held["quadratic_drag"].value
+    elif "drag_coefficient" not in held:
+        raise InputError(
+            "holds no surge drag", file=source.origin["file"], column="parameters.drag_coefficient"
+        )
+    else:
+        area = source.robot.body.frontal_area_m2
+        if area is None:
+            raise InputError(
+                "the drag coefficient needs a frontal area",
+                file=source.origin["robot"],
+                column="body.frontal_area_m2",
+            )
+        quadratic = 0.5 * source.robot.fluid.density_kg_m3 * area * held["drag_coefficient"].value
+    return {
+        "quadratic": quadratic,
+        "linear": held["linear_drag"].value if "linear_drag" in held else 0.0,
+        "added_mass": held["added_mass"].value if "added_mass" in held else 0.0,
+    }
+
+
+def full(row: Array) -> Array:
+    """The symmetric matrix of a row of :data:`engine.INERTIA`."""
+    a, b, c, d, e, f = (float(v) for v in row)
+    return np.array([[a, b, c], [b, d, e], [c, e, f]])
+
+
+def about(inertia: Array, x: float, y: float) -> Array:
+    """An inertia over (u, v, r) at the origin, seen from the point (x, y).
+
+    >>> about(np.diag([2.0, 2.0, 1.0]), 0.5, 0.0)[2, 2]
+    np.float64(1.5)
+    """
+    move = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
+    return np.asarray(move.T @ inertia @ move)
+
+
+def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
+    """Mass, centre (m) and central moment (kg m2) of a planar inertia.
+
+    A mass that differs by direction counts with its mean.
+    """
+    along, across = inertia[0, 0], inertia[1, 1]
+    x = inertia[1, 2] / across if across > 0 else 0.0
+    y = -inertia[0, 2] / along if along > 0 else 0.0
+    moment = inertia[2, 2] - across * x * x - along * y * y
+    return float(0.5 * (along + across)), (float(x), float(y)), float(moment)
+
+
+def isotropic(inertia: Array) -> bool:
+    """Whether a planar inertia is that of a rigid body, up to rounding."""
+    size = max(abs(inertia[0, 0]), abs(inertia[1, 1]))
+    return bool(abs(inertia[0, 0] - inertia[1, 1]) <= 1e-9 * size and abs(inertia[0, 1]) <= 1e-9 * size)
+
+
+def behind_joint(links: list[Link], inertias: list[Array]) -> list[float]:
+    """Moment of inertia of everything behind each link's joint, about it, joints straight; kg m2."""
+    sums = [np.array(g) for g in inertias]
+    for i in range(len(links) - 1, 0, -1):
+        link = links[i]
+        c, s = math.cos(link.mount_rad), math.sin(link.mount_rad)
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        x, y = link.at
+        sums[link.parent] = sums[link.parent] + about(turn.T @ sums[i] @ turn, -x, -y)
+    return [float(g[2, 2]) for g in sums]

@@ -1,0 +1,1 @@
+"""What every file shares: written whole or not at all, line-numbered YAML, provenance, resumption."""

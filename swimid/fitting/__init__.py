@@ -1,0 +1,1 @@
+"""Identification for whatever model: the model interface, output error, noise, covariance, tests."""

@@ -1,0 +1,82 @@
+"""A model and its trials, read from a trials file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.fitting.model import Model, Trial
+from swimid.logs import log as log_format
+from swimid.logs.log import Log
+from swimid.logs.trials import Trial as TrialEntry
+from swimid.notices import warn
+from swimid.robots.file import Robot, locate
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A model with the trials that tell its parameters.
+
+    Attributes
+    ----------
+    name : str
+        The trials file's ``experiment``.
+    robot : Robot
+    model : Model
+    trials : list of Trial
+    inputs : list of Path
+        Every file read: trials file, robot file, logs.
+    variants : dict of str to list of Trial
+        Other readings of the same logs, between which the data decide (how an encoder
+        rounds, say); empty where there is only one.
+    facts : dict
+        What was found while reading, for the report.
+    """
+
+    name: str
+    robot: Robot
+    model: Model
+    trials: list[Trial]
+    inputs: list[Path]
+    variants: Mapping[str, list[Trial]] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def input_files(path: Path, robot: str, logs: list[Path]) -> list[Path]:
+    """Trials file, robot file and logs, for the provenance."""
+    return [path, locate(robot, path.parent), *logs]
+
+
+def read_log(
+    entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Log:
+    """A trial's log, cut to the stretch its entry asks for."""
+    log = log_format.read(folder / entry.log, required=required, optional=optional)
+    if entry.start_s is None and entry.end_s is None:
+        return log
+    low = -np.inf if entry.start_s is None else entry.start_s
+    high = np.inf if entry.end_s is None else entry.end_s
+    keep = (log.time_s >= low) & (log.time_s <= high)
+    if keep.sum() < 2:
+        raise InputError(
+            f"no samples between start_s {low:g} and end_s {high:g}; the log runs from {log.time_s[0]:g} to "
+            f"{log.time_s[-1]:g} s",
+            file=log.path,
+        )
+    return Log(log.path, log.metadata, {k: v[keep] for k, v in log.columns.items()}, log.first_line)
+
+
+def warn_mass(name: str, value: float, against: float, file: Path) -> None:
+    """Warn when a mass looks like grams."""
+    if against > 0 and value >= against:
+        warn(
+            "SWM002",
+            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it "
+            "in grams "
+            "(a factor of 1000)?",
+        )

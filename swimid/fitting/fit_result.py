@@ -1,0 +1,160 @@
+"""What an output-error fit found: estimates, covariance, noise, and every series beside its simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swimid.fitting.model import Array, Model, Parameter, Trial
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one channel.
+
+    Attributes
+    ----------
+    value_sd : float
+        Standard deviation of the measured value, in the channel's unit (root mean square
+        where it differs from sample to sample).
+    time_sd_s : float
+        Standard deviation of the time stamps, s; 0 where they are taken as exact.
+    autoregression : ndarray, shape (p,)
+        Coefficients of the weighted residuals' autoregression; empty where they are white.
+    """
+
+    value_sd: float
+    time_sd_s: float
+    autoregression: Array
+
+
+@dataclass(frozen=True)
+class Series:
+    """Measured against simulated for one channel of one trial.
+
+    Attributes
+    ----------
+    time_s, measured, simulated, sd : ndarray, shape (n,)
+        ``sd`` is the standard deviation the noise model gives each sample.
+    """
+
+    trial: str
+    role: str
+    channel: str
+    time_s: Array
+    measured: Array
+    simulated: Array
+    sd: Array
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated, shape (n,), NaN where missing."""
+        return self.measured - self.simulated
+
+    @property
+    def weighted(self) -> Array:
+        """Residual over its standard deviation, shape (n,)."""
+        return self.residual / self.sd
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Estimates, their covariance and all that judges them.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        As fitted, the user's choices applied.
+    labels : list of str
+        One per estimated number; a per-trial parameter appears as ``name[trial]``.
+    estimate : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+        Rows of parameters at a bound, and of those the trials do not see at all, are NaN.
+    status : dict of label to str
+        ``estimated``, ``at-bound`` or ``unidentifiable``.
+    series : list of Series
+        Fitted and validation trials.
+    noise : dict of channel name to Noise
+    scatter : float
+        Factor by which the trials scatter more than their noise (1 where they agree); already
+        in the covariance.
+    scatter_p : float
+        p-value of the test that they agree.
+    samples : int
+    converged : bool
+    message : str
+    evaluations : int
+        Simulations of single trials.
+    step_error : float
+        Largest change of a simulated sample when the integration step is halved, in standard
+        deviations of its noise.
+    interrupted : bool
+        The search was stopped early; the estimate is the best it had come to.
+    cost : float
+        Mean squared residual, averaged geometrically over channels of different units: the
+        exponential of twice the negative log-likelihood per sample, less one. It can be
+        compared between fits of the same samples, whatever their weights.
+    information_root : ndarray, shape (q, p)
+        ``information_root' information_root`` is the inverse of the covariance, also where
+        that is singular; columns of parameters that their bound holds are NaN.
+    loss : str
+        ``linear`` or ``huber``.
+    jacobians : int
+        Derivatives of all residuals taken.
+    start_states : mapping of label to float
+        Per-trial parameters of validation trials, estimated from them with the shared ones held.
+    restarts : int or None
+        How often a start near the answer led to a better one, which then took its place; None where that was
+        not tested.
+    settled : bool
+        Whether in the end none did any more.
+    """
+
+    model: Model
+    parameters: tuple[Parameter, ...]
+    trials: tuple[Trial, ...]
+    labels: list[str]
+    estimate: Array
+    covariance: Array
+    status: dict[str, str]
+    series: list[Series]
+    noise: dict[str, Noise]
+    scatter: float
+    scatter_p: float
+    samples: int
+    converged: bool
+    message: str
+    evaluations: int
+    step_error: float = 0.0
+    interrupted: bool = False
+    cost: float = math.nan
+    information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
+    loss: str = "linear"
+    jacobians: int = 0
+    start_states: Mapping[str, float] = field(default_factory=dict)
+    restarts: int | None = None
+    settled: bool = True
+
+    def stderr(self, label: str) -> float | None:
+        """Standard error of one estimate, or None where there is none."""
+        if label not in self.labels:
+            return None
+        index = self.labels.index(label)
+        variance = float(self.covariance[index, index])
+        return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
+
+    def value(self, name: str, trial: str | None = None) -> float:
+        """Value of a parameter, estimated or fixed; of one trial where it is per trial."""
+        label = name if trial is None else f"{name}[{trial}]"
+        if label in self.labels:
+            return float(self.estimate[self.labels.index(label)])
+        if label in self.start_states:
+            return self.start_states[label]
+        return next(p.start for p in self.parameters if p.name == name)
+
+    def values(self, trial: str) -> Array:
+        """Full parameter vector of one trial."""
+        return np.array([self.value(p.name, trial if p.per_trial else None) for p in self.parameters])

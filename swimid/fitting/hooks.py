@@ -1,0 +1,177 @@
+"""What acts on a model's chain besides the model's own equations.
+
+The chain runs command -> actuation -> structure -> fluid and environment -> sensing -> log. An
+effect that a model does not know enters at one of these places as a hook; a model without hooks
+runs as fast as if there were none.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import cfunc, types
+from numba.core.errors import NumbaExperimentalFeatureWarning
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# compiled functions as arguments of compiled functions have been "experimental" for years
+warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
+
+#: ``force(t, pose, velocity, constants, wrench)``: see :class:`Force`.
+FORCE_SIGNATURE = types.void(
+    types.float64, types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1]
+)
+#: How many forces act at once in a compiled step: three causes and one that is tried beside them.
+MOST_FORCES = 4
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Nothing."""
+
+
+@dataclass(frozen=True)
+class Force:
+    """A force on one link, computed inside the compiled step.
+
+    Attributes
+    ----------
+    function : numba cfunc of :data:`FORCE_SIGNATURE`
+        Adds to ``wrench`` (fx, fy, moment) at the point, in the link's axes, N and N m. It is
+        given the time (s), the ``pose`` (x, y of the reference point of the base in the world,
+        heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
+        axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one
+        coordinate: pose[0], velocity[0], wrench[0].
+    constants : ndarray, shape (c,)
+    link : int
+        Of a multi-link robot, 0 the base; -1 the last.
+    x, y : float, m
+        The point in the link's axes.
+    """
+
+    function: Any
+    constants: Array
+    link: int = 0
+    x: float = 0.0
+    y: float = 0.0
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A steady beat, for models that average over it; arrays over runs, or numbers.
+
+    Attributes
+    ----------
+    frequency_hz, amplitude_rad
+    thrust : factor on the force or power the fin delivers; 1 where nothing acts on it.
+    inertia_kg_m2 : hydrodynamic inertia of the fin, NaN where it is not known.
+    """
+
+    frequency_hz: Array
+    amplitude_rad: Array
+    thrust: Array
+    inertia_kg_m2: float = float("nan")
+
+
+#: time (s), angle or signal, number of the driven joint -> what the actuator really does.
+Command = Callable[[Array, Array, int], Array]
+#: The simulated channels and their times -> what the sensors say.
+Output = Callable[[dict[str, Array], Array], dict[str, Array]]
+#: Time (s) -> displacement (m) and velocity (m/s) of the water in the world, shape (n, 2) each.
+Flow = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Functions at the places of the chain; each tuple acts in its order.
+
+    Attributes
+    ----------
+    command : tuple of Command
+        Actuation: of each driven joint, or of the input column of a black-box model.
+    stroke : tuple of callables, Stroke -> Stroke
+        The same for models of the average over a beat.
+    tables : tuple of callables
+        Change the tables of a multi-link engine in place: dict of name to array
+        (:mod:`swimid.swimmer.planar.engine`, columns ``INERTIA``, ``PASSIVE``, ``DRAG`` ...).
+    coefficients : tuple of callables
+        Change the coefficients of a model of one equation in place: dict of name to float.
+    force : tuple of Force
+        At most :data:`MOST_FORCES`.
+    flow : tuple of Flow
+        Water that moves; all fluid forces act relative to it.
+    output : tuple of Output
+        Sensing.
+    clock_s : float
+        The log shows what happened this much earlier.
+    key : bytes
+        Tells one motion from another; two hooks of one key move the robot alike.
+    command_key : bytes
+        The same of the commands alone.
+    """
+
+    command: tuple[Command, ...] = ()
+    stroke: tuple[Callable[[Stroke], Stroke], ...] = ()
+    tables: tuple[Callable[[dict[str, Any]], None], ...] = ()
+    coefficients: tuple[Callable[[dict[str, float]], None], ...] = ()
+    force: tuple[Force, ...] = ()
+    flow: tuple[Flow, ...] = ()
+    output: tuple[Output, ...] = ()
+    clock_s: float = 0.0
+    key: bytes = b""
+    command_key: bytes = b""
+
+    def __add__(self, other: Hooks) -> Hooks:
+        return Hooks(
+            self.command + other.command,
+            self.stroke + other.stroke,
+            self.tables + other.tables,
+            self.coefficients + other.coefficients,
+            self.force + other.force,
+            self.flow + other.flow,
+            self.output + other.output,
+            self.clock_s + other.clock_s,
+            self.key + other.key,
+            self.command_key + other.command_key,
+        )
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything acts on the motion itself, not only on how it is seen."""
+        return bool(
+            self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
+        )
+
+    def actuated(self, time_s: Array, command: Array, joint: int = 0) -> Array:
+        """The command after all actuation hooks."""
+        for change in self.command:
+            command = change(time_s, command, joint)
+        return command
+
+    def beaten(self, stroke: Stroke) -> Stroke:
+        """The stroke after all stroke hooks."""
+        for change in self.stroke:
+            stroke = change(stroke)
+        return stroke
+
+    def changed(self, values: dict[str, Any], hooks: str) -> dict[str, Any]:
+        """``values`` after all ``tables`` or ``coefficients`` hooks; the hooks work in place."""
+        for change in getattr(self, hooks):
+            change(values)
+        return values
+
+    def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
+        """The channels after all sensing hooks."""
+        found = dict(channels)
+        for change in self.output:
+            found = change(found, time_s)
+        return found
+
+
+#: Nothing acts.
+NONE = Hooks()

@@ -1,0 +1,172 @@
+"""How far a simulation is from a measurement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from swimid.fitting.model import Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """Error of one channel.
+
+    Attributes
+    ----------
+    rmse : float
+        Root-mean-square error, in the channel's unit.
+    nrmse : float
+        RMSE over the measured range (maximum minus minimum).
+    vaf : float
+        Variance accounted for, ``1 - var(error) / var(measured)``.
+    fit_percent : float
+        ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
+    bias : float
+        Mean error, measured minus simulated.
+    samples : int
+    """
+
+    rmse: float
+    nrmse: float
+    vaf: float
+    fit_percent: float
+    bias: float
+    samples: int
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """The score as a parameter file holds it."""
+        return {**asdict(self), "unit": unit}
+
+
+def score(measured: Array, simulated: Array) -> Score:
+    """Compare two series, leaving out samples missing in either.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,)
+
+    Returns
+    -------
+    Score
+        NaN where nothing can be compared.
+
+    >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
+    100.0
+    """
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    y, e = measured[there], (measured - simulated)[there]
+    if len(y) == 0:
+        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+    rmse = float(np.sqrt(np.mean(e**2)))
+    span, variance = float(np.ptp(y)), float(np.var(y))
+    return Score(
+        rmse=rmse,
+        nrmse=rmse / span if span > 0 else np.nan,
+        vaf=1.0 - float(np.var(e)) / variance if variance > 0 else np.nan,
+        fit_percent=100.0 * (1.0 - rmse / math.sqrt(variance)) if variance > 0 else np.nan,
+        bias=float(np.mean(e)),
+        samples=len(y),
+    )
+
+
+def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,)
+        Samples missing in either are left out.
+
+    Returns
+    -------
+    (absolute, normalised)
+        In the channel's unit, and without one.
+
+    >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
+    (1.0, 0.25)
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan, np.nan
+    peak = float(np.max(np.abs(y)))
+    error = abs(peak - float(np.max(np.abs(z))))
+    return error, error / peak if peak > 0 else np.nan
+
+
+def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
+    """Dynamic-time-warping distance per sample: the RMSE left when time may be stretched a little.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,) or (n, d)
+        On one clock of even steps; d series are warped as one. Samples missing in either are left out.
+    band : int
+        By how many samples the two may be shifted at most (Sakoe and Chiba, 1978). With 0 the
+        distance is the RMSE; it never exceeds it.
+
+    Returns
+    -------
+    float
+        In the channel's unit: root of the least sum of squares over n.
+
+    >>> late = np.array([0.0, 0.0, 1.0, 0.0])
+    >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
+    0.0
+    >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
+    0.707
+    """
+    from dtaidistance import dtw, dtw_ndim  # type: ignore[import-untyped]
+
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan
+    distance = dtw.distance_fast if y.ndim == 1 else dtw_ndim.distance_fast
+    # its window counts the diagonal
+    return float(distance(y, z, window=int(band) + 1)) / math.sqrt(len(y))
+
+
+def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
+    """Phase of the simulation ahead of the measurement at one frequency.
+
+    Parameters
+    ----------
+    measured, simulated, time_s : ndarray, shape (n,)
+        Samples missing in either are left out; the time steps may be uneven.
+    frequency_hz : float
+        The beat's. A sine of this frequency, a constant and a trend are fitted to both.
+
+    Returns
+    -------
+    float
+        Radian, in (-pi, pi]; positive where the simulation is early. NaN where a series
+        has no part at that frequency, or fewer than five samples.
+
+    >>> t = np.linspace(0.0, 4.0, 200)
+    >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
+    >>> round(phase_error(np.sin(2 * np.pi * t) + 0.1 * t, early, t, frequency_hz=1.0), 6)
+    0.5
+    """
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    t = np.asarray(time_s)[there]
+    if len(t) < 5:
+        return np.nan
+    angle = 2 * np.pi * frequency_hz * t
+    design = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(t), t - t.mean()))
+    both = np.column_stack((measured[there], simulated[there]))
+    cosine, sine = np.linalg.lstsq(design, both, rcond=None)[0][:2]
+    # A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB))
+    phasor = cosine - 1j * sine
+    if np.any(np.abs(phasor) <= 1e-12 * np.max(np.abs(both), axis=0)):
+        return np.nan
+    return float(np.angle(phasor[1] / phasor[0]))
+
+
+def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    if there.ndim > 1:
+        there = np.asarray(there.all(axis=1))
+    return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]

@@ -1,0 +1,126 @@
+"""The same fit from many starts: is the minimum found the only one?"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import output_error
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.problem import Problem
+from swimid.progress import Progress, show, silent
+
+#: Two ends whose costs differ by less than this, relatively, are the same minimum.
+SAME = 1e-3
+
+
+class Start(NamedTuple):
+    """One start and where it led.
+
+    Attributes
+    ----------
+    start, end : ndarray, shape (p,)
+        ``end`` is NaN where the search failed.
+    cost : float
+        :attr:`FitResult.cost` there; infinite where the search failed.
+    converged : bool
+    """
+
+    start: Array
+    end: Array
+    cost: float
+    converged: bool
+
+
+def multistart(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: Sequence[Parameter] | None = None,
+    *,
+    starts: int = 8,
+    seed: int = 0,
+    begins: Sequence[Array] | None = None,
+    jobs: int | None = None,
+    loss: output_error.Loss = "linear",
+    progress: Progress = silent,
+) -> tuple[FitResult, list[Start]]:
+    """Fit from several starts and keep the best.
+
+    Parameters
+    ----------
+    model, trials, parameters, jobs, loss
+        As :func:`swimid.fitting.output_error.fit` takes them.
+    starts : int
+        The first are ``begins``; the others are uniform within the bounds, or within one scale of
+        the start on a side without a bound.
+    seed : int
+    begins : sequence of ndarray, each shape (p,), optional
+        Default the parameters' own start alone.
+
+    Returns
+    -------
+    best : FitResult
+        Of the converged fit with the least cost, tested as
+        :func:`swimid.fitting.output_error.held_to_restarts` does.
+    ends : list of Start
+        In the order they were run. After Ctrl-C those still to come are left out.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When no start leads anywhere: the first start's error.
+    """
+    parameters = tuple(parameters or model.parameters)
+    problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
+    rng = np.random.default_rng(seed)
+    low, high = problem.box()
+    given = [problem.start] if begins is None else list(begins)
+    best: FitResult | None = None
+    ends: list[Start] = []
+    failure: NoTrustworthyResult | None = None
+    with progress("starts", total=starts) as step:
+        for k in range(starts):
+            begin = given[k] if k < len(given) else rng.uniform(low, high)
+            try:
+                found = output_error.fit(
+                    model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin, tested=False
+                )
+            except KeyboardInterrupt:
+                if best is None:
+                    raise
+                break
+            except NoTrustworthyResult as error:
+                failure = failure or error
+                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
+            else:
+                ends.append(Start(begin, found.estimate, found.cost, found.converged))
+                if best is None or (not found.converged, found.cost) < (not best.converged, best.cost):
+                    best = found
+                if found.interrupted:
+                    break
+            step()
+            if best is not None:
+                show(step, f"least cost {best.cost:.5g}, reached {agreeing(ends)} times")
+    if best is None:
+        assert failure is not None
+        raise failure
+    return output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1), ends
+
+
+def agreeing(ends: Sequence[Start]) -> int:
+    """How many starts reached the best minimum, by its cost.
+
+    Directions the data do not see may differ between equal minima, so parameters are not compared.
+
+    >>> where = np.zeros(1)
+    >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
+    2
+    """
+    least = min((e.cost for e in ends if e.converged), default=math.inf)
+    return sum(e.converged and e.cost <= least * (1 + SAME) for e in ends)

@@ -1,0 +1,333 @@
+"""The least-squares problem of an output-error fit: residuals of all trials and their derivatives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.fitting.levenberg import Solution, Unnoticed, minimise
+from swimid.fitting.model import Array, Model, Parameter, Trial
+
+#: Simulations that take longer than this, s, are shared among threads.
+WORTH_A_THREAD = 3e-4
+#: Derivatives are taken anew once the parameters have moved by more than this many standard
+#: errors; an optimum found with the old ones is off by far less.
+NEAR = 0.01
+#: Weighted residual of a sample the model cannot simulate.
+BROKEN = 1e6
+#: Decrease of the squared residuals, in variances, that moves an estimate by a thirtieth of its error.
+IMMATERIAL = 1e-3
+#: Share of the squared residuals that ten steps of a search must lower.
+LITTLE = 2e-4
+#: Points whose simulations are kept.
+KEPT = 5
+
+
+class Problem:
+    """Residuals and their derivatives as functions of the estimated numbers.
+
+    Simulations and derivatives are kept unweighted, so that a change of weights costs none.
+
+    Attributes
+    ----------
+    labels : list of str, length p
+        One per estimated number; a per-trial parameter appears as ``name[trial]``.
+    slots : list of (int, int or None), length p
+        Parameter of each number, and the trial it belongs to.
+    taken : list of (ndarray, ndarray)
+        Of each trial, the parameters that are estimated and their places among the numbers.
+    channels : list of list of str
+        Channels of each trial that hold samples.
+    masks, sd, damping : list of list of ndarray, each shape (n_k,)
+        By trial and channel: where samples are, their standard deviations, and the factor (at
+        most 1) by which a robust loss reduces a sample's residual.
+    evaluations, jacobians : int
+        Simulations of single trials so far, and derivatives of all residuals.
+    jobs : int
+        Threads among which simulations are shared when they take long; the results do not
+        depend on it. :meth:`close` ends them.
+    near : float
+        As :data:`NEAR`, of this problem.
+    random : ndarray of bool, length p
+        Numbers that are random effects (:attr:`Parameter.spread`): each adds its distance from the middle, in
+        standard deviations, to the weighted residuals of its trial.
+    """
+
+    def __init__(
+        self, model: Model, parameters: Sequence[Parameter], trials: Sequence[Trial], *, jobs: int = 1
+    ) -> None:
+        self.model = model
+        self.parameters = list(parameters)
+        self.trials = list(trials)
+        self.jobs = jobs
+        self.near = NEAR
+        self.channels = [
+            [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
+            for t in self.trials
+        ]
+        self.labels: list[str] = []
+        self.slots: list[tuple[int, int | None]] = []  # (parameter, trial or None)
+        for index, parameter in enumerate(self.parameters):
+            if not parameter.free:
+                continue
+            owners: list[int | None] = [None]
+            if parameter.per_trial:
+                held = [parameter.name in t.settings.get("held", ()) for t in self.trials]
+                owners = [k for k in range(len(self.trials)) if not held[k]]
+            for owner in owners:
+                name = parameter.name
+                self.labels.append(name if owner is None else f"{name}[{self.trials[owner].id}]")
+                self.slots.append((index, owner))
+        self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
+        for k in range(len(self.trials)):
+            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner is None or owner == k]
+            taken = [self.slots[j][0] for j in numbers]
+            self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
+        self.masks = [
+            [np.isfinite(t.measured[c]) for c in names]
+            for t, names in zip(self.trials, self.channels, strict=True)
+        ]
+        self.sd = [
+            [np.ones(len(t.time_s)) for _ in names]
+            for t, names in zip(self.trials, self.channels, strict=True)
+        ]
+        self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
+        self.evaluations = 0
+        self.jacobians = 0
+        self.base = np.array([p.start for p in self.parameters])
+        self.lower = np.array([self.parameters[i].lower for i, _ in self.slots])
+        self.upper = np.array([self.parameters[i].upper for i, _ in self.slots])
+        self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
+        starts = np.array([self._start_of(i, owner) for i, owner in self.slots])
+        self.start = np.clip(starts, self.lower, self.upper)
+        self._spread = np.array([self.parameters[i].spread for i, _ in self.slots])
+        self._middle = np.array([self.parameters[i].start for i, _ in self.slots])
+        self.random = np.isfinite(self._spread)
+        self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
+        self._simulated: dict[bytes, list[dict[str, Array]]] = {}
+        self._slopes: tuple[Array, bool, list[Array]] | None = None
+        self._lent: dict[str, list[Array]] = {}
+        self._typical_s = 0.0
+        self._pool: ThreadPoolExecutor | None = None
+
+    def close(self) -> None:
+        """End the threads, if any were started."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+    def _start_of(self, index: int, owner: int | None) -> float:
+        """Where the search for a number begins: as the trial's log suggests, else as the parameter says."""
+        parameter = self.parameters[index]
+        known = {} if owner is None else self.trials[owner].settings.get("starts", {})
+        return float(known.get(parameter.name, parameter.start))
+
+    def box(self) -> tuple[Array, Array]:
+        """Ends of the range a search over all of it covers, each shape (p,).
+
+        The bounds; where a side has none, one scale from the start.
+        """
+        bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
+        low = np.where(bounded, self.lower, np.maximum(self.start - self.scale, self.lower))
+        high = np.where(bounded, self.upper, np.minimum(self.start + self.scale, self.upper))
+        return low, high
+
+    def own(self, trial: int) -> list[int]:
+        """Places of the numbers that belong to one trial alone."""
+        return [j for j, (_, owner) in enumerate(self.slots) if owner == trial]
+
+    def vector(self, theta: Array, trial: int) -> Array:
+        """Full parameter vector of one trial."""
+        values = self.base.copy()
+        parameters, numbers = self.taken[trial]
+        values[parameters] = theta[numbers]
+        return values
+
+    def simulations(self, theta: Array) -> list[dict[str, Array]]:
+        """Simulated channels of every trial; the last few points are remembered."""
+        key = np.asarray(theta, dtype=float).tobytes()
+        if key not in self._simulated:
+            found = self.simulated([(theta, k) for k in range(len(self.trials))])
+            while len(self._simulated) >= KEPT:
+                del self._simulated[next(iter(self._simulated))]
+            self._simulated[key] = found
+        return self._simulated[key]
+
+    def broken(self, theta: Array) -> list[str]:
+        """Trials in which a measured sample cannot be simulated."""
+        return [
+            self.trials[k].id
+            for k, simulated in enumerate(self.simulations(theta))
+            if not np.isfinite(self.stacked(k, simulated)).all()
+        ]
+
+    def trial_residuals(self, theta: Array, k: int) -> Array:
+        """Weighted residuals of trial ``k``, channel after channel, missing samples left out."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = self._measured[k] - self.stacked(k, self.simulations(theta)[k])
+            values = error * self.sample_weights(k)
+        # a simulation that broke down costs, it does not crash
+        return np.where(np.isfinite(values), values, BROKEN)
+
+    def residuals(self, theta: Array) -> Array:
+        """Weighted residuals of all trials, and of the random effects behind them, shape (n,)."""
+        parts = [self.trial_residuals(theta, k) for k in range(len(self.trials))]
+        return np.concatenate([*parts, *(r for r, _ in self.priors(theta))])
+
+    def priors(self, theta: Array) -> list[tuple[Array, Array]]:
+        """Residuals of each trial's random effects, shape (m_k,), and their derivatives, shape (m_k, p)."""
+        found = []
+        for k in range(len(self.trials)):
+            mine = [j for j in self.own(k) if self.random[j]]
+            rows = np.zeros((len(mine), len(theta)))
+            rows[range(len(mine)), mine] = 1.0 / self._spread[mine]
+            found.append(((theta[mine] - self._middle[mine]) / self._spread[mine], rows))
+        return found
+
+    def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
+        """Derivative of each trial's residuals, shape (n_k, p) each.
+
+        Forward differences, accurate to about 1e-6, or central ones at twice the cost. Those
+        of an earlier point are used again within :data:`NEAR` of it.
+        """
+        slopes = self._derivatives(theta, central)
+        return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
+
+    def lend(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
+        """Take the derivatives to some numbers as known and unchanging.
+
+        Parameters
+        ----------
+        labels : sequence of str
+        rows : sequence of ndarray, shape (n_k, len(labels))
+            Of each trial, of the simulated samples, weighted as here.
+        """
+        weights = [self.sample_weights(k) for k in range(len(self.trials))]
+        self._lent = {
+            label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
+        }
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivative of all residuals, shape (n, p)."""
+        return np.concatenate([*self.trial_jacobians(theta), *(rows for _, rows in self.priors(theta))])
+
+    def solve(
+        self,
+        theta: Array,
+        *,
+        tolerance: float,
+        unnoticed: Unnoticed | None = None,
+        max_iterations: int = 200,
+        watch: Callable[[Array, float, int], None] | None = None,
+    ) -> Solution:
+        """Minimise the squared residuals from ``theta`` on, inside the bounds, in at most so many iterations.
+
+        The options are those of :func:`swimid.fitting.levenberg.minimise`.
+        """
+        return minimise(
+            self.residuals,
+            self.jacobian,
+            theta,
+            lower=self.lower,
+            upper=self.upper,
+            scale=self.scale,
+            tolerance=tolerance,
+            enough=IMMATERIAL,
+            little=LITTLE,
+            unnoticed=unnoticed,
+            max_iterations=max_iterations,
+            watch=watch,
+        )
+
+    def sample_weights(self, k: int) -> Array:
+        """Factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
+        parts = [
+            (damping / sd)[mask]
+            for damping, sd, mask in zip(self.damping[k], self.sd[k], self.masks[k], strict=True)
+        ]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
+        """Values of channels where a trial was measured, in the order of its residuals, shape (n_k,)."""
+        parts = [series[c][mask] for c, mask in zip(self.channels[k], self.masks[k], strict=True)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _derivatives(self, theta: Array, central: bool) -> list[Array]:
+        """Derivative of the simulated samples of each trial, shape (n_k, p) each."""
+        if self._slopes is not None:
+            where, was_central, known = self._slopes
+            if (was_central or not central) and self._near(theta, where, known):
+                return known
+        size = np.maximum(np.abs(theta), self.scale)
+        here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
+        steps = (1e-5 if central else 1e-6) * size
+        # step towards the inside of the bounds
+        steps = np.where(theta + steps > self.upper, -steps, steps)
+        both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
+        points: list[tuple[Array, int]] = []
+        places: list[tuple[int, int]] = []
+        slopes = [np.zeros((len(y), len(theta))) for y in here]
+        for j, (_, owner) in enumerate(self.slots):
+            if self.labels[j] in self._lent:
+                for k, rows in enumerate(self._lent[self.labels[j]]):
+                    slopes[k][:, j] = rows
+                continue
+            for k in range(len(self.trials)) if owner is None else [owner]:
+                for sign in (1, -1) if both[j] else (1,):
+                    moved = theta.copy()
+                    moved[j] += sign * steps[j]
+                    points.append((moved, k))
+                places.append((k, j))
+        moves = iter(zip(points, self.simulated(points), strict=True))
+        for k, j in places:
+            (ahead_at, _), simulated = next(moves)
+            ahead, back, back_at = self.stacked(k, simulated), here[k], theta
+            if both[j]:
+                (back_at, _), simulated = next(moves)
+                back = self.stacked(k, simulated)
+            with np.errstate(over="ignore", invalid="ignore"):
+                column = (ahead - back) / (ahead_at[j] - back_at[j])
+            slopes[k][:, j] = np.where(np.isfinite(column), column, 0.0)
+        self.jacobians += 1
+        self._slopes = (theta.copy(), central, slopes)
+        return slopes
+
+    def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
+        """Whether the step between two points is small against the noise of the estimates."""
+        moved, left, samples = 0.0, 0.0, 0
+        for k, rows in enumerate(slopes):
+            change = rows @ (theta - where) * self.sample_weights(k)
+            residuals = self.trial_residuals(theta, k)
+            moved += float(change @ change)
+            left += float(residuals @ residuals)
+            samples += len(residuals)
+        # a step of one standard error in any direction changes the cost by the residuals' variance
+        return moved * samples <= self.near**2 * left
+
+    def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
+        """Simulations of (numbers, trial) pairs, in their order."""
+        self.evaluations += len(points)
+        if self.jobs > 1 and len(points) > 1 and self._typical_s > WORTH_A_THREAD:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self.jobs)
+            timed = list(self._pool.map(lambda point: self._simulate_one(*point), points))
+        else:
+            timed = [self._simulate_one(*point) for point in points]
+        # the median, since the first may have compiled the model and a broken one ends early
+        self._typical_s = float(np.median([seconds for _, seconds in timed])) if timed else 0.0
+        return [found for found, _ in timed]
+
+    def _simulate_one(self, theta: Array, k: int) -> tuple[dict[str, Array], float]:
+        begun = time.perf_counter()
+        trial = self.trials[k]
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = self.model.simulate(self.vector(theta, k), trial)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            found = {c.name: np.full(len(trial.time_s), np.nan) for c in self.model.channels}
+        seconds = time.perf_counter() - begun
+        return {c: y for c, y in found.items() if c in trial.measured}, seconds

@@ -1,0 +1,266 @@
+"""A number that differs from trial to trial by chance, as a random effect with an estimated spread.
+
+A free number for each trial would take up whatever the model leaves out: a force that grows with the
+setting of the trials looks like a friction that does. A random effect may only be as large as the trials'
+scatter about a common value allows (Pinheiro and Bates, "Mixed-Effects Models in S and S-PLUS", 2000).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize, stats
+
+from swimid.fitting import noise as noise_model
+from swimid.fitting import output_error, sandwich
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array
+from swimid.fitting.output_error import UNIDENTIFIABLE
+from swimid.fitting.restarts import weighted
+
+#: Fewest trials from which a spread is estimated.
+FEWEST = 4
+#: Rounds of estimating the spread and fitting with it, at most, and the relative change that ends them.
+ROUNDS, SETTLED = 8, 0.05
+#: Smallest share of the largest information that still counts as some.
+LEAST = 1e-12
+
+
+@dataclass(frozen=True)
+class Own:
+    """What each trial by itself says of a number, all shared parameters free.
+
+    Attributes
+    ----------
+    trials : tuple of str, length n
+    value : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+        Of their errors, under coloured residuals. What the shared parameters can imitate is hardly known.
+    """
+
+    trials: tuple[str, ...]
+    value: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation of a number between trials.
+
+    Attributes
+    ----------
+    sd : float
+    stderr : float
+    p_value : float
+        Of the test that there is none.
+    """
+
+    sd: float
+    stderr: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How a number follows a setting of the trials.
+
+    Attributes
+    ----------
+    slope, stderr : float
+        Per unit of the setting.
+    p_value : float
+        Two-sided, of Student's t.
+    """
+
+    slope: float
+    stderr: float
+    p_value: float
+
+
+def own_numbers(result: FitResult, name: str, common: str) -> Own:
+    """Each trial's own value of a per-trial parameter, by one linear step from a fit.
+
+    Parameters
+    ----------
+    result : FitResult
+    name, common : str
+        The per-trial parameter, and the shared one it deviates from.
+    """
+    parameters = tuple(
+        replace(p, free=True, spread=math.inf)
+        if p.name == name
+        else replace(p, free=False, start=result.value(common))
+        if p.name == common
+        else p
+        for p in result.parameters
+    )
+    problem = weighted(result, parameters)
+    theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in _parted(problem.labels)])
+    rows = [j * problem.scale for j in problem.trial_jacobians(theta, central=True)]
+    residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
+    held = np.array([result.status.get(label) == "at-bound" for label in problem.labels], dtype=bool)
+    seen = ~held & (np.linalg.norm(np.concatenate(rows), axis=0) > 0)
+    if not seen.any():
+        # at a point where every number is at a bound or without effect, none is known
+        return Own((), np.empty(0), np.empty((0, 0)))
+    rows = [r[:, seen] for r in rows]
+    step = np.linalg.lstsq(np.concatenate(rows), -np.concatenate(residuals), rcond=1e-12)[0]
+    # the noise is what is left once every trial has its own number: before, it holds what is sought
+    left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
+    found = sandwich.sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
+    labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
+    mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
+    root = found.root * found.scatter
+    others = [i for i in range(len(labels)) if i not in mine]
+    u, singular, _ = np.linalg.svd(root[:, others], full_matrices=False)
+    dark = u[:, singular > math.sqrt(LEAST) * singular.max(initial=0.0)]
+    part = root[:, mine] - dark @ (dark.T @ root[:, mine])
+    values, vectors = np.linalg.eigh(part.T @ part)
+    values = np.maximum(values, LEAST * values.max(initial=1e-300))
+    size = problem.scale[seen][mine]
+    return Own(
+        trials=tuple(labels[i][len(name) + 1 : -1] for i in mine),
+        value=theta[seen][mine] + step[mine] * size,
+        covariance=(vectors / values) @ vectors.T * np.outer(size, size),
+    )
+
+
+def _parted(labels: list[str]) -> list[tuple[str, str, str]]:
+    return [label.partition("[") for label in labels]
+
+
+def spread(own: Own) -> Spread:
+    """Standard deviation between trials by restricted maximum likelihood.
+
+    Examples
+    --------
+    >>> s = spread(Own(tuple("abcdef"), np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), 1e-6 * np.eye(6)))
+    >>> round(s.sd, 2)
+    1.1
+    """
+    variances, values, _ = _contrasts(own)
+    between, gain = _reml(variances, values, None)
+    sd = math.sqrt(between)
+    information = float(np.sum((variances + between) ** -2.0))
+    error = math.sqrt(2.0 / information) / (2.0 * sd) if sd > 0 and information > 0 else 0.0
+    # no spread lies at the edge of what is possible: half the chi-square (Self and Liang 1987)
+    return Spread(sd, error, 0.5 * float(stats.chi2.sf(max(gain, 0.0), 1)) if sd > 0 else 1.0)
+
+
+def trend(own: Own, setting: Array) -> Trend:
+    """Slope of the trials' numbers over a setting, beside a spread by chance.
+
+    Parameters
+    ----------
+    setting : ndarray, shape (n,)
+    """
+    variances, values, turn = _contrasts(own)
+    slope_column = turn @ np.asarray(setting, dtype=float)
+    between, _ = _reml(variances, values, slope_column)
+    weight = 1.0 / (variances + between)
+    information = float(np.sum(slope_column**2 * weight))
+    if information <= 0 or len(values) < 2:
+        return Trend(0.0, math.inf, 1.0)
+    slope = float(np.sum(slope_column * values * weight)) / information
+    error = 1.0 / math.sqrt(information)
+    return Trend(slope, error, float(2.0 * stats.t.sf(abs(slope) / error, len(values) - 1)))
+
+
+def _contrasts(own: Own) -> tuple[Array, Array, Array]:
+    """Independent differences between trials: their error variances, values, and the map from numbers."""
+    n = len(own.value)
+    whole = np.linalg.qr(np.column_stack((np.ones(n), np.eye(n)[:, : n - 1])))[0]
+    apart = whole[:, 1:].T
+    variances, vectors = np.linalg.eigh(apart @ own.covariance @ apart.T)
+    turn = vectors.T @ apart
+    return np.maximum(variances, 0.0), turn @ own.value, turn
+
+
+def _reml(variances: Array, values: Array, column: Array | None) -> tuple[float, float]:
+    """Variance between trials, and twice the gain in restricted log-likelihood over none."""
+    floor = 1e-12 * float(np.max(values**2, initial=0.0)) + 1e-300
+
+    def minus(between: float) -> float:
+        whole = variances + between + floor
+        left, extra = values, 0.0
+        if column is not None:
+            information = float(np.sum(column**2 / whole))
+            left = values - column * float(np.sum(column * values / whole)) / max(information, 1e-300)
+            extra = math.log(max(information, 1e-300))
+        return float(np.sum(np.log(whole) + left**2 / whole)) + extra
+
+    top = 4.0 * float(np.max(values**2, initial=0.0)) + floor
+    grid = np.concatenate(([0.0], np.geomspace(1e-10 * top, top, 60)))
+    best = int(np.argmin([minus(b) for b in grid]))
+    if best == 0:
+        return 0.0, 0.0
+    low, high = grid[best - 1], grid[min(best + 1, len(grid) - 1)]
+    between = float(optimize.minimize_scalar(minus, bounds=(low, high), method="bounded").x)
+    return between, minus(0.0) - minus(between)
+
+
+def fit(
+    result: FitResult, name: str, common: str, *, near: FitResult | None = None
+) -> tuple[FitResult, Spread]:
+    """Fit with a per-trial parameter as a random effect about the shared one.
+
+    Parameters
+    ----------
+    result : FitResult
+        Without it: where the search begins, and the choices of all other parameters.
+    name, common : str
+        The per-trial parameter, whose start is its middle, and the shared one it deviates from.
+    near : FitResult, optional
+        Where the search begins instead: of the same trials or some of them.
+
+    Returns
+    -------
+    result : FitResult
+        Standard errors of shared parameters hold for this many trials (Student's t).
+    spread : Spread
+        ``sd`` 0 where the trials show none; the result is then the one given.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When a fit does not converge.
+    """
+    none = Spread(0.0, 0.0, 1.0)
+    now, last = result if near is None else replace(near, trials=result.trials), 0.0
+    found = none
+    for _ in range(ROUNDS):
+        own = own_numbers(now, name, common)
+        if len(own.trials) < FEWEST:
+            return result, none
+        found = spread(own)
+        if found.sd == 0.0:
+            return result, found
+        if abs(found.sd - last) <= SETTLED * last:
+            break
+        last = found.sd
+        parameters = tuple(
+            # a number known no better than its spread is not worse known than it can be
+            replace(p, free=True, spread=last, scale=max(p.scale, last / UNIDENTIFIABLE))
+            if p.name == name
+            else replace(p, start=p.start if p.per_trial else now.value(p.name))
+            for p in result.parameters
+        )
+        now = output_error.fit(result.model, result.trials, parameters=parameters, tested=False)
+    return _for_few(output_error.held_to_restarts(now, jobs=1), name), found
+
+
+def _for_few(result: FitResult, name: str) -> FitResult:
+    """The same with what the random effect adds to the covariance widened for few trials."""
+    mine = np.array([label.startswith(f"{name}[") for label in result.labels])
+    others = np.flatnonzero(~mine & np.isfinite(np.diag(result.covariance)))
+    if not len(others) or mine.sum() < 2:
+        return result
+    root = result.information_root[:, others]
+    alone = np.linalg.pinv(root.T @ root, rcond=LEAST, hermitian=True)
+    widen = float(stats.t.ppf(0.975, int(mine.sum()) - 1) / stats.norm.ppf(0.975)) ** 2
+    covariance = result.covariance.copy()
+    place = np.ix_(others, others)
+    covariance[place] += (widen - 1.0) * (covariance[place] - alone)
+    return replace(result, covariance=covariance)

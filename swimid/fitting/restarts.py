@@ -1,0 +1,150 @@
+"""Is the answer of a search a minimum? Points around it, and short searches from some, must not lie lower.
+
+A search stops where its own model of the cost promises nothing more. Where the cost has corners, as with
+dry friction, or a bound keeps a parameter from leaving, that is no minimum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Parameter
+from swimid.fitting.noise import CORNER
+from swimid.fitting.problem import IMMATERIAL, Problem
+
+#: Pairs of points tried around the answer, and their distance in standard errors under white noise.
+PAIRS, NEAR = 3, 2.0
+#: A cost of a pair of points that is off by more than this share of what curvature predicts has corners.
+ROUGH = 0.5
+#: Distances, in the same standard errors, from which short searches start, and those where it has corners.
+FAR, FAR_ROUGH = (10.0,), (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
+#: Iterations of such a search, and of the two that came lowest where the cost has corners.
+SHORT, LONG = 3, 10
+#: Sizes a parameter with corners is tried at: in its scale, where the search may have gone far astray, and in
+#: its estimate, since a decay that sticks has a minimum for every number of half swings it may take.
+SIZES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
+#: How far inside a parameter at its bound is tried, in its scale.
+INSIDE = 1.0
+#: Relative size beyond which a step along a direction the data hardly see does not go.
+LARGEST = 0.5
+
+
+def better(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Array | None:
+    """A point with a lower cost than the answer of a fit, found near it; None where none was.
+
+    Parameters
+    ----------
+    result : FitResult
+    jobs, seed : int
+
+    Returns
+    -------
+    ndarray, shape (p,), or None
+
+    Notes
+    -----
+    A few simulations and one short search where the cost is as smooth as it should be.
+    """
+    problem = weighted(result, jobs=jobs)
+    if not len(result.labels):
+        return None
+    try:
+        return _better(problem, result, np.random.default_rng(seed))
+    finally:
+        problem.close()
+
+
+def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
+    """The fit's problem with its final weights, also for other choices of parameters."""
+    fitted = [t for t in result.trials if t.role == "fit"]
+    problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
+    known = {(s.trial, s.channel): s for s in result.series}
+    for k, trial in enumerate(problem.trials):
+        series = [known[trial.id, channel] for channel in problem.channels[k]]
+        problem.sd[k] = [s.sd for s in series]
+        if result.loss == "huber":
+            far = [np.maximum(np.abs(np.nan_to_num(s.weighted)) / CORNER, 1.0) for s in series]
+            problem.damping[k] = [1.0 / np.sqrt(f) for f in far]
+    return problem
+
+
+def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> Array | None:
+    theta = np.asarray(result.estimate, dtype=float)
+    here = _cost(problem, theta)
+    steps = _standard_steps(problem, theta, here, result.samples)
+    material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
+    tried: list[tuple[float, Array]] = []
+    rough = any(p.kinked and p.free for p in result.parameters)
+    for _ in range(PAIRS):
+        direction = rng.normal(size=len(theta))
+        step = NEAR * steps @ (direction / np.linalg.norm(direction))
+        pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
+        costs = [_cost(problem, point) for point in pair]
+        tried += list(zip(costs, pair, strict=True))
+        if all(np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True)):
+            predicted = NEAR**2 * here / max(result.samples - len(theta), 1)
+            rough |= abs(0.5 * sum(costs) - here - predicted) > ROUGH * predicted
+    starts = [
+        np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
+        for far in (FAR_ROUGH if rough else FAR)
+    ]
+    starts += _inside(problem, result, theta, rough)
+    ends = _searched(problem, starts, SHORT, 0.1 * material / max(here, 1e-300))
+    if rough:
+        lowest = [point for _, point in sorted(ends, key=lambda end: end[0])[:2]]
+        ends += _searched(problem, lowest, LONG, 0.1 * material / max(here, 1e-300))
+    tried += ends
+    cost, point = min(tried, key=lambda pair: pair[0])
+    return point if cost < here - material else None
+
+
+def _searched(
+    problem: Problem, starts: list[Array], most: int, tolerance: float
+) -> list[tuple[float, Array]]:
+    found = [problem.solve(start, tolerance=tolerance, max_iterations=most) for start in starts]
+    return [(solution.cost, solution.x) for solution in found if np.isfinite(solution.cost)]
+
+
+def _cost(problem: Problem, theta: Array) -> float:
+    r = problem.residuals(theta)
+    return float(r @ r)
+
+
+def _unit(rng: np.random.Generator, size: int) -> Array:
+    direction = rng.normal(size=size)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _standard_steps(problem: Problem, theta: Array, cost: float, samples: int) -> Array:
+    """Columns that move by one standard error under white noise, independent of each other, shape (p, p)."""
+    rows = problem.jacobian(theta) * problem.scale
+    at_bound = (theta <= problem.lower) | (theta >= problem.upper)
+    rows[:, at_bound] = 0.0
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    sizes = np.sqrt(cost / max(samples - len(theta), 1) / np.maximum(values, 1e-300))
+    largest = LARGEST * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
+    steps = vectors * np.minimum(sizes, largest)
+    steps[at_bound] = 0.0
+    return np.asarray(problem.scale[:, None] * steps)
+
+
+def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> list[Array]:
+    """The answer with parameters at their bounds moved inside, and those with corners to other sizes."""
+    kinked = {p.name for p in result.parameters if p.kinked}
+    found = []
+    margin = 1e-3 * problem.scale
+    for j, label in enumerate(problem.labels):
+        name, per_trial = label.split("[")[0], "[" in label
+        values: list[float] = []
+        if name in kinked and not per_trial:
+            values = [size * problem.scale[j] for size in SIZES] + [f * theta[j] for f in FACTORS if theta[j]]
+        elif theta[j] - problem.lower[j] < margin[j]:
+            values = [problem.lower[j] + INSIDE * problem.scale[j]]
+        elif problem.upper[j] - theta[j] < margin[j]:
+            values = [problem.upper[j] - INSIDE * problem.scale[j]]
+        for value in values if not per_trial or rough else []:
+            point = theta.copy()
+            point[j] = np.clip(value, problem.lower[j], problem.upper[j])
+            found.append(point)
+    return found

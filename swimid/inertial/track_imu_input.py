@@ -1,0 +1,136 @@
+"""What ``swimid track imu`` reads: the record of the inertial unit, and another log of the trial."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.files.delimited import missing_column
+from swimid.inertial.alignment import Poses
+from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, rotations
+from swimid.logs import log, mapping, track_cleaning
+from swimid.logs.mapping import MappedLog
+from swimid.logs.rotation import angles
+from swimid.logs.sampling import usual_step
+from swimid.notices import warn
+from swimid.progress import Progress
+
+#: Fewest samples that make a motion.
+LEAST = 64
+
+
+def read_record(path: Path, map_path: Path | None, progress: Progress) -> tuple[Record, list[str]]:
+    """The record as it stands in the file, faults and all, and what to know of how it was read.
+
+    Raises
+    ------
+    InputError
+        The file or the mapping cannot be used, or a column is missing.
+    """
+    if map_path is None:
+        mapped = mapping.identity(path, progress=progress)
+    else:
+        mapped = mapping.apply(mapping.read(map_path), path, progress=progress)
+    columns = mapped.columns
+    for name in (*ACCELERATION, *RATE):
+        if name not in columns:
+            where = path if map_path is None else map_path
+            raise missing_column(name, list(columns), where, None, "an inertial log needs this column")
+    if len(mapped) < LEAST:
+        raise InputError(f"has {len(mapped)} samples; at least {LEAST} are needed", file=path)
+    record = Record(
+        columns[log.TIME],
+        _together(mapped, ACCELERATION),
+        _together(mapped, RATE),
+        _together(mapped, QUATERNION) if all(n in columns for n in QUATERNION) else None,
+        _together(mapped, MAGNETIC) if all(n in columns for n in MAGNETIC) else None,
+        metadata=mapped.metadata,
+        name=path.name,
+    )
+    return record, mapped.notes
+
+
+#: A track of fewer samples, or of samples farther apart, s, is too sparse to tell jumps from motion.
+FEWEST, SPARSE_S = 40, 0.25
+#: No tank is larger, m: a mark for "no sample".
+FARTHEST_M = 1e4
+
+
+def _together(mapped: MappedLog, names: tuple[str, ...]) -> Array:
+    return np.column_stack([mapped.columns[name] for name in names])
+
+
+def read_poses(path: Path) -> Poses:
+    """Positions and angles of another log; bridged samples count as missing.
+
+    Where a log keeps what was measured beside what was smoothed (``x_raw_m``), the measured is taken.
+
+    Raises
+    ------
+    InputError
+        The file cannot be used, or holds neither positions nor angles.
+    """
+    read = log.read(path)
+    bridged = np.zeros(len(read), dtype=bool)
+    if "found" in read:
+        bridged |= read["found"] == 0
+    if "interpolated" in read:
+        bridged |= read["interpolated"] == 1
+
+    def channel(name: str, unit: str) -> Array | None:
+        column = next((c for c in (f"{name}_raw_{unit}", f"{name}_{unit}") if c in read), None)
+        return None if column is None else np.where(bridged, np.nan, read[column])
+
+    missing = np.full(len(read), np.nan)
+    places = [channel(axis, "m") for axis in "xyz"]
+    position = np.column_stack([missing if p is None else p for p in places])
+    roll, pitch, yaw = (channel(name, "rad") for name in ("roll", "pitch", "yaw"))
+    if all(name in read for name in QUATERNION):
+        q = np.column_stack([read[name] for name in QUATERNION])
+        there = np.isfinite(q).all(axis=1) & (np.linalg.norm(q, axis=1) > 0.5) & ~bridged
+        full = [missing.copy() for _ in range(3)]
+        for out, angle in zip(full, angles(rotations(q[there])) if there.any() else (), strict=False):
+            out[there] = angle
+        roll, pitch, yaw = full
+    if not np.isfinite(position).any() and roll is None and pitch is None and yaw is None:
+        raise InputError(
+            "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, "
+            "pitch_rad, yaw_rad) to fuse with",
+            file=path,
+            hint="tracks in pixels need a scale in their setup",
+        )
+    _take_out(read, position, [a for a in (roll, pitch, yaw) if a is not None])
+    return Poses(read.time_s, position, roll, pitch, _unwrapped(yaw))
+
+
+def _take_out(read: log.Log, position: Array, angle_columns: list[Array]) -> None:
+    """Empty the samples of a dense track that repeat a picture or jump away from it."""
+    far = (np.abs(position) > FARTHEST_M).any(axis=1)
+    position[far] = np.nan
+    repeated, jumped = np.zeros_like(far), far
+    seen = np.flatnonzero(np.isfinite(position).any(axis=0))
+    if len(read) >= FEWEST and usual_step(read.time_s) <= SPARSE_S and len(seen) > 1:
+        found = track_cleaning.clean(read.time_s, [position[:, k] for k in seen], angle_columns)
+        repeated, jumped = found.repeated, far | found.jumped
+    out = repeated | jumped
+    if not out.any():
+        return
+    position[out] = np.nan
+    for angle in angle_columns:
+        angle[out] = np.nan
+    warn(
+        "SWM058",
+        f"{read.path.name}: {int(repeated.sum())} repeated and {int(jumped.sum())} stray samples left out of "
+        "the track",
+    )
+
+
+def _unwrapped(angle: Array | None) -> Array | None:
+    if angle is None:
+        return None
+    out = angle.copy()
+    there = np.isfinite(angle)
+    out[there] = np.unwrap(angle[there])
+    return out

@@ -1,0 +1,74 @@
+"""Which foreign format a file is of."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from pathlib import Path
+
+from swimid.errors import InputError, suggestion
+from swimid.logs import foreign
+from swimid.logs.foreign.base import Options, Reader, Source
+
+
+@cache
+def readers() -> dict[str, Reader]:
+    """Every format by its name."""
+    found: dict[str, Reader] = {}
+    for entry in pkgutil.iter_modules(foreign.__path__):
+        module = importlib.import_module(f"{foreign.__name__}.{entry.name}")
+        reader = getattr(module, "READER", None)
+        if isinstance(reader, Reader):
+            found[reader.name] = reader
+    return found
+
+
+def reader_of(path: Path, options: Options) -> Reader:
+    """The format of a file: the one asked for, or by how the file begins, or by its ending.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or the format asked for does not exist.
+    """
+    known = readers()
+    if options.kind is not None:
+        if options.kind not in known:
+            raise InputError(
+                f"there is no reader '{options.kind}'", file=path, hint=suggestion(options.kind, list(known))
+            )
+        return known[options.kind]
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(512)
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    if not head:
+        raise InputError("is empty", file=path)
+    for reader in known.values():
+        if any(head.startswith(magic) for magic in reader.magic):
+            return reader
+    ending = path.suffix.lower()
+    return next((r for r in known.values() if ending in r.endings), known["delimited"])
+
+
+def open_source(path: str | Path, options: Options | None = None) -> Source:
+    """Open a log of another program.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or its reader needs an extra that is not installed.
+    """
+    path, options = Path(path), options or Options()
+    reader = reader_of(path, options)
+    try:
+        return reader.open(path, options)
+    except ImportError as error:
+        raise InputError(
+            f"is a {reader.title}, and {error.name} to read it is not installed",
+            file=path,
+            hint=f"pip install 'swimid[{reader.extra}]'",
+        ) from error

@@ -1,0 +1,262 @@
+"""The stroke of a swimmer from all channels of a log: its frequency and its harmonics."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from swimid.logs.beat import FEWEST_CYCLES, TOLERANCE, Beat, find_beat
+from swimid.logs.sampling import longest_even
+
+Array = NDArray[np.float64]
+#: Channels that swing once a stroke, to one side and to the other.
+SIDEWAYS = re.compile(
+    r"(joint|cmd|fin|tail)\w*|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
+)
+#: Channels that may swing twice a stroke: both half strokes push.
+PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
+#: Channels that agree within this share beat together.
+TOGETHER = 0.03
+#: Rate above which a channel is averaged before its beat is sought, Hz.
+FASTEST_HZ = 60.0
+#: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
+WHOLE, MOST = 0.8, 20_000
+#: Highest harmonic reported, and how many standard errors its amplitude must exceed: noise, whose amplitude
+#: is Rayleigh's, does so in one of a hundred records.
+HARMONICS = 5
+CLEAR = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """One harmonic of the stroke in the channel it was found in.
+
+    Attributes
+    ----------
+    order : int
+        1 is the stroke itself.
+    amplitude, stderr : float
+        In the channel's unit.
+    """
+
+    order: int
+    amplitude: float
+    stderr: float
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """The stroke of one log.
+
+    Attributes
+    ----------
+    beat : Beat
+        The stroke in the channel that tells it best.
+    channel : str
+    harmonics : list of Harmonic
+        Of that channel, those that stand clear of the noise.
+    channels : dict of str to Beat
+        What each channel that beats at all beats at.
+    maybe_double : bool
+        Only channels that may swing twice a stroke were there.
+    """
+
+    beat: Beat
+    channel: str
+    harmonics: list[Harmonic]
+    channels: dict[str, Beat]
+    maybe_double: bool
+
+    @property
+    def interval_hz(self) -> tuple[float, float]:
+        """95 % interval of the stroke frequency, Hz."""
+        return self.beat.interval_hz
+
+    @property
+    def period_s(self) -> tuple[float, float]:
+        """Period and its standard error, s."""
+        period = 1.0 / self.beat.frequency_hz
+        return period, period**2 * self.beat.stderr_hz
+
+
+def swing(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """How a track swings about the path it keeps to, in the track's unit.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``); a lone one swings along itself.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``sway`` across the path and ``surge`` along it, both about the mean of a quarter of the record: the
+        fewest cycles of a stroke that is told. Of a body that stays in its place, which has no path,
+        ``long_axis`` and ``short_axis``. Empty without a track.
+    """
+    units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
+    names = next((found for found in units if found), [])[:2]
+    if not names:
+        return {}
+    place = np.column_stack([columns[name] for name in names])
+    there = np.isfinite(place).all(axis=1)
+    if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
+        return {}
+    if len(names) == 1:
+        return {"surge": place[:, 0]}
+    width = max(int(there.sum() / FEWEST_CYCLES) | 1, 5)
+    path, tangent = (signal.savgol_filter(place[there], width, 1, deriv=k, axis=0) for k in (0, 1))
+    about = place[there] - path
+    ways = ("surge", "sway")
+    if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
+        ways = ("long_axis", "short_axis")
+        tangent = np.broadcast_to(np.linalg.svd(about, full_matrices=False)[2][0], about.shape)
+    tangent = tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    found = {way: np.full(len(place), np.nan) for way in ways}
+    for way, axis in zip(ways, (tangent, normal), strict=True):
+        found[way][there] = np.sum(about * axis, axis=1)
+    return found
+
+
+def find(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    *,
+    range_hz: tuple[float, float] | None = None,
+    stated_hz: float | None = None,
+) -> Rhythm | None:
+    """The stroke a log shows, or None where it shows none.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    columns : mapping of str to ndarray, each shape (n,)
+        NaN where missing. Names of the log format tell which swing once a stroke.
+    range_hz : (float, float), optional
+        Where the stroke is known to lie.
+    stated_hz : float, optional
+        What the robot was driven at. Where nothing is found freely, it is looked for there alone, which
+        takes less evidence.
+
+    Notes
+    -----
+    The frequency is that which most channels beat at, those at twice of it counted in: surge and
+    drag follow both half strokes. Of the channels at it the one with the smallest standard error
+    gives the value; they are not independent, so nothing is averaged.
+    """
+    track = swing(columns)
+    once = {name: values for name, values in columns.items() if SIDEWAYS.fullmatch(name)}
+    once |= {name: values for name, values in track.items() if name == "sway"}
+    twice = {name: values for name, values in columns.items() if PUSHED.fullmatch(name)}
+    twice |= {name: values for name, values in track.items() if name != "sway"}
+    ranges = [range_hz]
+    if stated_hz is not None and range_hz is None:
+        ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
+    for within in ranges:
+        for offered in (once, twice):
+            beats = _beats(time_s, offered, within)
+            if beats:
+                return _chosen(time_s, offered, beats, offered is twice)
+    return None
+
+
+def _chosen(time_s: Array, offered: Mapping[str, Array], beats: dict[str, Beat], double: bool) -> Rhythm:
+    """The stroke that most channels support, in the channel that tells it best."""
+
+    def support(frequency: float) -> float:
+        return sum(
+            beat.share
+            for beat in beats.values()
+            if any(abs(beat.frequency_hz / (k * frequency) - 1) < TOGETHER for k in (1, 2))
+        )
+
+    chosen = max(beats.values(), key=lambda beat: (round(support(beat.frequency_hz), 3), -beat.frequency_hz))
+    at_it = {
+        name: beat
+        for name, beat in beats.items()
+        if abs(beat.frequency_hz / chosen.frequency_hz - 1) < TOGETHER
+    }
+    channel = min(at_it, key=lambda name: at_it[name].stderr_hz)
+    values = _unwrapped(offered[channel]) if channel.endswith("_rad") else offered[channel]
+    harmonics = _harmonics(*_as_logged(time_s, values), at_it[channel].frequency_hz)
+    return Rhythm(at_it[channel], channel, harmonics, beats, double)
+
+
+def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
+    """Why :func:`find` finds no stroke, in words."""
+    if not swing(columns) and not any(SIDEWAYS.fullmatch(n) or PUSHED.fullmatch(n) for n in columns):
+        return "no channel of it swings with the stroke"
+    duration = float(np.ptp(time_s)) if len(time_s) else 0.0
+    return (
+        f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more"
+        f" (in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on)"
+    )
+
+
+def _beats(
+    time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
+) -> dict[str, Beat]:
+    low, high = within or (None, None)
+    found = {}
+    for name, values in columns.items():
+        time, prepared = _prepared(time_s, _unwrapped(values) if name.endswith("_rad") else values)
+        beat = find_beat(time, prepared, lowest_hz=low, highest_hz=high) if len(time) else None
+        if beat is not None:
+            found[name] = beat
+    return found
+
+
+def _unwrapped(angle: Array) -> Array:
+    """An angle without its jumps by a turn."""
+    known = np.isfinite(angle)
+    smooth = angle.copy()
+    smooth[known] = np.unwrap(angle[known])
+    return smooth
+
+
+def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """A channel not faster than a stroke needs: its longest stretch, evenly; or all of it, with its gaps."""
+    time, even = longest_even(time_s, values, FASTEST_HZ)
+    there = np.isfinite(values)
+    if len(time) < WHOLE * there.sum() <= MOST and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0:
+        time, even = time_s[there], values[there]
+    known = np.isfinite(even)
+    if known.sum() < 16 or np.ptp(even[known]) == 0:
+        return np.empty(0), np.empty(0)
+    return time, even
+
+
+def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """The samples of that stretch as they are: straight lines across missing ones make harmonics."""
+    time, even = _prepared(time_s, values)
+    first, last = np.searchsorted(time_s, (time[0], time[-1]))
+    there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
+    return (time, even) if len(there) > 2 * len(time) else (time_s[there], values[there])
+
+
+def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
+    """Amplitudes of a sine series fitted with a cubic trend."""
+    known = np.isfinite(values)
+    t, x = time[known] - time[known].mean(), values[known]
+    nyquist = 0.5 / float(np.median(np.diff(time)))
+    orders = [k for k in range(1, HARMONICS + 1) if k * frequency < 0.9 * nyquist]
+    span = max(float(np.ptp(t)), 1e-300)
+    design = [(t / span) ** k for k in range(4)]
+    for k in orders:
+        design += [np.cos(2 * np.pi * k * frequency * t), np.sin(2 * np.pi * k * frequency * t)]
+    matrix = np.column_stack(design)
+    weights = np.linalg.lstsq(matrix, x, rcond=None)[0]
+    left = x - matrix @ weights
+    stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))
+    found = []
+    for index, k in enumerate(orders):
+        amplitude = float(np.hypot(*weights[4 + 2 * index : 6 + 2 * index]))
+        if k == 1 or amplitude > CLEAR * stderr:
+            found.append(Harmonic(k, amplitude, stderr))
+    return found

@@ -1,0 +1,88 @@
+"""Sample times made strictly increasing: what repeats, comes late or is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.logs.log import longest_run
+
+Array = NDArray[np.float64]
+#: Of more samples than this share that come late, or of more in a row, the clock was reset.
+LATE_SHARE, LATE_RUN = 0.01, 20
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was done to the rows of a record.
+
+    Attributes
+    ----------
+    index : ndarray of int, shape (m,)
+        The rows that stay, in the order of their times.
+    untimed : int
+        Rows without a time, left out.
+    repeated : int
+        Rows that say the same as the row before at the same time, left out.
+    clashing : int
+        Rows that say something else at a time that is taken already, left out.
+    late : int
+        Rows that came after later ones and were put in their place.
+    reset_row : int or None
+        Row at which the clock starts again: nothing puts such a record in order.
+    """
+
+    index: NDArray[np.int64]
+    untimed: int = 0
+    repeated: int = 0
+    clashing: int = 0
+    late: int = 0
+    reset_row: int | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether the record was not in order."""
+        return bool(self.untimed or self.repeated or self.clashing or self.late)
+
+
+def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
+    """Rows of a record with strictly increasing times.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        May be NaN, repeat, or go back.
+    columns : mapping of str to ndarray, each shape (n,)
+        The other columns, to tell a repeated row from a clashing one.
+
+    Notes
+    -----
+    Single rows that come late (packets on a network) are put where their time says. A clock that
+    goes back and counts on from there was reset; which of its times are right cannot be told.
+    """
+    index = np.flatnonzero(np.isfinite(time_s))
+    untimed = len(time_s) - len(index)
+    times = time_s[index]
+    if len(times) == 0:
+        return Order(index, untimed)
+    steps = np.diff(times)
+    if np.all(steps > 0):
+        return Order(index, untimed)
+    behind = times < np.maximum.accumulate(times)
+    late = int(behind.sum())
+    if late:
+        if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
+            return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+        index = index[np.argsort(times, kind="stable")]
+        times = time_s[index]
+    again = np.concatenate(([False], np.diff(times) == 0))
+    same = again.copy()
+    here = np.flatnonzero(again)
+    for values in columns.values():
+        a, b = values[index[here]], values[index[here - 1]]
+        same[here] &= (a == b) | (np.isnan(a) & np.isnan(b))
+    repeated = int(same.sum())
+    return Order(index[~again], untimed, repeated, int(again.sum()) - repeated, late)

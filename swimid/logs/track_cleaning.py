@@ -1,0 +1,196 @@
+"""Tracks of a polled camera: repeated samples, jumps and gaps found, none of them filled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from swimid.logs.log import runs
+from swimid.logs.sampling import quantum
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Steps whose median is the expected velocity, and whose scatter is the local scale.
+WINDOW, WIDE = 11, 41
+#: A step this many times the median deviation off the expected one is not of the same motion: for
+#: Gaussian noise in a plane seven standard deviations.
+OUTLYING = 6.0
+#: ... unless somewhere most of so many steps on end are half as fast, and alike: a burst of the
+#: robot's own, which a jump out and back is not.
+FASTER, ALIKE = 2.0, 5
+#: A place of which fewer samples tell than this (or than the share of all) is a jump there and back,
+#: not a track that goes on elsewhere.
+FEW, FEW_SHARE = 12, 0.05
+#: Pieces between jumps that are looked back upon for where the track goes on.
+LOOK_BACK = 100
+#: A pause longer than this many sample times is a gap.
+GAP = 6.0
+#: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
+#: after a frozen one the track goes on more than so many usual steps away.
+LONG_HOLD, NEAR = 5.0, 3.0
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """What was found in a track.
+
+    Attributes
+    ----------
+    good : ndarray of bool, shape (n,)
+        Samples that tell where the robot was.
+    repeated : ndarray of bool, shape (n,)
+        The same in every pose column as the sample before: the camera had no new picture.
+    jumped : ndarray of bool, shape (n,)
+        Away from the track that goes on before and after.
+    jumps : int
+        How often the track was away, and how often it went on elsewhere.
+    offset_rows : list of int
+        Rows where it goes on elsewhere for good.
+    gaps : list of (float, float)
+        Start and end of the stretches without a good sample, s.
+    scale_m : float
+        Median deviation of a step from the expected one: what jumps are measured against.
+    """
+
+    good: Flags
+    repeated: Flags
+    jumped: Flags
+    jumps: int
+    offset_rows: list[int]
+    gaps: list[tuple[float, float]]
+    scale_m: float
+
+
+def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
+    """Find the repeats, jumps and gaps of a track.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, s.
+    positions : list of ndarray, each shape (n,)
+        Its coordinates, m; NaN where missing.
+    others : list of ndarray, optional
+        Further columns of the same picture (angles): a repeat repeats them too.
+
+    Notes
+    -----
+    A step is outlying when it differs from the running median velocity (Hampel's identifier on the
+    steps, each by its own duration) by more than :data:`OUTLYING` times the larger of the local and
+    the global median deviation, and is more than :data:`FASTER` times as fast as the track is in its
+    fastest moments (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps
+    cut the track into pieces; the chain of pieces that keeps most samples, and pays for every piece
+    that does not continue the one before, is the track.
+
+    References
+    ----------
+    Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP
+    Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6
+    """
+    place = np.column_stack(positions)
+    known: Flags = np.asarray(np.isfinite(place).all(axis=1))
+    repeated = _repeats(time_s, place, np.column_stack([*positions, *(others or [])]), known)
+    rows = np.flatnonzero(known & ~repeated)
+    jumped = np.zeros(len(time_s), dtype=bool)
+    offsets: list[int] = []
+    jumps, scale = 0, 0.0
+    if len(rows) > WINDOW:
+        stays, elsewhere, scale = _jumps(time_s[rows], place[rows])
+        jumped[rows[~stays]] = True
+        offsets = [int(rows[k]) for k in elsewhere]
+        jumps = len(runs(~stays)) + len(offsets)
+    good = known & ~repeated & ~jumped
+    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), scale)
+
+
+def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
+    """Stretches without a good sample that are longer than :data:`GAP` sample times, s."""
+    times = time_s[good]
+    if len(times) < 3:
+        return []
+    steps = np.diff(times)
+    return [(float(times[k]), float(times[k + 1])) for k in np.flatnonzero(steps > GAP * np.median(steps))]
+
+
+def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
+    rows = np.flatnonzero(known)
+    found = np.zeros(len(time_s), dtype=bool)
+    if len(rows) < 3:
+        return found
+    before, after = pose[rows[:-1]], pose[rows[1:]]
+    same = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+    if not same.any():
+        return found
+    found[rows[1:]] = same
+    distinct = rows[np.concatenate(([True], ~same))]
+    if len(distinct) < 3:
+        return found
+    # A robot at rest repeats itself as well; it goes on from where it was.
+    usual_s = float(np.median(np.diff(time_s[rows])))
+    usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
+    for first, end in runs(same):
+        held_s = time_s[rows[end]] - time_s[rows[first]]
+        if held_s <= LONG_HOLD * usual_s or end + 1 >= len(rows):
+            continue
+        away = float(np.linalg.norm(place[rows[end + 1]] - place[rows[end]]))
+        if away <= NEAR * usual_m:
+            found[rows[first + 1 : end + 1]] = False
+    return found
+
+
+def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
+    """Samples that stay, samples at which the track goes on elsewhere, and the scale of a step."""
+    steps_s, steps = np.diff(time), np.diff(place, axis=0)
+    usual_s = float(np.median(steps_s))
+    velocity = steps / steps_s[:, None]
+    expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="nearest")
+    off = np.linalg.norm(steps - expected * steps_s[:, None], axis=1)
+    length = np.linalg.norm(steps, axis=1)
+    least = max(max(quantum(column) for column in place.T), 0.05 * float(np.median(length)))
+    scale = max(float(np.median(off)), least)
+    local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="nearest"), scale)
+    alike = ndimage.median_filter(velocity, size=(ALIKE, 1), mode="nearest")
+    fastest = float(np.percentile(np.linalg.norm(alike, axis=1), 99))
+    longer = np.maximum(steps_s / usual_s, 1.0)
+    limit = OUTLYING * local * np.minimum(longer, GAP)
+    outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)
+    if not outlying.any():
+        return np.ones(len(time), dtype=bool), [], scale
+    starts = np.concatenate(([0], np.flatnonzero(outlying) + 1))
+    ends = np.concatenate((starts[1:], [len(time)]))
+
+    def goes_on(one: int, other: int) -> bool:
+        a, b = ends[one] - 1, starts[other]
+        away = float(np.linalg.norm(place[b] - place[a]))
+        return away <= FASTER * fastest * (time[b] - time[a]) + OUTLYING * scale
+
+    chain = _chain(ends - starts, goes_on, max(FEW, FEW_SHARE * len(time)))
+    stays = np.zeros(len(time), dtype=bool)
+    for piece in chain:
+        stays[starts[piece] : ends[piece]] = True
+    elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
+    return stays, elsewhere, scale
+
+
+def _chain(sizes: NDArray[np.int64], goes_on: object, cost: float) -> list[int]:
+    """The pieces that keep most samples, each break of the track paid for."""
+    assert callable(goes_on)
+    best = np.zeros(len(sizes))
+    link = np.full(len(sizes), -1)
+    for k, size in enumerate(sizes):
+        best[k] = size
+        for j in range(max(0, k - LOOK_BACK), k):
+            gained = best[j] + size
+            if gained > best[k] and not goes_on(j, k):
+                gained -= cost
+            if gained > best[k]:
+                best[k], link[k] = gained, j
+    chain = [int(np.argmax(best))]
+    while link[chain[-1]] >= 0:
+        chain.append(int(link[chain[-1]]))
+    return chain[::-1]

@@ -1,0 +1,327 @@
+"""The trials file (``swimid-trials/1``): what every fit reads."""
+
+from __future__ import annotations
+
+import filecmp
+import itertools
+import math
+import os
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import Discriminator, Field, PositiveFloat, Tag, model_validator
+
+from swimid.errors import InputError, nearest
+from swimid.files import yamlio
+from swimid.notices import warn
+from swimid.robots import file as robot_format
+
+FORMAT = "swimid-trials/1"
+
+
+class Drive(yamlio.Document):
+    """The commanded tail beat (interfaces: free-swim)."""
+
+    waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
+    frequency_hz: PositiveFloat
+    amplitude_deg: Annotated[float, Field(ge=0)]
+    bias_deg: float = 0.0
+    asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    ramp_s: Annotated[float, Field(ge=0)] = 1.0
+    #: Phase of the beat at t = 0.
+    phase_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _asymmetric(self) -> Drive:
+        if self.asymmetry != 0 and self.waveform != "a-cpg":
+            raise ValueError(f"'asymmetry' belongs to the waveform a-cpg; a {self.waveform} has none")
+        return self
+
+
+class StrokeDrive(yamlio.Document):
+    """A stroke of the robot file: several joints at once."""
+
+    stroke: str
+    #: Cycles a second; default those of the stroke.
+    frequency_hz: PositiveFloat | None = None
+    #: What its angles are multiplied with.
+    scale: Annotated[float, Field(ge=0)] = 1.0
+    ramp_s: Annotated[float, Field(ge=0)] = 0.0
+    #: After so many the joints rest.
+    cycles: PositiveFloat | None = None
+    phase_deg: float = 0.0
+
+
+def _kind_of_drive(value: Any) -> str:
+    named = "stroke" in value if isinstance(value, dict) else isinstance(value, StrokeDrive)
+    return "stroke" if named else "beat"
+
+
+class Trial(yamlio.Document):
+    """Keys every trial has."""
+
+    id: str = ""
+    log: str
+    role: Literal["fit", "validate"] = "fit"
+    #: Use the log from and up to these times only.
+    start_s: float | None = None
+    end_s: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_after_log(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("log"), str) and "id" not in data:
+            data = {**data, "id": Path(data["log"]).name}
+        return data
+
+
+class RigTrial(Trial):
+    """Keys of a trial on a single-degree-of-freedom rig; they override the robot's."""
+
+    inertial_mass_kg: Annotated[float, Field(ge=0)] | None = None
+    frontal_area_m2: PositiveFloat | None = None
+    fluid_density_kg_m3: PositiveFloat | None = None
+
+
+class FallingWeightTrial(RigTrial):
+    """A body pulled by a falling weight over a pulley, or driven by a known force."""
+
+    pulling_mass_kg: PositiveFloat | None = None
+    driving_force_N: float | None = None
+
+    @model_validator(mode="after")
+    def _one_drive(self) -> FallingWeightTrial:
+        if (self.pulling_mass_kg is None) == (self.driving_force_N is None):
+            raise ValueError("give either 'pulling_mass_kg' or 'driving_force_N'")
+        return self
+
+
+class FreeSwimTrial(Trial):
+    """A free-swimming trial; without ``drive`` the log's joint columns are the input."""
+
+    drive: (
+        Annotated[
+            Annotated[Drive, Tag("beat")] | Annotated[StrokeDrive, Tag("stroke")],
+            Discriminator(_kind_of_drive),
+        ]
+        | None
+    ) = None
+    #: Coefficients that were set otherwise in this trial (a spring's stiffness, say).
+    coefficients: dict[str, float] = {}
+
+
+class _Trials(yamlio.Document):
+    format: Literal["swimid-trials/1"]
+    robot: str
+
+
+class FallingWeight(_Trials):
+    """Falling-weight trials."""
+
+    experiment: Literal["falling-weight"]
+    trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
+
+
+class Towed(_Trials):
+    """Trials under a measured force."""
+
+    experiment: Literal["towed"]
+    trials: Annotated[list[RigTrial], Field(min_length=1)]
+
+
+class FreeDecay(_Trials):
+    """Trials of a displaced body left to itself."""
+
+    experiment: Literal["free-decay"]
+    trials: Annotated[list[RigTrial], Field(min_length=1)]
+
+
+class Cruise(_Trials):
+    """A table of cruising speeds."""
+
+    experiment: Literal["cruise"]
+    table: str
+    drag: str | None = None
+
+
+class FreeSwim(_Trials):
+    """Free-swimming trials."""
+
+    experiment: Literal["free-swim"]
+    trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
+
+
+class Multibody(_Trials):
+    """Trials of a robot with links whose logs hold joint angles, pose, or both."""
+
+    experiment: Literal["multibody"]
+    trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
+
+
+class Arma(_Trials):
+    """Trials for a black-box model from one input column to one output column."""
+
+    experiment: Literal["arma"]
+    input: str | None = None
+    output: str | None = None
+    trials: Annotated[list[Trial], Field(min_length=1)]
+
+
+EXPERIMENTS: dict[str, type[_Trials]] = {
+    "falling-weight": FallingWeight,
+    "towed": Towed,
+    "free-decay": FreeDecay,
+    "cruise": Cruise,
+    "free-swim": FreeSwim,
+    "multibody": Multibody,
+    "arma": Arma,
+}
+T = TypeVar("T", bound=_Trials)
+
+
+#: Keys that every reader of trials uses; those of a trial and of its drive with their path.
+EVERYWHERE = frozenset(
+    {"format", "experiment", "robot", "trials"}
+    | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
+)
+
+
+def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[str]] | None = None) -> T:
+    """Read a trials file of one of the given experiments.
+
+    Parameters
+    ----------
+    uses : mapping, optional
+        By experiment, the keys that the caller uses (``trials.drive.ramp_s``): any other that the file
+        sets is an error. Who computes anything from the trials gives it.
+
+    Raises
+    ------
+    InputError
+        For broken YAML, unknown or unused keys, another experiment than those, repeated trial ids, rows
+        of a log that are both fitted and held out.
+    """
+    path = Path(path)
+    data = yamlio.of_format(path, FORMAT, "trials file")
+    names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
+    experiment = data.get("experiment")
+    if experiment not in names:
+        line = data.lc.key("experiment")[0] + 1 if "experiment" in data else None
+        close = nearest(str(experiment), names)
+        what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
+        raise InputError(
+            f"{what}; here: {', '.join(names)}",
+            file=path,
+            line=line,
+            column="experiment",
+            hint=f"did you mean '{close}'?" if close else None,
+        )
+    trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path)  # type: ignore[assignment]
+    if uses is not None:
+        _refuse_unused(trials, path, uses[experiment], data)
+    listed: list[Trial] = getattr(trials, "trials", [])
+    seen: set[str] = set()
+    for index, trial in enumerate(listed):
+        if trial.id in seen:
+            raise InputError(
+                f"two trials have the id '{trial.id}'", file=path, line=_line(data, index), column="id"
+            )
+        seen.add(trial.id)
+    for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
+        if _same_recording(path.parent / one.log, path.parent / other.log):
+            check_apart(one, other, path, _line(data, index))
+    return trials
+
+
+def _same_recording(one: Path, other: Path) -> bool:
+    """Whether two logs are one file, or one is a copy of the other under another name."""
+    if os.path.normpath(one) == os.path.normpath(other):
+        return True
+    if not (one.is_file() and other.is_file()) or one.stat().st_size != other.stat().st_size:
+        return False
+    return filecmp.cmp(one, other, shallow=False)
+
+
+def _line(data: Any, trial: int) -> int:
+    return int(data["trials"].lc.item(trial)[0]) + 1
+
+
+def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key that a document and the ones within it set, with its path, to other than its default."""
+    for name in type(document).model_fields:
+        value = getattr(document, name)
+        if name not in document.model_fields_set or value == type(document).model_fields[name].default:
+            continue
+        yield prefix + name, value
+        for part in value if isinstance(value, list) else [value]:
+            if isinstance(part, yamlio.Document):
+                yield from given(part, f"{prefix}{name}.")
+
+
+def _refuse_unused(trials: _Trials, path: Path, uses: Collection[str], data: Any) -> None:
+    unused = [key for key, _ in given(trials) if key not in uses]
+    if not unused:
+        return
+    key = unused[0].removeprefix("trials.")
+    for index, trial in enumerate(getattr(trials, "trials", [])):
+        if key in dict(given(trial)):
+            where, line = f"the trial '{trial.id}' sets", _line(data, index)
+            break
+    else:
+        where, line = "sets", data.lc.key(key)[0] + 1
+    raise InputError(
+        f"{where} '{key}', which has no effect here",
+        file=path,
+        line=line,
+        column=key,
+        hint="leave it out if it does not matter, else this is not the fit for these trials",
+    )
+
+
+def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
+    """Refuse rows of one log that are both fitted and held out; warn of rows fitted twice.
+
+    Neighbours may share the row between them.
+
+    Parameters
+    ----------
+    one, other : Trial
+        Two stretches of the same log.
+    file, line
+        What to name.
+
+    Raises
+    ------
+    InputError
+    """
+    low = max((t.start_s for t in (one, other) if t.start_s is not None), default=-math.inf)
+    high = min((t.end_s for t in (one, other) if t.end_s is not None), default=math.inf)
+    if low >= high:
+        return
+    rows = "its rows"
+    if math.isfinite(low) or math.isfinite(high):
+        ends = [f"{word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
+        rows = f"its rows {' '.join(ends)}"
+    text = f"the trials '{one.id}' and '{other.id}' are of the same log and share {rows}"
+    if one.role != other.role:
+        raise InputError(
+            f"{text}: what is held out must not be fitted",
+            file=file,
+            line=line,
+            hint="part them with start_s and end_s, or hold out another log",
+        )
+    if one.role == "fit":
+        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors come out too small")
+
+
+def robot_of(trials: _Trials, path: str | Path) -> robot_format.Robot:
+    """The robot a trials file names, by built-in name or path relative to the file."""
+    return robot_format.read(trials.robot, Path(path).parent)
+
+
+#: Any trials file, for the JSON Schema.
+AnyTrials = Annotated[
+    FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
+    Field(discriminator="experiment"),
+]

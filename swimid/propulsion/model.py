@@ -1,0 +1,429 @@
+"""Propulsion by a rigid caudal fin: the boxfish paper's recoil law, and a beat-averaged surge model."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numba
+import numpy as np
+
+from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+
+SPEED = "mean_speed_m_s"
+#: Longest step in which the surge is integrated where it has no closed form, s.
+STEP_S = 0.05
+#: Steps of Newton's method; convex functions approached from above need fewer.
+NEWTON = 60
+
+
+def plate_inertia(*, height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
+    """Hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
+
+    >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)
+    1272.8
+    """
+    return 9 / 128 * density_kg_m3 * math.pi * ((length_m + axle_gap_m) ** 4 - axle_gap_m**4) * height_m
+
+
+def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | float) -> Array:
+    """Average over terminal speed of a run from rest, between two displacements (Eq 25).
+
+    Parameters
+    ----------
+    b1 : float, 1/m
+        ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
+    start_m, end_m : float, m
+        Displacements since rest between which the average is taken.
+
+    >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
+    0.688
+    """
+
+    def phase(x: Array | float) -> Array:
+        # arccosh(exp(y)) = y + log(1 + sqrt(1 - exp(-2y))), without overflow
+        y = np.asarray(b1 * np.asarray(x, dtype=float))
+        return np.asarray(y + np.log1p(np.sqrt(-np.expm1(-2 * y))))
+
+    return np.asarray(b1 * (np.asarray(end_m) - np.asarray(start_m)) / (phase(end_m) - phase(start_m)))
+
+
+def terminal_speed(
+    power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
+) -> Array:
+    """Speed at which drag consumes a propulsive power: ``v (dry + linear v + quadratic v^2) = power``.
+
+    Parameters
+    ----------
+    power : ndarray, W
+    quadratic, linear, dry : float or ndarray
+        Coefficients of the drag, kg/m, kg/s and N.
+
+    Returns
+    -------
+    ndarray, m/s
+        The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone
+        (Eq 26).
+    """
+    power, quadratic, linear, dry = np.broadcast_arrays(
+        *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
+    )
+    v = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
+    for _ in range(NEWTON):
+        excess = v * (dry + v * (linear + v * quadratic)) - power
+        slope = dry + v * (2 * linear + 3 * v * quadratic)
+        step = excess / np.where(slope > 0, slope, np.inf)
+        v = v - step
+        if np.all(np.abs(step) <= 1e-14 * np.abs(v) + 1e-300):
+            break
+    return np.where(power > 0, v, 0.0)
+
+
+def mean_speed(
+    terminal_m_s: Array,
+    distance_m: Array,
+    *,
+    mass: Array | float,
+    quadratic: Array | float,
+    linear: Array | float,
+) -> Array:
+    """Average speed from rest over a distance, under the thrust that holds the terminal speed.
+
+    Parameters
+    ----------
+    terminal_m_s, distance_m : ndarray
+    mass : float or ndarray, kg
+    quadratic, linear : float or ndarray
+        Coefficients of the drag, kg/m and kg/s; dry friction only takes its part of the thrust.
+
+    Returns
+    -------
+    ndarray, m/s
+
+    Notes
+    -----
+    ``mass v' = quadratic (v1 - v) (v + v2)`` with ``v2 = v1 + linear / quadratic``. With
+    ``y = -log(1 - v / v1)`` and ``rho = v2 / v1`` distance and time are ``y - rho log(1 + (1 -
+    exp(-y)) / rho)`` and ``y + log(1 + (1 - exp(-y)) / rho)``, times ``mass / (quadratic (1 + rho))``
+    and that over ``v1``. Without linear drag it is Eq 25.
+    """
+    v1 = np.asarray(terminal_m_s, dtype=float)
+    moving = v1 > 0
+    rho = 1.0 + linear / (quadratic * np.where(moving, v1, 1.0))
+    scale = mass / (quadratic * (1.0 + rho))
+    with np.errstate(invalid="ignore"):
+        y = distance_m / scale + rho * np.log1p(1.0 / rho)
+        for _ in range(NEWTON):
+            gone = -np.expm1(-y)
+            excess = y - rho * np.log1p(gone / rho) - distance_m / scale
+            step = excess * (rho + gone) / (gone * (1.0 + rho))
+            y = y - step
+            if not np.any(np.abs(step) > 1e-14 * y):
+                break
+        time = scale * (y + np.log1p(-np.expm1(-y) / rho)) / np.where(moving, v1, 1.0)
+        return np.where(moving, distance_m / time, 0.0)
+
+
+def strouhal(frequency_hz: Array, amplitude_rad: Array, lever_m: Array, terminal_speed_m_s: Array) -> Array:
+    """Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
+
+    The paper's nomenclature takes the fin's length as lever; the values it prints fit the
+    distance from the axle to the trailing edge (length plus gap) better.
+    """
+    return frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s
+
+
+class RecoilModel(Model):
+    """Average speed of cruising runs under the energy recoil law (Eqs 5, 25-27).
+
+    ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)``, p = 3 and q = 2
+    in the law; both can be freed to test it.
+
+    A trial is one fin; its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` per
+    run, its settings ``fin`` and, where known, ``inertia_kg_m2``. A fin of unknown inertia has
+    the parameter ``inertia_<fin>`` instead.
+    """
+
+    name = "propulsion"
+    channels = (Channel(SPEED, "m/s", "average speed"),)
+    abscissa = "run of the fin"
+    offers = frozenset({"stroke", "coefficients", "flow", "output"})
+
+    def __init__(
+        self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
+    ) -> None:
+        """Take ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and the fins' inertias (kg m2)."""
+        self.drag_area_kg_m = drag_area_kg_m
+        self.moving_mass_kg = moving_mass_kg
+        self.b1 = drag_area_kg_m / moving_mass_kg
+        known = [i for i in fins.values() if i is not None]
+        typical = float(np.median(known)) if known else 1e-4
+        self.parameters = (
+            Parameter(
+                "recoil_efficiency",
+                "1",
+                0.0,
+                1.0,
+                0.3,
+                0.1,
+                free=bool(known),
+                meaning="efficiency of the recoil process",
+                source="Eq 3",
+            ),
+            Parameter(
+                "amplitude_offset_deg",
+                "deg",
+                -10.0,
+                30.0,
+                2.0,
+                2.0,
+                meaning="flapping amplitude offset",
+                source="Eq 27",
+            ),
+            Parameter("frequency_exponent", "1", 0.0, 6.0, 3.0, 1.0, free=False, meaning="of power, law: 3"),
+            Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of power, law: 2"),
+            *(
+                Parameter(
+                    f"inertia_{fin}",
+                    "kg m^2",
+                    0.0,
+                    math.inf,
+                    typical,
+                    typical,
+                    meaning=f"hydrodynamic inertia of {fin} at the common efficiency",
+                )
+                for fin, inertia in fins.items()
+                if inertia is None
+            ),
+        )
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Average speed of each run (see :meth:`Model.simulate`)."""
+        inputs = trial.inputs
+        inertia = self._inertia(values, trial)
+        power = self._power(values, trial, inputs["frequency_hz"], inputs["amplitude_rad"], inertia)
+        terminal = np.cbrt(power / self.drag_area_kg_m)
+        return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
+
+    def _inertia(self, values: Array, trial: Trial) -> float:
+        inertia = trial.settings.get("inertia_kg_m2")
+        return float(values[self.index(f"inertia_{trial.settings['fin']}")] if inertia is None else inertia)
+
+    def _power(
+        self, values: Array, trial: Trial, frequency_hz: Array, amplitude_rad: Array, inertia_kg_m2: float
+    ) -> Array:
+        """Power that propels each run, W (Eqs 5, 27)."""
+        efficiency, offset, p, q = values[:4]
+        effective = np.maximum(amplitude_rad - np.deg2rad(offset), 0.0)
+        # the exponents are about the middle of what was driven, so that freeing one leaves eta
+        f_mid, a_mid = trial.settings["middle"]
+        return np.asarray(
+            8
+            * efficiency
+            * np.pi**2
+            * inertia_kg_m2
+            * f_mid**3
+            * (frequency_hz / f_mid) ** p
+            * a_mid**2
+            * (effective / a_mid) ** q
+        )
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts (see :meth:`Model.hooked`).
+
+        ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and
+        ``mass`` (kg); a factor on the thrust of a stroke is one on its power, and a flow along x
+        carries the robot over the run.
+        """
+        if not hooks.moves:
+            return hooks.seen(self.simulate(values, trial), trial.time_s)
+        inputs = trial.inputs
+        stroke = hooks.beaten(
+            Stroke(
+                inputs["frequency_hz"],
+                inputs["amplitude_rad"],
+                np.ones(len(trial.time_s)),
+                self._inertia(values, trial),
+            )
+        )
+        power = stroke.thrust * self._power(
+            values, trial, stroke.frequency_hz, stroke.amplitude_rad, stroke.inertia_kg_m2
+        )
+        c = hooks.changed(
+            {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg},
+            "coefficients",
+        )
+        distance = inputs["distance_m"]
+        if c["quadratic"] <= 0 or c["mass"] <= 0:
+            return {SPEED: np.full(len(trial.time_s), np.nan)}
+        if c["linear"] == c["dry"] == 0:
+            terminal = np.cbrt(power / c["quadratic"])
+            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * terminal
+        else:
+            terminal = terminal_speed(power, quadratic=c["quadratic"], linear=c["linear"], dry=c["dry"])
+            speed = mean_speed(
+                terminal, distance, mass=c["mass"], quadratic=c["quadratic"], linear=c["linear"]
+            )
+        if hooks.flow:
+            time = distance / np.maximum(speed, 1e-9)
+            carried = sum(flow(time)[0][:, 0] - flow(np.zeros(1))[0][0, 0] for flow in hooks.flow)
+            speed = speed + carried / time
+        return hooks.seen({SPEED: speed}, trial.time_s)
+
+    def apart(self, trial: Trial) -> list[Trial]:
+        """A fin's trial as one trial for each of its runs, called ``fin/1``, ``fin/2`` and so on."""
+
+        def of_run(values: Array | float, k: int) -> Array | float:
+            return np.asarray(values)[k : k + 1] if np.ndim(values) else values
+
+        found = []
+        for k in range(len(trial.time_s)):
+            settings = dict(trial.settings)
+            if "rows" in settings:
+                settings["rows"] = settings["rows"][k : k + 1]
+            found.append(
+                replace(
+                    trial,
+                    id=f"{trial.id}/{k + 1}",
+                    time_s=trial.time_s[k : k + 1],
+                    measured={n: v[k : k + 1] for n, v in trial.measured.items()},
+                    inputs={n: v[k : k + 1] for n, v in trial.inputs.items()},
+                    value_sd={n: of_run(v, k) for n, v in trial.value_sd.items()},
+                    settings=settings,
+                )
+            )
+        return found
+
+
+class SurgeModel(Model):
+    """Beat-averaged surge of straight swimming: thrust by a power of amplitude, quadratic drag.
+
+    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial, with
+    n = 2 unless it is freed; m is estimated where several frequencies were driven. A trial's
+    settings are ``amplitude_rad``, ``frequency_hz`` and ``start_s``.
+    """
+
+    name = "surge-propulsion"
+    channels = (Channel("u_m_s", "m/s", "beat-averaged surge"),)
+    offers = frozenset({"stroke", "coefficients", "flow", "output"})
+
+    def __init__(
+        self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
+    ) -> None:
+        """Take what was driven, and a typical speed for scales."""
+        self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
+        self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
+        many = len(np.unique(np.round(frequencies_hz, 6))) > 1
+        inf = math.inf
+        self.parameters = (
+            Parameter(
+                "thrust_acceleration",
+                "m/s^2",
+                0.0,
+                inf,
+                speed_m_s**2,
+                speed_m_s**2,
+                meaning="thrust over mass at the reference amplitude and frequency",
+            ),
+            Parameter("surge_drag", "1/m", 0.0, inf, 1.0, 1.0, meaning="quadratic drag over mass"),
+            Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of thrust"),
+            Parameter("frequency_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=many, meaning="of thrust"),
+            Parameter(
+                "initial_speed",
+                "m/s",
+                -inf,
+                inf,
+                0.0,
+                0.2 * speed_m_s,
+                True,
+                True,
+                "speed at the first sample",
+            ),
+        )
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Surge at the trial's samples, in closed form (see :meth:`Model.simulate`)."""
+        _, drag, _, _, u0 = values
+        a = self._thrust(values, trial.settings["amplitude_rad"], trial.settings["frequency_hz"])
+        return {"u_m_s": _closed_form(trial.time_s - trial.settings["start_s"], a, drag, u0)}
+
+    def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
+        thrust, _, n, m, _ = values
+        return float(
+            thrust
+            * (amplitude_rad / self.reference_amplitude_rad) ** n
+            * (frequency_hz / self.reference_frequency_hz) ** m
+        )
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts (see :meth:`Model.hooked`).
+
+        All is per unit of mass: ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s),
+        ``dry`` (m/s^2) and ``mass``, 1 for the robot as it is; drag depends on the speed against a
+        flow along x.
+        """
+        if not hooks.moves:
+            return hooks.seen(self.simulate(values, trial), trial.time_s)
+        drag, u0 = float(values[1]), float(values[4])
+        settings = trial.settings
+        stroke = hooks.beaten(
+            Stroke(np.array([settings["frequency_hz"]]), np.array([settings["amplitude_rad"]]), np.ones(1))
+        )
+        a = float(stroke.thrust[0]) * self._thrust(
+            values, float(stroke.amplitude_rad[0]), float(stroke.frequency_hz[0])
+        )
+        c = hooks.changed({"quadratic": drag, "linear": 0.0, "dry": 0.0, "mass": 1.0}, "coefficients")
+        if c["mass"] <= 0:
+            return {"u_m_s": np.full(len(trial.time_s), np.nan)}
+        a, quadratic, linear, dry = (v / c["mass"] for v in (a, c["quadratic"], c["linear"], c["dry"]))
+        t = trial.time_s - settings["start_s"]
+        if linear == dry == 0 and not hooks.flow:
+            speed = _closed_form(t, a, quadratic, u0)
+        else:
+            half = _half_steps(t)
+            water = np.zeros(len(half))
+            for flow in hooks.flow:
+                water = water + flow(settings["start_s"] + half)[1][:, 0]
+            run = _integrated(half, water, a, quadratic, linear, dry, u0)
+            speed = np.interp(t, half[::2], run)
+        return hooks.seen({"u_m_s": speed}, trial.time_s)
+
+
+def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
+    """Surge from ``u0`` under a constant thrust ``a`` and quadratic drag."""
+    if a <= 0 or drag <= 0:
+        return u0 + max(a, 0.0) * t
+    terminal, rate = math.sqrt(a / drag), math.sqrt(a * drag)
+    growth = np.tanh(rate * t)
+    return np.asarray(terminal * (u0 + terminal * growth) / (terminal + u0 * growth))
+
+
+def _half_steps(t: Array) -> Array:
+    """Times of half the integration steps, from zero over every sample to the last."""
+    knots = np.unique(np.append(t[t > 0], 0.0))
+    parts = [np.zeros(1)]
+    for begin, end in itertools.pairwise(knots):
+        steps = math.ceil((end - begin) / STEP_S)
+        parts.append(np.linspace(begin, end, 2 * steps + 1)[1:])
+    return np.concatenate(parts)
+
+
+@numba.njit(cache=True, nogil=True)
+def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
+    """Surge on every second of the times, by fourth-order Runge-Kutta over two; the water's speed on all."""
+    count = (len(half) + 1) // 2
+    found = np.empty(count)
+    found[0] = u0
+    for i in range(count - 1):
+        u, at, rate, rise = found[i], 2 * i, 0.0, 0.0
+        step = half[at + 2] - half[at]
+        for stage in range(4):
+            part = 0.5 * ((stage + 1) // 2)
+            v = u + part * step * rate - water[at + (stage + 1) // 2]
+            rate = thrust - quadratic * v * abs(v) - linear * v - dry * np.sign(v)
+            rise += rate / 6.0 if stage % 3 == 0 else rate / 3.0
+        found[i + 1] = u + step * rise
+    return found

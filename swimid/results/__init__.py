@@ -1,0 +1,1 @@
+"""Results and the page they become: parameter files, evidence, report blocks. Nothing is computed again."""

@@ -1,0 +1,273 @@
+"""Evidence: what a result rests on, as data (``swimid-evidence/1``).
+
+A verb writes it beside its result (``drag.yaml`` -> ``drag.evidence.json``). The report
+draws every kind of evidence with the same code, so a new model brings its figures as data
+and touches no drawing code. Numbers are kept as computed; NaN is written as null.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from swimid.errors import InputError
+from swimid.files import atomic
+
+FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
+#: Name of the check that fails where a unit cannot be right.
+POSSIBLE = "Values a swimmer reaches"
+#: A trace longer than this is reduced to its envelope before it is stored.
+MAX_POINTS = 2000
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        return value
+    return [None if isinstance(x, float) and not math.isfinite(x) else x for x in value]
+
+
+#: A list of numbers; a numpy array is taken as it is and NaN becomes None.
+Numbers = Annotated[list[float | None], BeforeValidator(_numbers)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Trace(_Part):
+    """One curve or cloud of points of a panel."""
+
+    x: Numbers
+    y: Numbers
+    label: str = ""
+    style: Literal["line", "dashed", "points", "step", "bars", "stems", "arrows"] = "line"
+    #: Traces with the same group number share a colour (a measurement and its model).
+    group: int | None = None
+    #: Half-width of the error bars of ``points``, same length as y.
+    y_error: Numbers | None = None
+    #: A shaded band, same length as x; drawn with the trace's colour.
+    lower: Numbers | None = None
+    upper: Numbers | None = None
+
+
+class Mark(_Part):
+    """A horizontal or vertical reference line."""
+
+    at: float
+    axis: Literal["x", "y"] = "y"
+    label: str = ""
+
+
+class Span(_Part):
+    """A shaded stretch of the horizontal axis, a gap in the data for instance."""
+
+    start: float
+    end: float
+    label: str = ""
+
+
+class Heat(_Part):
+    """A table of numbers shaded by their size, in place of the traces of a panel.
+
+    The number stands in every cell; the shade grows with its logarithm where it exceeds ``neutral``, or
+    evenly from the smallest to the largest number.
+    """
+
+    rows: list[str]
+    columns: list[str]
+    #: One list a row; None where there is no number.
+    values: list[Numbers]
+    #: Up to here a cell is not shaded, with a scale of logarithms.
+    neutral: float = Field(default=1.0, gt=0)
+    scale: Literal["log", "linear"] = "log"
+
+
+class Panel(_Part):
+    """One pair of axes."""
+
+    x_label: str
+    y_label: str
+    traces: list[Trace] = []
+    heat: Heat | None = None
+    title: str = ""
+    x_scale: Literal["linear", "log"] = "linear"
+    y_scale: Literal["linear", "log"] = "linear"
+    equal_aspect: bool = False
+    invert_y: bool = False
+    marks: list[Mark] = []
+    spans: list[Span] = []
+    #: Category names in place of numbers on the x axis (``bars``), at 0, 1, 2, ...
+    x_categories: list[str] | None = None
+
+
+class Figure(_Part):
+    """One figure: panels side by side (``columns`` a row), and what a good one looks like."""
+
+    id: str
+    title: str
+    caption: str
+    panels: list[Panel]
+    columns: int = 1
+
+
+class Image(_Part):
+    """A picture (an overlay frame), embedded."""
+
+    id: str
+    title: str
+    caption: str
+    media_type: Literal["image/jpeg", "image/png"]
+    base64: str
+
+
+class Table(_Part):
+    """A table of texts and numbers."""
+
+    id: str
+    title: str
+    columns: list[str]
+    rows: list[list[str | float | int | bool | None]]
+    caption: str = ""
+
+
+class Check(_Part):
+    """One test of the result against a limit."""
+
+    name: str
+    value: str
+    limit: str = ""
+    verdict: Literal["pass", "warn", "fail", "info"]
+    text: str = ""
+
+
+class Verdict(_Part):
+    """The one sentence a reader takes away."""
+
+    level: Literal["good", "caution", "bad"]
+    text: str
+    #: What a badge says; by default the level.
+    word: str = ""
+
+
+class NoticeRecord(_Part):
+    """A warning kept with the result."""
+
+    code: str
+    text: str
+
+
+class Evidence(_Part):
+    """Everything the report shows of one result, apart from its parameters."""
+
+    format: Literal["swimid-evidence/1"] = FORMAT
+    verb: str
+    title: str
+    verdict: Verdict
+    checks: list[Check] = []
+    tables: list[Table] = []
+    figures: list[Figure] = []
+    images: list[Image] = []
+    notices: list[NoticeRecord] = []
+    #: Sentences for a paper's methods section, generated from what was run.
+    methods: list[str] = []
+    #: Sources to cite with them.
+    references: list[str] = []
+    #: The same block as the ``provenance`` of the result.
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _nothing_impossible(self) -> Evidence:
+        """A result that rests on values no swimmer reaches is not to be relied on."""
+        impossible = [notice.text for notice in self.notices if notice.code == "SWM002"]
+        if impossible and not any(check.name == POSSIBLE for check in self.checks):
+            self.checks.append(
+                Check(name=POSSIBLE, value="beyond", verdict="fail", text="; ".join(impossible))
+            )
+            text = f"{self.verdict.text} Values that no swimmer reaches: {'; '.join(impossible)}."
+            self.verdict = Verdict(level="bad", text=text)
+        return self
+
+
+def sidecar(result: str | Path) -> Path:
+    """Where the evidence of a result file lies: ``drag.yaml`` -> ``drag.evidence.json``."""
+    result = Path(result)
+    return result.with_name(f"{result.stem}.evidence.json")
+
+
+def write(path: str | Path, evidence: Evidence) -> None:
+    """Write evidence as JSON, whole or not at all."""
+    text = json.dumps(evidence.model_dump(mode="json"), ensure_ascii=False, allow_nan=False)
+    atomic.write_text(path, text + "\n")
+
+
+def write_beside(result: Path, evidence: Evidence) -> list[Path]:
+    """Write the evidence of a result that was just written; a device takes the result alone.
+
+    Returns
+    -------
+    list of Path
+        The result, and its evidence where there is any.
+    """
+    if not result.is_file():
+        return [result]
+    write(sidecar(result), evidence)
+    return [result, sidecar(result)]
+
+
+def read(path: str | Path) -> Evidence:
+    """Read evidence written by :func:`write`.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, no JSON, or not of this format.
+    """
+    path = Path(path)
+    try:
+        return Evidence.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"no {FORMAT} file: {first['msg']}", file=path, column=place or None) from error
+
+
+def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """x and y reduced to at most ``points`` samples that keep the envelope of y.
+
+    The record is cut into equal stretches; of each the smallest and the largest sample are
+    kept in their order, so that no peak is lost.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        NaN in y is kept as a break of the line where it fills a whole stretch.
+
+    Returns
+    -------
+    x, y : ndarray, shape (m,), m <= max(points, 4)
+    """
+    x = np.asarray(x, dtype=float)
+    y = np.asarray(y, dtype=float)
+    if len(x) <= points:
+        return x, y
+    keep: set[int] = {0, len(x) - 1}
+    first, whole = 0, not np.isnan(y).any()
+    for values in np.array_split(y, max(points // 2 - 1, 1)):
+        if whole:
+            keep.update((first + int(np.argmin(values)), first + int(np.argmax(values))))
+        elif np.all(np.isnan(values)):
+            keep.add(first)
+        else:
+            keep.update((first + int(np.nanargmin(values)), first + int(np.nanargmax(values))))
+        first += len(values)
+    index = np.array(sorted(keep))
+    return x[index], y[index]

@@ -1,0 +1,160 @@
+"""The report as one HTML page that needs nothing else: no script, no font, no server."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+import swimid
+from swimid.errors import InputError
+from swimid.notices import CODES
+from swimid.progress import Progress, silent
+from swimid.results import evidence as evidence_format
+from swimid.results import figures
+from swimid.results.evidence import Figure, Image, Verdict
+from swimid.results.figures import Drawing
+from swimid.results.sections import Block, Grid, Note, Section, leaves
+
+#: Word and symbol of every verdict; colour only comes on top.
+LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
+CHECKS = {
+    "pass": ("✓", "pass", "good"),
+    "warn": ("!", "warn", "caution"),
+    "fail": ("✕", "fail", "bad"),
+    "info": ("i", "info", "muted"),
+}
+_ORDER = ["good", "caution", "bad"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A block on its place in the page."""
+
+    anchor: str
+    kind: str
+    block: Block
+    drawings: list[Drawing]
+    shared_legend: bool
+
+
+def verdict_badge(verdict: Verdict) -> tuple[str, str]:
+    """Symbol and word of a verdict."""
+    symbol, word = LEVELS[verdict.level]
+    return symbol, verdict.word or word
+
+
+def overall(sections: Sequence[Section]) -> Verdict:
+    """The worst level among the results, and a sentence that says how many have it."""
+    levels = [section.verdict.level for section in sections]
+    worst = max(levels, key=_ORDER.index)
+    count = levels.count(worst)
+    words = {
+        "good": ("can be used", "can be used"),
+        "caution": ("needs care", "need care"),
+        "bad": ("should not be used", "should not be used"),
+    }[worst]
+    if len(levels) == 1:
+        return Verdict(level=worst, text=f"This result {words[0]}.", word=sections[0].verdict.word)
+    if count == len(levels):
+        return Verdict(level=worst, text=f"All {count} results {words[1]}.")
+    return Verdict(level=worst, text=f"{count} of {len(levels)} results {words[count > 1]}.")
+
+
+def warnings_by_code(sections: Sequence[Section]) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Every warning: code, meaning, and (result, text) of each time it was given."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for section in sections:
+        for notice in section.notices:
+            name = section.path.name
+            entry = (name, notice.text.removeprefix(f"{name}, ").removeprefix(f"{name}: "))
+            if entry not in found.setdefault(notice.code, []):
+                found[notice.code].append(entry)
+    return [(code, CODES.get(code, "unknown code"), found[code]) for code in sorted(found)]
+
+
+def render(
+    sections: Sequence[Section],
+    *,
+    title: str,
+    created: datetime,
+    digests: dict[str, str],
+    progress: Progress = silent,
+) -> str:
+    """The whole page.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        At least one.
+    title : str
+        Heading and window title.
+    created : datetime
+        Printed at the foot; the same input and time give the same page.
+    digests : dict of str to str
+        SHA-256 of each result file by its path.
+    progress : Progress
+        Steps once per figure.
+
+    Raises
+    ------
+    InputError
+        When a figure of the evidence contradicts itself.
+    """
+    total = sum(isinstance(block, Figure) for section in sections for block in section.blocks)
+    parts = []
+    with progress("drawing", total=total) as step:
+        for number, section in enumerate(sections, start=1):
+            row = []
+            for index, block in enumerate(section.blocks, start=1):
+                row.append(_part(section, block, f"r{number}-{index}"))
+                if isinstance(block, Figure):
+                    step()
+            parts.append(row)
+    environment = Environment(
+        loader=PackageLoader("swimid.results"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals.update(levels=LEVELS, checks=CHECKS, leaves=leaves, verdict_badge=verdict_badge)
+    references = list(dict.fromkeys(text for section in sections for text in section.references))
+    return environment.get_template("report.html").render(
+        title=title,
+        version=swimid.__version__,
+        created=created,
+        verdict=overall(sections),
+        results=list(zip(sections, parts, strict=True)),
+        references=references,
+        warnings=warnings_by_code(sections),
+        digests=digests,
+    )
+
+
+def _part(section: Section, block: Block, anchor: str) -> Part:
+    drawings: list[Drawing] = []
+    if isinstance(block, Figure):
+        try:
+            drawings = figures.draw(block, f"{anchor}-")
+        except InputError as error:
+            file = evidence_format.sidecar(section.path)
+            raise InputError(error.reason, file=file, column=error.column) from error
+    legends = [[(entry.label, entry.swatch) for entry in drawing.legend] for drawing in drawings]
+    shared = len(legends) > 1 and all(legend == legends[0] for legend in legends)
+    kinds: dict[type, str] = {Grid: "grid", Note: "note", Figure: "figure", Image: "image"}
+    return Part(anchor, kinds[type(block)], block, [_safe(drawing) for drawing in drawings], shared)
+
+
+def _safe(drawing: Drawing) -> Drawing:
+    """The drawing with its SVGs marked as markup: they are ours, and their texts are escaped."""
+    return Drawing(
+        drawing.title,
+        [figures.Entry(entry.label, Markup(entry.swatch)) for entry in drawing.legend],
+        None if drawing.wide is None else Markup(drawing.wide),
+        Markup(drawing.narrow),
+        drawing.reduced,
+    )

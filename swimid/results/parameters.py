@@ -1,0 +1,150 @@
+"""The parameter file (``swimid-parameters/1``): what every fit writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from swimid.errors import InputError
+from swimid.files import yamlio
+
+FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
+Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
+
+
+class Estimate(yamlio.Document):
+    """One parameter.
+
+    ``value`` is what a simulation uses, whatever the status; only ``estimated`` says that
+    the data support it.
+    """
+
+    value: float
+    stderr: float | None = None
+    unit: str
+    bounds: tuple[float | None, float | None] = (None, None)
+    status: Status
+    #: Profile-likelihood interval, where one was asked for.
+    ci95: tuple[float | None, float | None] | None = None
+
+
+class Correlation(yamlio.Document):
+    """Correlation matrix of the estimated parameters."""
+
+    names: list[str]
+    matrix: list[list[float]]
+
+
+class Pole(yamlio.Document):
+    """A pole of a discrete-time model in the z plane."""
+
+    real: float
+    imag: float
+    magnitude: float
+    stderr_magnitude: float | None = None
+
+
+class Fit(yamlio.Document):
+    """How well the parameters describe the trials."""
+
+    model_config = ConfigDict(extra="allow")
+
+    trials: list[str]
+    channels: dict[str, dict[str, Any]] = {}
+    validation: dict[str, Any] = {}
+    converged: bool
+    noise: dict[str, Any] = {}
+
+
+class ParameterFile(yamlio.Document):
+    """A parameter file."""
+
+    format: Literal["swimid-parameters/1"] = FORMAT
+    model: str
+    robot: str | None = None
+    parameters: dict[str, Estimate]
+    #: Combinations the data determine, and those they do not, in words.
+    identifiability: list[str] = []
+    correlation: Correlation | None = None
+    #: Quantities computed from the parameters, with their uncertainty.
+    derived: dict[str, Estimate] = {}
+    delay: int | None = None
+    sample_time_s: float | None = None
+    poles: list[Pole] | None = None
+    stable: bool | None = None
+    #: Choices that are part of the model: orders, removed means, columns, wake convention.
+    settings: dict[str, Any] = {}
+    fit: Fit | None = None
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    def value(self, name: str) -> float:
+        """Value of one parameter, by name."""
+        return self.parameters[name].value
+
+
+def write(path: str | Path, parameters: ParameterFile) -> None:
+    """Write a parameter file, whole or not at all; every float keeps its last bit."""
+    data = parameters.model_dump(mode="python", exclude_none=False)
+    for key in ("correlation", "delay", "sample_time_s", "poles", "stable", "fit", "robot"):
+        if data[key] is None:
+            del data[key]
+    for key in ("identifiability", "derived", "settings"):
+        if not data[key]:
+            del data[key]
+    for block in (data["parameters"], data.get("derived", {})):
+        for estimate in block.values():
+            if estimate["ci95"] is None:
+                del estimate["ci95"]
+    yamlio.write(path, data)
+
+
+def read(path: str | Path, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
+    """Read a parameter file.
+
+    Parameters
+    ----------
+    model : str or tuple of str, optional
+        Accept files of these models only.
+
+    Raises
+    ------
+    InputError
+        When it is no parameter file, or of another model.
+    """
+    path = Path(path)
+    data = yamlio.of_format(path, FORMAT, "parameter file")
+    parameters = yamlio.validate(data, ParameterFile, path)
+    models = (model,) if isinstance(model, str) else model
+    if models and parameters.model not in models:
+        raise InputError(
+            f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",
+            file=path,
+            column="model",
+        )
+    return parameters
+
+
+def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
+    """Values of parameters that must be there and must be trusted.
+
+    Raises
+    ------
+    InputError
+        When one is missing or its status is ``unidentifiable``.
+    """
+    values = []
+    for name in names:
+        estimate = parameters.parameters.get(name)
+        if estimate is None:
+            raise InputError("this parameter is missing", file=path, column=f"parameters.{name}")
+        if estimate.status == "unidentifiable":
+            raise InputError(
+                "this parameter was not identifiable from its trials and cannot be used further",
+                file=path,
+                column=f"parameters.{name}",
+                hint="add trials that tell it apart, or fix it from another source",
+            )
+        values.append(estimate.value)
+    return values

@@ -1,0 +1,82 @@
+"""``report``: results and their evidence as one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from swimid.errors import UsageError
+from swimid.files import atomic
+from swimid.files.provenance import sha256
+from swimid.progress import Progress, silent
+from swimid.results import documents, page
+from swimid.results import reader as results
+from swimid.results.outcome import Outcome
+
+Kind = Literal["html", "md", "json"]
+_ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
+
+
+def report(
+    *,
+    inputs: Sequence[str | Path],
+    output: str | Path | None = None,
+    format: Kind | None = None,
+    title: str | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Write one document about any number of result files. Nothing is computed again.
+
+    Parameters
+    ----------
+    inputs : sequence of paths
+        Parameter files, gap files, logs; each with its ``.evidence.json`` beside it.
+    output : path, optional
+        The file to write. None or ``-`` returns the document as the outcome's summary.
+    format : {"html", "md", "json"}, optional
+        Default: by the ending of ``output``, else HTML.
+    title : str, optional
+        Default: the title of the only result, or "Identification report".
+    progress : Progress
+        Steps once per file read and once per figure drawn.
+
+    Raises
+    ------
+    InputError
+        When a result or its evidence is broken, or the output cannot be written.
+    UsageError
+        Without inputs, or for an output that is also an input.
+    """
+    if not inputs:
+        raise UsageError("name at least one result file")
+    paths = list(dict.fromkeys(Path(path) for path in inputs))
+    target = None if output is None or str(output) == "-" else Path(output)
+    kind = format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
+    if target is not None:
+        atomic.check_writable(target, inputs=tuple(paths))
+    sections = []
+    with progress("reading", total=len(paths)) as step:
+        for path in paths:
+            sections.append(results.load(path))
+            step()
+    heading = title or (sections[0].title if len(sections) == 1 else "Identification report")
+    created = datetime.now(UTC)
+    digests = {str(path): sha256(path) for path in paths}
+    document = documents.as_json(sections, title=heading, created=created, digests=digests)
+    if kind == "html":
+        text = page.render(sections, title=heading, created=created, digests=digests, progress=progress)
+    elif kind == "md":
+        text = documents.as_markdown(sections, title=heading, created=created, digests=digests)
+    else:
+        text = documents.json_text(document)
+    if target is None:
+        return Outcome("report", text.rstrip("\n"), document)
+    atomic.write_text(target, text)
+    whole = page.overall(sections)
+    lines = [f"{page.verdict_badge(whole)[1]}: {whole.text}"]
+    for section in sections:
+        word = page.verdict_badge(section.verdict)[1].lower()
+        lines.append(f"  {section.path.name}: {word}. {section.verdict.text}")
+    return Outcome("report", "\n".join(lines), document, [target])

@@ -1,0 +1,163 @@
+"""Figures of the evidence as one stand-alone picture, SVG or PNG."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
+
+from swimid.files import atomic
+from swimid.results import figures as drawing
+from swimid.results import looks
+from swimid.results.evidence import Figure, Panel
+from swimid.results.figures import NARROW, WIDE, Size
+from swimid.results.looks import GRID, INK, PAPER, SERIES, SHADE, Look
+
+#: Points around everything, between panels, and of the heading.
+MARGIN, BETWEEN, HEADING = 14.0, 26.0, 22.0
+#: Pixels a point of a PNG.
+PIXELS = 2.0
+
+
+def write(
+    path: Path, figures: Sequence[Figure], *, title: str, step: Callable[[int], None] = lambda amount: None
+) -> None:
+    """Draw figures below each other, on white, and write them whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        ``.svg`` or ``.png``.
+    figures : sequence of Figure
+    title : str
+    step : callable
+        Called once a panel.
+    """
+    rows = [row for figure in figures for row in _rows(figure)]
+    height = 2 * MARGIN + HEADING + sum(_height(row) for row in rows)
+    width = WIDE.width + 2 * MARGIN
+    settings = {**drawing.SETTINGS, "svg.fonttype": "path"}
+    with mpl.rc_context(settings):
+        canvas = Canvas(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
+        FigureCanvasAgg(canvas)
+        style: dict[str, Any] = {"color": INK, "ha": "left", "va": "top"}
+        canvas.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
+        top = height - MARGIN - HEADING
+        for figure, heading, panels, size in rows:
+            if heading:
+                canvas.text(MARGIN / width, (top - 4) / height, heading, fontsize=13, weight="bold", **style)
+            down = top - (HEADING if heading else 0.0)
+            for index, (panel, look) in enumerate(panels):
+                left = MARGIN + index * (size.width + 20)
+                tall = drawing.height_of(panel, size)
+                box = (
+                    (left + 52) / width,
+                    (down - tall + 34) / height,
+                    (size.width - 62) / width,
+                    (tall - 60) / height,
+                )
+                axes = canvas.add_axes(box, facecolor="none")
+                _panel(axes, panel, look, size)
+                label = "\n".join(textwrap.wrap(_y_label(panel), int(size.width / 7)))
+                canvas.text(left / width, (down - 4) / height, label, fontsize=size.font, **style)
+                step(1)
+            top -= _height((figure, heading, panels, size))
+        _coloured(canvas)
+        with atomic.replacing(path) as temporary:
+            kind = path.suffix.lower().removeprefix(".")
+            metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": "swimid"}
+            canvas.savefig(temporary, format=kind, dpi=72 * PIXELS, metadata=metadata)
+
+
+_Row = tuple[Figure, str, list[tuple[Panel, list[Look]]], Size]
+
+
+def _rows(figure: Figure) -> list[_Row]:
+    panels = list(zip(figure.panels, looks.assigned(figure), strict=True))
+    across, size = (2, NARROW) if figure.columns > 1 else (1, WIDE)
+    parts = [panels[k : k + across] for k in range(0, len(panels), across)]
+    return [(figure, figure.title if k == 0 else "", part, size) for k, part in enumerate(parts)]
+
+
+def _height(row: _Row) -> float:
+    _, heading, panels, size = row
+    return (
+        max(drawing.height_of(panel, size) for panel, _ in panels) + BETWEEN + (HEADING if heading else 0.0)
+    )
+
+
+def _y_label(panel: Panel) -> str:
+    return f"{panel.title}: {panel.y_label}" if panel.title else panel.y_label
+
+
+def _panel(axes: Axes, panel: Panel, look: list[Look], size: Size) -> None:
+    drawing.frame(axes, size)
+    drawing.paint(axes, panel, look, size)
+    axes.set_xlabel(panel.x_label, fontsize=size.font, color=INK)
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=k.colour,
+            dashes=k.dash or (None, None),
+            marker=k.marker or "",
+            label=trace.label,
+            linestyle="" if trace.style in ("points", "stems") else "-",
+        )
+        for trace, k in zip(panel.traces, look, strict=True)
+        if trace.label
+    ]
+    dashes = looks.mark_dashes(panel)
+    handles += [Line2D([], [], color=INK, dashes=dashes[label], label=label) for label in dashes if label]
+    spans = dict.fromkeys(span.label for span in panel.spans if span.label)
+    handles += [Line2D([], [], color=SHADE, linewidth=7, label=label) for label in spans]
+    if handles:
+        axes.legend(
+            handles=handles,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            frameon=False,
+            fontsize=size.font - 1,
+            labelcolor=INK,
+            borderaxespad=0.1,
+            handlelength=1.8,
+            columnspacing=1.2,
+        )
+
+
+def _palette() -> dict[str, str]:
+    """Colours of the page in daylight for the colours that stand for roles."""
+    css = (resources.files("swimid.results") / "templates" / "report.css").read_text(encoding="utf-8")
+    values: dict[str, str] = {}
+    for name, value in re.findall(r"--([a-z0-9]+): (#[0-9a-f]+)", css):
+        values.setdefault(name, value)  # the first block is that of daylight
+    roles = {INK: "ink", GRID: "grid", PAPER: "paper", SHADE: "shade"}
+    roles |= {colour: f"s{k}" for k, colour in enumerate(SERIES, start=1)}
+    return {role: values[name] for role, name in roles.items()}
+
+
+def _coloured(canvas: Canvas) -> None:
+    """Give every artist the colour its role has on the page."""
+    palette = _palette()
+    for artist in canvas.findobj():
+        for name in ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor"):
+            get, put = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)
+            if get is None or put is None:
+                continue
+            try:
+                here = to_hex(get())
+            except (TypeError, ValueError):
+                continue  # several colours, or none
+            if here in palette:
+                put(palette[here])

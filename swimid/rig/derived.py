@@ -1,0 +1,200 @@
+"""What follows from the parameters of a rig: terminal speeds, period, damping; whether they are possible."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Literal
+
+import numpy as np
+
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Trial
+from swimid.fitting.output_error import UNIDENTIFIABLE
+from swimid.notices import warn
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.parameters import Estimate
+from swimid.rig import theory
+from swimid.rig.model import COORDINATES
+
+#: A quantity as a function of the coefficients of the equation of motion; NaN where there is none.
+Quantity = Callable[[Mapping[str, float]], float]
+
+
+def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
+    """Terminal speed of each falling-weight trial; period and damping ratios of a decay.
+
+    A decay's damping ratio is given at the largest first swing, all damping taken together, and in the
+    limit of small ones, where the linear part alone is left.
+    """
+    found: dict[str, Estimate] = {}
+    trials = result.trials
+    if experiment.name == "falling-weight":
+        for trial in trials:
+
+            def terminal(c: Mapping[str, float], force: float = trial.settings["force"]) -> float:
+                return _terminal_speed(c, force)
+
+            _add(found, f"terminal_speed[{trial.id}]", estimate(result, trial, terminal, "m/s"))
+    if experiment.name == "free-decay":
+        first = trials[0]
+        _add(found, "natural_period_s", estimate(result, first, _period, "s"))
+        _add(found, "damping_ratio_linear", estimate(result, first, _linear_ratio, "1"))
+        amplitude = max(_first_amplitude(result, t) for t in trials)
+        unit = COORDINATES[result.model.channels[0].name][0]
+        found["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
+
+        def ratio(c: Mapping[str, float]) -> float:
+            return _equivalent_ratio(c, amplitude)
+
+        _add(found, "damping_ratio_first_swing", estimate(result, first, ratio, "1"))
+    return found
+
+
+def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
+    """A function of a trial's coefficients with its standard error, to first order.
+
+    Its status is that of what it depends on: ``fixed`` where that is nothing estimated, ``at-bound``
+    where a bound holds a part of it, ``unidentifiable`` where its own error is above half its size.
+    None where there is no such quantity.
+    """
+
+    def at(values: Array) -> float:
+        return quantity(result.model.coefficients(values, trial.settings))  # type: ignore[attr-defined]
+
+    values = result.values(trial.id)
+    centre = at(values)
+    if not math.isfinite(centre):
+        return None
+    names = [p.name for p in result.parameters]
+    gradient = np.zeros(len(result.labels))
+    held = False
+    for j, label in enumerate(result.labels):
+        name, _, owner = label.partition("[")
+        if owner and owner != f"{trial.id}]":
+            continue
+        parameter = result.parameters[names.index(name)]
+        step = 1e-4 * (result.stderr(label) or parameter.scale)
+        moved = values.copy()
+        moved[names.index(name)] += step if values[names.index(name)] + step <= parameter.upper else -step
+        slope = (at(moved) - centre) / (moved[names.index(name)] - values[names.index(name)])
+        # what vanishes at its bound is none; the others' errors were taken with it free
+        vanishes = result.status[label] == "at-bound" and parameter.lower == 0.0 >= values[names.index(name)]
+        if slope != 0 and result.stderr(label) is None and not vanishes:
+            held = True
+        gradient[j] = slope
+    known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
+    statuses = {result.status[label] for label, g in zip(result.labels, gradient, strict=True) if g != 0}
+    bound = "at-bound" in statuses
+    if held:
+        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "unidentifiable")
+    if not known.any():
+        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "fixed")
+    variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
+    error = math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else math.nan
+    if not math.isfinite(error):
+        return Estimate(value=centre, unit=unit, status="unidentifiable")
+    vague = error > UNIDENTIFIABLE * abs(centre) and unit != "1"
+    return Estimate(value=centre, stderr=error, unit=unit, status="unidentifiable" if vague else "estimated")
+
+
+def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
+    """Whether the added mass or inertia is one a body of this size can have; warns where it is not."""
+    name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
+    limit = None if name is None else _most(experiment, result, name)
+    if name is None or limit is None:
+        return []
+    most, basis = limit
+    value, error = result.value(name), result.stderr(name) or 0.0
+    unit = next(p.unit for p in result.parameters if p.name == name)
+    verdict: Literal["pass", "warn", "fail"] = "pass"
+    if value > most:
+        verdict = "fail" if value - 1.96 * error > most else "warn"
+        warn(
+            "SWM072",
+            f"{name} is {numbers.measured(value, error or None, unit)}, but {basis} can have "
+            f"{numbers.number(most, 2, unit)} at most: look at masses, forces and their units, and at what "
+            "the model lacks",
+        )
+    return [
+        ev.Check(
+            name=f"{name.replace('_', ' ')} possible",
+            value=numbers.measured(value, error or None, unit),
+            limit=f"≤ {numbers.number(most, 2, unit)}",
+            verdict=verdict,
+            text=f"the most {basis} can have",
+        )
+    ]
+
+
+def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, str] | None:
+    """Largest possible added mass or inertia, and of what."""
+    body, fluid = experiment.robot.body, experiment.robot.fluid
+    density = fluid.density_kg_m3
+    along = result.model.channels[0].name == "x_m"
+    if body.length_m and body.width_m and body.height_m:
+        box = (body.length_m, body.width_m, body.height_m, density)
+        if name == "added_inertia":
+            return theory.most_added_inertia(*box), "a body in its box"
+        return theory.most_added_mass_in_box(*box, along=along), "a body in its box"
+    if name == "added_inertia":
+        return None
+    settings = [t.settings for t in result.trials]
+    # a body that a net force drives without a pulley may be lighter than the fluid: the force is its lift
+    displaced = max(
+        float(s["inertia"]) + (0.0 if s.get("pulley", True) else s.get("force", 0.0) / fluid.gravity_m_s2)
+        for s in settings
+    )
+    if displaced <= 0:
+        return None
+    area = max(2.0 * float(s.get("area_factor", 0.0)) / density for s in settings) if along else 0.0
+    return theory.most_added_mass(displaced, area or None, density), "a body of its mass"
+
+
+def _add(found: dict[str, Estimate], name: str, e: Estimate | None) -> None:
+    if e is not None:
+        found[name] = e
+
+
+def _terminal_speed(c: Mapping[str, float], force: float) -> float:
+    push = force - c["dry"]
+    if push <= 0 or c["quadratic"] <= 0:
+        return math.nan
+    root = math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push)
+    return (root - c["linear"]) / (2 * c["quadratic"])
+
+
+def _rate(c: Mapping[str, float]) -> float:
+    return math.sqrt(max(c["stiffness"], 0.0) / c["inertia"])
+
+
+def _period(c: Mapping[str, float]) -> float:
+    return 2 * math.pi / _rate(c) if _rate(c) > 0 else math.nan
+
+
+def _linear_ratio(c: Mapping[str, float]) -> float:
+    return c["linear"] / (2 * c["inertia"] * _rate(c)) if _rate(c) > 0 else math.nan
+
+
+def _equivalent_ratio(c: Mapping[str, float], amplitude: float) -> float:
+    """Damping ratio that takes as much energy out of a swing of this amplitude as all damping together.
+
+    Linear, quadratic and dry (equivalent linearisation; Chakrabarti, "Empirical calculation of roll damping
+    for ships and barges", Ocean Engineering 2001).
+    """
+    rate = _rate(c)
+    if rate <= 0 or amplitude <= 0:
+        return math.nan
+    speed = rate * amplitude
+    whole = c["linear"] + 8.0 / (3.0 * math.pi) * c["quadratic"] * speed + 4.0 / math.pi * c["dry"] / speed
+    return whole / (2.0 * c["inertia"] * rate)
+
+
+def _first_amplitude(result: FitResult, trial: Trial) -> float:
+    """Excursion from the rest position at the start of a decay, as it was fitted."""
+    series = next(s for s in result.series if s.trial == trial.id)
+    values = series.simulated[np.isfinite(series.simulated)]
+    rest = result.values(trial.id)[result.model.index("rest_position")]
+    return float(np.max(np.abs(values - rest), initial=0.0))

@@ -1,0 +1,405 @@
+"""``fit-drag``: drag, added mass and friction from a rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult
+from swimid.files import provenance
+from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.model import Parameter
+from swimid.fitting.profile import profile_interval
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.outcome import Outcome
+from swimid.results.parameters import Estimate, Fit, ParameterFile
+from swimid.rig import derived as fit_drag_derived
+from swimid.rig import theory, two_point
+from swimid.rig import trials as rig_experiment
+from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd_check, odd_one
+
+
+def fit_drag(
+    trials_file: str | Path,
+    *,
+    output: Path | None = None,
+    method: str = "ml",
+    start_state: str = "auto",
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    points_m: tuple[float, float] | None = None,
+    profile: bool = False,
+    coordinate: str | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Identify a rig: falling weight, towing or free decay.
+
+    Parameters
+    ----------
+    trials_file : path
+    output : path, optional
+        Parameter file to write; its evidence goes beside it.
+    method : {"ml", "two-point"}
+        Maximum likelihood over all samples, or the boxfish paper's Eqs 13-19 (falling weight
+        only). The report shows both side by side where both can be had.
+    start_state : {"auto", "rest", "estimate"}
+        Whether the trials start at rest at their first sample; ``auto`` lets the data say.
+    fixed, freed, bounds
+        The user's choices by parameter name.
+    points_m : (x1, x2), optional
+        Displacements of the two-point method.
+    profile : bool
+        Profile-likelihood intervals beside the standard errors.
+    coordinate : str, optional
+        Coordinate of a free decay.
+
+    Raises
+    ------
+    InputError, UsageError
+        For bad files and options.
+    NoTrustworthyResult
+        When nothing can be identified.
+    """
+    with recorded(repeat=True) as notices:
+        experiment = rig_experiment.load(trials_file, coordinate=coordinate)
+        choices = fit_common.prepare(experiment, output, fixed=fixed, freed=freed, bounds=bounds)
+        found = _best_fit(experiment, choices, start_state, progress)
+        result = found.result
+        profiles = _profiles(result, progress) if profile else {}
+        pair = _two_point(experiment, points_m, insist=method == "two-point")
+        origin = provenance.collect(
+            experiment.inputs,
+            settings={
+                "method": method,
+                "start_state": start_state,
+                "fixed": dict(fixed or {}),
+                "freed": list(freed),
+                "bounds": {k: list(v) for k, v in (bounds or {}).items()},
+            },
+        )
+        derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
+        file = fit_common.parameter_file(
+            result,
+            robot=experiment.robot.name,
+            provenance=origin,
+            profiles=profiles,
+            derived=derived,
+            settings=found.facts,
+        )
+        checks = [
+            *fit_common.checks(result, file),
+            *fit_drag_derived.possible(experiment, result),
+            *found.checks,
+        ]
+    estimated = [label for label in result.labels if "[" not in label]
+    if estimated and all(result.status[label] != "estimated" for label in estimated):
+        raise NoTrustworthyResult(
+            f"none of {', '.join(estimated)} can be identified from these trials",
+            hint="use longer runs, more different forces, or fix what is known with --fix",
+        )
+    if method == "two-point":
+        assert pair is not None
+        file = _two_point_file(file, pair)
+    evidence = ev.Evidence(
+        verb="fit-drag",
+        title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
+        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        checks=checks,
+        tables=_tables(experiment, file, pair, result),
+        figures=fit_common.figures(result) + _speed_figure(pair),
+        notices=fit_common.notices(notices),
+        methods=_methods(experiment, result, method, pair),
+        references=list(experiment.robot.sources),
+        provenance=origin,
+    )
+    outputs = fit_common.save(output, file, evidence)
+    return Outcome(
+        "fit-drag", _summary(experiment, file, evidence, pair), file.model_dump(mode="json"), outputs
+    )
+
+
+# ------------------------------------------------------------ fitting
+
+
+def _best_fit(
+    experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
+) -> Explained:
+    """The fit under the reading of the logs the data prefer, and what was chosen."""
+    model = experiment.model
+    if start_state == "estimate":
+        choices = _with_free(choices, ("start_offset", "initial_speed"))
+    # a friction of each trial is a random effect, never a free number
+    friction = any(p.name == FRICTION and p.free for p in choices)
+    choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)
+    readings = experiment.variants or {"": experiment.trials}
+    fits = {
+        name: output_error.fit(model, trials, parameters=choices, progress=progress)
+        for name, trials in readings.items()
+    }
+    name = min(fits, key=lambda key: _misfit(fits[key]))
+    plain = fits[name]
+    found, odd = Explained(plain), odd_one(plain)
+    masses = experiment.facts.get("pulling_mass_kg", {})
+    if experiment.name == "falling-weight":
+        free_start = any(p.free for p in choices if p.name in STARTS)
+        if friction or (start_state == "auto" and not free_start):
+            found = explained(plain, choices, masses, odd, insist=friction)
+    result = start_states.with_held_out(found.result)
+    checks = [*found.checks, *([odd_check(result, odd, masses)] if odd else [])]
+    facts = {**({"encoder_rounding": name} if name else {}), **found.facts}
+    return replace(found, result=result, facts=facts, checks=checks)
+
+
+def _misfit(result: output_error.FitResult) -> float:
+    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
+
+
+def _with_free(parameters: tuple[Parameter, ...], names: tuple[str, ...]) -> tuple[Parameter, ...]:
+    return tuple(replace(p, free=True) if p.name in names else p for p in parameters)
+
+
+def _profiles(
+    result: output_error.FitResult, progress: Progress
+) -> dict[str, tuple[float | None, float | None]]:
+    names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
+    found = {}
+    with progress("profiling", total=len(names)) as step:
+        for name in names:
+            found[name] = profile_interval(result, name)
+            step()
+    return found
+
+
+# ------------------------------------------------------------ two-point method
+
+
+def _two_point(
+    experiment: Experiment, points_m: tuple[float, float] | None, *, insist: bool
+) -> two_point.TwoPointResult | None:
+    """The paper's method, where it applies; raises only when it was asked for."""
+    body, rig = experiment.robot.body, experiment.robot.rig
+    pulled = [t for t in experiment.trials if t.settings.get("pulley") and t.role == "fit"]
+    reason = None
+    if experiment.name != "falling-weight" or len(pulled) < 3:
+        reason = "it needs a falling-weight experiment with at least three pulling masses"
+    elif body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        reason = "the robot's inertial mass and frontal area are needed"
+    if reason:
+        if insist:
+            raise NoTrustworthyResult(f"the two-point method cannot be used: {reason}")
+        return None
+    gravity = experiment.robot.fluid.gravity_m_s2
+    try:
+        return two_point.two_point(
+            [
+                two_point.Drop(
+                    t.id,
+                    t.settings["force"] / gravity,
+                    t.time_s - t.settings["release_s"],
+                    t.measured["x_m"] - t.settings["x0"],
+                )
+                for t in pulled
+            ],
+            inertial_mass_kg=float(body.inertial_mass_kg or 0.0),
+            pulley_inertia_kg=rig.pulley_inertia_kg,
+            frontal_area_m2=float(body.frontal_area_m2 or 0.0),
+            density_kg_m3=experiment.robot.fluid.density_kg_m3,
+            gravity_m_s2=gravity,
+            points_m=points_m,
+        )
+    except NoTrustworthyResult:
+        if insist:
+            raise
+        return None
+
+
+def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> ParameterFile:
+    """The parameter file with the two-point method's values in place of the fit's.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the method gives no errors: its points do not lie on lines, or not on rising ones.
+    """
+    if not all(math.isfinite(error) for error in pair.stderr.values()):
+        raise NoTrustworthyResult(
+            "the two-point method has no answer: its speeds do not rise with the pulling mass as Eq 13 says",
+            hint="look at the pulling masses, or use --method ml",
+        )
+    values = {
+        "drag_coefficient": pair.drag_coefficient,
+        "added_mass": pair.added_mass,
+        "pulley_friction": pair.pulley_friction,
+    }
+    parameters = {
+        name: Estimate(
+            value=value,
+            stderr=pair.stderr[name],
+            unit=file.parameters[name].unit,
+            bounds=file.parameters[name].bounds,
+            status="estimated",
+        )
+        for name, value in values.items()
+    }
+    assert file.fit is not None
+    fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
+    return file.model_copy(
+        update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
+    )
+
+
+# ------------------------------------------------------------ words and pictures
+
+
+def _tables(
+    experiment: Experiment,
+    file: ParameterFile,
+    pair: two_point.TwoPointResult | None,
+    result: output_error.FitResult,
+) -> list[ev.Table]:
+    tables = []
+    rows: list[list[Any]] = []
+    names = ("drag_coefficient", "added_mass", "pulley_friction")
+    estimates = theory.estimates(experiment.robot)
+    fitted = fit_common.estimates(result, {})
+    for name in dict.fromkeys([*names, *(t.parameter for t in estimates)]):
+        if name not in fitted:
+            continue
+        e = fitted[name]
+        row: list[Any] = [
+            name,
+            "not identifiable"
+            if e.status == "unidentifiable"
+            else numbers.measured(e.value, e.stderr, e.unit),
+        ]
+        row.append(
+            ""
+            if pair is None or name not in pair.stderr
+            else numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        )
+        row.append(
+            "" if pair is None or name not in pair.bias else numbers.number(pair.bias[name], 2, e.unit)
+        )
+        row.append(
+            "; ".join(
+                f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
+            )
+        )
+        rows.append(row)
+    if rows:
+        tables.append(
+            ev.Table(
+                id="methods",
+                title="Both methods and theory side by side",
+                columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
+                rows=rows,
+                caption="The two-point method takes the moving mass as equal for all pulling "
+                "weights; its bias is "
+                "what it gives on perfect data computed at its own answer, and is part of its stated error.",
+            )
+        )
+    return tables
+
+
+def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
+    if pair is None:
+        return []
+    grams = 1e3 * pair.pulling_mass_kg
+    order = np.argsort(grams)
+    traces = []
+    for i, point in enumerate(pair.points_m):
+        traces.append(
+            ev.Trace(
+                x=grams[order],
+                y=pair.speed_squared[i][order],
+                y_error=1.96 * pair.speed_squared_sd[i][order],
+                style="points",
+                label=f"at {point:.3f} m",
+                group=i,
+            )
+        )
+        line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
+        traces.append(ev.Trace(x=grams[order], y=line, group=i))
+    return [
+        ev.Figure(
+            id="speed-squared",
+            title="Squared speed against pulling mass",
+            caption="Speeds read off at two displacements, with straight lines (Eq 13). Where the "
+            "points do not lie "
+            "on lines, the friction or the drag changes with speed.",
+            panels=[ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)],
+        )
+    ]
+
+
+def _methods(
+    experiment: Experiment, result: output_error.FitResult, method: str, pair: two_point.TwoPointResult | None
+) -> list[str]:
+    trials = [t for t in result.trials if t.role == "fit"]
+    names = [label for label in result.labels if "[" not in label]
+    said = [
+        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials "
+        f"({result.samples} samples) by "
+        "output-error maximum likelihood with a single-degree-of-freedom rig model.",
+        "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
+        "accounted for.",
+    ]
+    kinds = set(experiment.facts.get("encoder", {}).values()) - {"continuous"}
+    if kinds:
+        step = experiment.facts.get("resolution_m")
+        size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
+        said.append(
+            f"The displacement came from an encoder with steps{size}; its quantisation is part of "
+            "the noise model."
+        )
+    if method == "two-point" and pair is not None:
+        said.append(
+            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} "
+            f"and {pair.points_m[1]:.3f} m."
+        )
+    return said
+
+
+def _summary(
+    experiment: Experiment, file: ParameterFile, evidence: ev.Evidence, pair: two_point.TwoPointResult | None
+) -> str:
+    assert file.fit is not None
+    shown = file.model_copy(
+        update={
+            "derived": {k: v for k, v in file.derived.items() if "[" not in k},
+            "parameters": {k: v for k, v in file.parameters.items() if "[" not in k},
+        }
+    )
+    lines = [
+        f"{experiment.name} of {experiment.robot.name}: {len(file.fit.trials)} trials"
+        + (
+            f", {file.fit.model_extra['samples']} samples"
+            if file.fit.model_extra and "samples" in file.fit.model_extra
+            else ""
+        ),
+        fit_common.summary_rows(shown),
+    ]
+    if pair is not None and not all(math.isfinite(e) for e in pair.stderr.values()):
+        lines.append(
+            "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
+        )
+    elif pair is not None and getattr(file.fit, "method", "") != "two-point":
+        lines.append(
+            "  two-point method: "
+            + "; ".join(
+                numbers.measured(getattr(pair, name), pair.stderr[name], unit)
+                for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
+            )
+        )
+    lines.append(f"{evidence.verdict.level.upper()}: " + fit_common.judgement(evidence))
+    return "\n".join(lines)

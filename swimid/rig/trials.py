@@ -1,0 +1,435 @@
+"""Falling weight, towing and free decay: trials of the single-degree-of-freedom rig."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.fitting.experiment import Experiment, input_files, read_log, warn_mass
+from swimid.fitting.model import Array, Trial
+from swimid.logs import trials as trials_format
+from swimid.logs.log import Log
+from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed
+from swimid.notices import warn
+from swimid.rig import encoder
+from swimid.rig import model as rig
+from swimid.robots.file import Robot
+
+_INERTIA = "trials.inertial_mass_kg"
+_DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
+#: The keys of a trials file that are used, by experiment.
+USES = {
+    "falling-weight": trials_format.EVERYWHERE
+    | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
+    "towed": trials_format.EVERYWHERE | {_INERTIA, *_DRAG},
+    "free-decay": trials_format.EVERYWHERE | {_INERTIA},
+}
+
+
+def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
+    """Read a trials file of one of the rig experiments.
+
+    Parameters
+    ----------
+    coordinate : str, optional
+        Which coordinate of a free decay to use where the logs hold several.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in the trials file, the robot file or a log.
+    """
+    path = Path(path)
+    entries = trials_format.read(path, FallingWeight, Towed, FreeDecay, uses=USES)
+    robot = trials_format.robot_of(entries, path)
+    if coordinate is not None and not isinstance(entries, FreeDecay):
+        warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
+    if isinstance(entries, FallingWeight):
+        return _falling_weight(path, entries, robot)
+    if isinstance(entries, Towed):
+        return _towed(path, entries, robot)
+    assert isinstance(entries, FreeDecay)
+    return _free_decay(path, entries, robot, coordinate)
+
+
+def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
+    mass = entry.inertial_mass_kg if entry.inertial_mass_kg is not None else robot.body.inertial_mass_kg
+    if mass is None:
+        raise InputError(
+            f"the trial '{entry.id}' has no inertial mass",
+            file=path,
+            column="inertial_mass_kg",
+            hint=f"give it in the trial, or as body.inertial_mass_kg of the robot '{robot.name}'",
+        )
+    return mass
+
+
+def _area_factor(entry: RigTrial, robot: Robot) -> float | None:
+    """``rho A / 2`` of Eq 7, or None where the frontal area is not known."""
+    area = entry.frontal_area_m2 or robot.body.frontal_area_m2
+    density = entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3
+    return None if area is None else 0.5 * density * area
+
+
+def _area_factors(entries: list[Any], robot: Robot, path: Path) -> list[float | None]:
+    factors = [_area_factor(e, robot) for e in entries]
+    for entry, factor in zip(entries, factors, strict=True):
+        if factor is None and entry.fluid_density_kg_m3 is not None:
+            raise InputError(
+                f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
+                file=path,
+                column="fluid_density_kg_m3",
+                hint="give frontal_area_m2 in the trial or in the robot file",
+            )
+    known = [f is not None for f in factors]
+    if any(known) and not all(known):
+        missing = entries[known.index(False)].id
+        raise InputError(
+            f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
+        )
+    return factors
+
+
+def _samples(log: Log, column: str) -> tuple[Array, Array]:
+    """Times and values without the missing samples."""
+    there = np.isfinite(log[column])
+    return log.time_s[there], log[column][there]
+
+
+# ------------------------------------------------------------ falling weight
+
+
+def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experiment:
+    factors = _area_factors(entries.trials, robot, path)
+    records, settings, logs = [], [], []
+    for entry, factor in zip(entries.trials, factors, strict=True):
+        log = read_log(entry, path.parent, required=("x_m",))
+        logs.append(log.path)
+        time, position = _samples(log, "x_m")
+        if len(time) < 5:
+            raise InputError(
+                f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m"
+            )
+        time, position = _without_standstill(log, time, position)
+        if position[-1] <= position[0]:
+            raise InputError(
+                "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
+            )
+        records.append(encoder.understand(time, position, robot.rig.encoder_resolution_m))
+        settings.append(_falling_settings(path, entry, robot, factor, time, position, records[-1]))
+    model = rig.falling_weight(
+        mass_kg=float(np.median([s["inertia"] for s in settings])) or 1.0,
+        force_N=float(np.median([s["force"] for s in settings])),
+        area_known=factors[0] is not None,
+        pulley=any(s["pulley"] for s in settings),
+    )
+    # No trial was released a whole trial's length away from its log.
+    span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
+    model.parameters = tuple(
+        replace(p, lower=-span, upper=span) if p.name == "clock_offset" else p for p in model.parameters
+    )
+    # A start that is not the origin carries the noise of the sample it is taken from.
+    if any(s["x0"] != 0 for s in settings):
+        model.parameters = tuple(
+            replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters
+        )
+
+    def trials(rounding: str) -> list[Trial]:
+        made = []
+        for entry, record, known in zip(entries.trials, records, settings, strict=True):
+            position = encoder.true_position(record, rounding)
+            # the row that sets the origin is a definition, not a measurement
+            use = np.ones(len(position), dtype=bool)
+            if record.kind == "clicks" and record.position[0] == 0:
+                use[0] = False
+            made.append(
+                Trial(
+                    id=entry.id,
+                    role=entry.role,
+                    time_s=record.time_s[use],
+                    measured={"x_m": position[use]},
+                    settings=known,
+                    value_sd={"x_m": record.position_sd} if record.position_sd else {},
+                    time_sd_s=record.time_sd_s,
+                    stamps_uncertain=record.kind == "clicks",
+                )
+            )
+        return made
+
+    sampled = any(r.kind == "sampled" for r in records)
+    return Experiment(
+        name="falling-weight",
+        robot=robot,
+        model=model,
+        trials=trials("floor"),
+        inputs=input_files(path, entries.robot, logs),
+        variants={name: trials(name) for name in encoder.ROUNDINGS} if sampled else {},
+        facts={
+            "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
+            "resolution_m": next((r.resolution for r in records if r.resolution), None),
+            "pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials},
+        },
+    )
+
+
+def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
+    """The drop without a stretch at its end in which the body no longer moves.
+
+    A body that still falls does not stop: it has reached the wall, or the weight the floor.
+    """
+    span = float(position.max() - position.min())
+    noise = float(np.median(np.abs(np.diff(position, 2)))) if len(position) > 4 else 0.0
+    arrived = position.max() - max(0.01 * span, 6.0 * noise)
+    before = np.flatnonzero(position < arrived)
+    if not len(before) or len(position) - before[-1] < 6:
+        return time, position
+    last = int(before[-1]) + 1
+    reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
+    if not len(reference) or time[last] <= time[reference[-1]]:
+        return time, position
+    speed = (position[last] - position[reference[-1]]) / (time[last] - time[reference[-1]])
+    needed = (position.max() - arrived) / speed if speed > 0 else 0.0
+    if time[-1] - time[last] < max(5.0 * needed, 0.05 * (time[last] - time[0])):
+        return time, position
+    warn(
+        "SWM018",
+        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; "
+        f"the {time[-1] - time[last]:.3g} s after that are left out "
+        "(end_s in the trials file sets the end yourself)",
+    )
+    return time[:last], position[:last]
+
+
+def _falling_settings(
+    path: Path,
+    entry: FallingWeightTrial,
+    robot: Robot,
+    factor: float | None,
+    time: Array,
+    position: Array,
+    record: encoder.Displacement,
+) -> dict[str, Any]:
+    mass = _mass(entry, robot, path)
+    pulley = entry.pulling_mass_kg is not None
+    if entry.pulling_mass_kg is not None:
+        warn_mass(f"the trial '{entry.id}' has the pulling mass", entry.pulling_mass_kg, mass, path)
+        force = entry.pulling_mass_kg * robot.fluid.gravity_m_s2
+        mass += entry.pulling_mass_kg + robot.rig.pulley_inertia_kg
+    else:
+        force = float(entry.driving_force_N or 0.0)
+        if force <= 0:
+            raise InputError(
+                f"the driving force of '{entry.id}' must be positive, along x_m",
+                file=path,
+                column="driving_force_N",
+            )
+    travelled = position - position[0]
+    from_origin = abs(position[0]) <= 0.02 * float(travelled.max())
+    # A record whose first row is already under way was released before it: at time zero, where the
+    # body can have come so far since then, else about when the known force takes it there.
+    quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
+    at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
+    # only a count says for certain that the body has moved: a camera's first sample has noise
+    counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
+    release = 0.0 if at_zero else float(time[0]) - (1.4 * float(quickest) if counted else 0.0)
+    return {
+        "inertia": mass,
+        "force": force,
+        "pulley": pulley,
+        "area_factor": factor if factor is not None else 0.0,
+        "release_s": release,
+        "x0": 0.0 if from_origin else float(position[0]),
+    }
+
+
+# ------------------------------------------------------------ towed
+
+
+def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
+    factors = _area_factors(entries.trials, robot, path)
+    trials, logs, forces = [], [], []
+    for entry, factor in zip(entries.trials, factors, strict=True):
+        log = read_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
+        logs.append(log.path)
+        if "x_m" not in log and "u_m_s" not in log:
+            raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
+        force = log["force_N"]
+        if np.isnan(force).any():
+            row = int(np.argmax(np.isnan(force)))
+            raise InputError(
+                "the applied force is missing; it drives the model and cannot be masked",
+                file=log.path,
+                line=log.line(row),
+                column="force_N",
+            )
+        measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
+        first = float(measured["x_m"][np.isfinite(measured["x_m"])][0]) if "x_m" in measured else 0.0
+        forces.append(float(np.sqrt(np.mean(force**2))))
+        trials.append(
+            Trial(
+                id=entry.id,
+                role=entry.role,
+                time_s=log.time_s,
+                measured=measured,
+                inputs={"force_N": force},
+                settings={
+                    "inertia": _mass(entry, robot, path),
+                    "area_factor": factor or 0.0,
+                    "release_s": float(log.time_s[0]),
+                    "x0": first,
+                },
+            )
+        )
+    model = rig.towed(
+        mass_kg=float(np.median([t.settings["inertia"] for t in trials])),
+        force_N=max(float(np.median(forces)), 1e-9),
+        area_known=factors[0] is not None,
+    )
+    if not any("x_m" in t.measured for t in trials):
+        model.parameters = tuple(
+            replace(p, free=False) if p.name == "start_offset" else p for p in model.parameters
+        )
+    return Experiment("towed", robot, model, trials, input_files(path, entries.robot, logs))
+
+
+# ------------------------------------------------------------ free decay
+
+
+def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | None) -> Experiment:
+    logs = [read_log(e, path.parent, required=(), optional=tuple(rig.COORDINATES)) for e in entries.trials]
+    name = coordinate or _coordinate(logs)
+    rotation = rig.COORDINATES[name][2]
+    axis = name.removesuffix("_rad")
+    trials, periods, amplitudes = [], [], []
+    for entry, log in zip(entries.trials, logs, strict=True):
+        if name not in log:
+            raise InputError("this column is missing", file=log.path, column=name)
+        time, values = _from_first_peak(log, name)
+        period, amplitude = _swing(time, values, log, name)
+        periods.append(period)
+        amplitudes.append(amplitude)
+        inertia = _inertia(entry, robot, axis, rotation, path)
+        trials.append(
+            Trial(
+                id=entry.id,
+                role=entry.role,
+                time_s=time,
+                measured={name: values},
+                settings={"inertia": inertia, "release_s": float(time[0]), "x0": float(values[0])},
+            )
+        )
+    inertia = trials[0].settings["inertia"]
+    rig_values = robot.rig
+    stiffness = (
+        getattr(rig_values, f"{axis}_stiffness_N_m_rad", None) if rotation else rig_values.stiffness_N_m
+    )
+    guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
+    if stiffness is None:
+        warn(
+            "SWM019",
+            f"the restoring stiffness is not known: the decay gives ratios to the inertia {inertia:g}; added "
+            "inertia is held at zero and the stiffness estimated",
+        )
+    model = rig.free_decay(
+        name, inertia=inertia, stiffness=stiffness, guess=guess, amplitude=float(np.median(amplitudes))
+    )
+    facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
+    return Experiment(
+        "free-decay",
+        robot,
+        model,
+        trials,
+        input_files(path, entries.robot, [log.path for log in logs]),
+        facts=facts,
+    )
+
+
+def _coordinate(logs: list[Log]) -> str:
+    common = [c for c in rig.COORDINATES if all(c in log for log in logs)]
+    if len(common) == 1:
+        return common[0]
+    if not common:
+        raise InputError(
+            f"none of the coordinates {', '.join(rig.COORDINATES)} is in every log", file=logs[0].path
+        )
+    raise InputError(
+        f"holds several coordinates: {', '.join(common)}",
+        file=logs[0].path,
+        hint=f"choose one: --coordinate {common[0]}",
+    )
+
+
+def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
+    if not rotation:
+        mass = _mass(entry, robot, path)
+        if mass == 0:
+            raise InputError(
+                "a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg"
+            )
+        return mass
+    if entry.inertial_mass_kg is not None:
+        raise InputError(
+            f"the mass of '{entry.id}' has no effect on a free decay in {axis}",
+            file=path,
+            column="inertial_mass_kg",
+            hint=f"the inertia is {axis}_inertia_kg_m2 of the robot file",
+        )
+    inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
+    if not inertia:
+        warn(
+            "SWM019",
+            f"the robot '{robot.name}' has no {axis}_inertia_kg_m2: all parameters are per unit of "
+            "total inertia",
+        )
+        return 1.0
+    return float(inertia)
+
+
+def _from_first_peak(log: Log, name: str) -> tuple[Array, Array]:
+    """The decay from its largest excursion on: what comes before is the hold and the release."""
+    time, values = log.time_s, log[name]
+    tail = values[len(values) * 3 // 4 :]
+    rest = float(np.nanmedian(tail))
+    peak = int(np.nanargmax(np.abs(values - rest)))
+    if peak > 0.5 * len(values):
+        raise InputError(
+            f"its largest excursion comes at {time[peak]:g} s, in the second half: this is no free decay",
+            file=log.path,
+            column=name,
+            hint="cut the log with start_s and end_s in the trials file",
+        )
+    # Held at the excursion, noise may set its maximum long before the release: the decay starts
+    # where the coordinate last stood near that excursion before it first came to rest.
+    side = np.sign(values[peak] - rest)
+    across = np.flatnonzero((np.arange(len(values)) > peak) & ((values - rest) * side < 0))
+    if len(across):
+        near = np.flatnonzero((values[: across[0]] - rest) * side >= 0.95 * (values[peak] - rest) * side)
+        peak = int(near[-1])
+    if peak > 3:
+        warn(
+            "SWM018",
+            f"{log.path.name}: {time[peak] - time[0]:.3g} s before the release from the largest excursion "
+            "left out",
+        )
+    return time[peak:], values[peak:]
+
+
+def _swing(time: Array, values: Array, log: Log, name: str) -> tuple[float, float]:
+    """Period and first amplitude, from the crossings of the rest position."""
+    there = np.isfinite(values)
+    t, x = time[there], values[there] - float(np.nanmedian(values))
+    amplitude = float(np.max(np.abs(x)))
+    # crossings with hysteresis, so that noise about zero does not count
+    state = np.where(x > 0.1 * amplitude, 1, np.where(x < -0.1 * amplitude, -1, 0))
+    marked = np.flatnonzero(state)
+    turns = marked[1:][np.diff(state[marked]) != 0]
+    if len(turns) < 2:
+        raise InputError(
+            "does not swing: fewer than two crossings of the rest position", file=log.path, column=name
+        )
+    return 2.0 * float(np.median(np.diff(t[turns]))), amplitude

@@ -1,0 +1,230 @@
+"""The robot file (``swimid-robot/1``): everything known of a robot before any fit.
+
+Built-in robots lie in ``swimid/robots`` as YAML; a user's own is a YAML file and needs no
+code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PositiveFloat
+
+from swimid.errors import InputError, UsageError, nearest
+from swimid.files import yamlio
+from swimid.robots.planar import Multilink, Reading
+from swimid.robots.spatial import Multibody
+
+FORMAT = "swimid-robot/1"
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Fluid(yamlio.Document):
+    """The water, and the gravity it lies in."""
+
+    density_kg_m3: PositiveFloat = 997.0
+    gravity_m_s2: PositiveFloat = 9.81
+
+
+class Body(yamlio.Document):
+    """The body as one rigid piece."""
+
+    inertial_mass_kg: NonNegative | None = None
+    frontal_area_m2: PositiveFloat | None = None
+    length_m: PositiveFloat | None = None
+    width_m: PositiveFloat | None = None
+    height_m: PositiveFloat | None = None
+    roll_inertia_kg_m2: NonNegative | None = None
+    pitch_inertia_kg_m2: NonNegative | None = None
+    yaw_inertia_kg_m2: NonNegative | None = None
+
+
+class Rig(yamlio.Document):
+    """The test rig the robot is pulled or held by."""
+
+    pulley_inertia_kg: NonNegative = 0.0
+    encoder_resolution_m: PositiveFloat | None = None
+    stiffness_N_m: NonNegative | None = None
+    roll_stiffness_N_m_rad: NonNegative | None = None
+    pitch_stiffness_N_m_rad: NonNegative | None = None
+    yaw_stiffness_N_m_rad: NonNegative | None = None
+
+
+class Theory(yamlio.Document):
+    """An estimate from theory or tables, to put beside a measured parameter."""
+
+    parameter: str
+    value: float
+    unit: str
+    basis: str
+    source: str = ""
+
+
+class Fin(yamlio.Document):
+    """A caudal fin; a rectangle's inertia follows from its size, another shape's is given."""
+
+    shape: Literal["rectangle", "other"] = "rectangle"
+    height_m: PositiveFloat
+    length_m: PositiveFloat
+    axle_gap_m: NonNegative = 0.0
+    area_m2: PositiveFloat | None = None
+    hydrodynamic_inertia_kg_m2: PositiveFloat | None = None
+
+
+class Robot(yamlio.Document):
+    """A robot file."""
+
+    format: Literal["swimid-robot/1"]
+    name: str
+    description: str = ""
+    sources: list[str] = []
+    fluid: Fluid = Fluid()
+    body: Body = Body()
+    rig: Rig = Rig()
+    fins: dict[str, Fin] = {}
+    theory: list[Theory] = []
+    #: Links, joints and elements of a planar multi-link robot.
+    multilink: Multilink | None = None
+    #: Links, hinges and elements of a robot that moves in space.
+    multibody: Multibody | None = None
+    #: Ambiguities of the source and the reading chosen for each.
+    readings: dict[str, Reading] = {}
+
+    def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
+        """Markers seen from the reference point: forward, and to port (up in the vertical plane), m."""
+        if self.multibody is not None:
+            aside = 1 if plane == "horizontal" else 2
+            origin = self.multibody.reference.at_m
+            return {
+                name: (marker.at_m[0] - origin[0], marker.at_m[aside] - origin[aside])
+                for name, marker in self.multibody.markers.items()
+            }
+        if self.multilink is not None:
+            start = self.multilink.reference
+            return {
+                name: (start.station_m - marker.station_m, marker.offset_m - start.offset_m)
+                for name, marker in self.multilink.markers.items()
+            }
+        return {}
+
+
+def built_in() -> list[str]:
+    """Names of the robots that ship with swimid."""
+    folder = resources.files("swimid") / "robots"
+    return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
+
+
+def locate(name: str, relative_to: Path | None = None) -> Path:
+    """Path of a robot given by built-in name or by file.
+
+    Raises
+    ------
+    InputError
+        When it is neither; names the built-in robots.
+    """
+    if name in built_in():
+        return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
+    path = Path(name) if relative_to is None or Path(name).is_absolute() else relative_to / name
+    if path.is_file():
+        return path
+    close = nearest(name, built_in())
+    hint = f"did you mean '{close}'? " if close else ""
+    raise InputError(
+        f"there is no robot '{name}'",
+        file=None if path.suffix not in (".yaml", ".yml") else path,
+        hint=f"{hint}built-in robots: {', '.join(built_in())}; or give the path of a robot file",
+    )
+
+
+def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, str] | None = None) -> Robot:
+    """Read a robot by built-in name, or by path relative to ``relative_to``.
+
+    Parameters
+    ----------
+    readings : mapping of reading to option, optional
+        Other readings of the source's ambiguities than those the file chooses.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in the file.
+    UsageError
+        For a reading or an option that is not there.
+    """
+    path = locate(name, relative_to)
+    data = yamlio.load(path)
+    robot = yamlio.validate(data, Robot, path)
+    chosen = {key: reading.chosen for key, reading in robot.readings.items()}
+    for key, option in (readings or {}).items():
+        if key not in chosen or option not in robot.readings[key].options:
+            known = list(chosen) if key not in chosen else list(robot.readings[key].options)
+            what = f"reading '{key}'" if key not in chosen else f"option '{option}' of the reading '{key}'"
+            raise UsageError(
+                f"the robot '{robot.name}' has no {what}", hint=f"there are: {', '.join(known) or 'none'}"
+            )
+        chosen[key] = option
+    changes = {
+        k: v for key, option in chosen.items() for k, v in robot.readings[key].options[option].set.items()
+    }
+    if not changes:
+        return robot
+    patched = yamlio.plain(data)
+    for place, value in changes.items():
+        try:
+            _put(patched, place, value, path)
+        except InputError as error:
+            key = next(k for k, option in chosen.items() if place in robot.readings[k].options[option].set)
+            where = f"readings.{key}.options.{chosen[key]}"
+            raise located(InputError(error.reason, column=where), path) from error
+    for key, option in chosen.items():
+        patched["readings"][key]["chosen"] = option
+    return yamlio.validate(patched, Robot, path)
+
+
+def _put(data: Any, place: str, value: Any, path: Path) -> None:
+    """Set a dotted path; members of lists go by their name or their number."""
+    *way, last = place.split(".")
+    for part in way:
+        data = _member(data, part, place, path)
+    if isinstance(data, list):
+        data[data.index(_member(data, last, place, path))] = value
+    elif value is None:
+        data.pop(last, None)
+    else:
+        data[last] = value
+
+
+def _member(data: Any, part: str, place: str, path: Path) -> Any:
+    if isinstance(data, list):
+        named = [m for m in data if isinstance(m, dict) and m.get("name") == part]
+        if named:
+            return named[0]
+        if part.isdigit() and int(part) < len(data):
+            return data[int(part)]
+    elif isinstance(data, dict) and part in data:
+        return data[part]
+    raise InputError(f"a reading changes '{place}', but there is no '{part}'", file=path, column="readings")
+
+
+def located(error: InputError, path: Path) -> InputError:
+    """The same error with its file and line, from the dotted path in its ``column``."""
+    data: Any = yamlio.load(path)
+    line = None
+    for part in (error.column or "").split("."):
+        positions = getattr(data, "lc", None)
+        if isinstance(data, list):
+            index = next(
+                (i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part), None
+            )
+            index = int(part) if index is None and part.isdigit() else index
+            if index is None or index >= len(data) or positions is None:
+                break
+            line, data = positions.item(index)[0] + 1, data[index]
+        elif isinstance(data, dict) and part in data and positions is not None:
+            line, data = positions.key(part)[0] + 1, data[part]
+        else:
+            break
+    return InputError(error.reason, file=path, line=line, column=error.column, hint=error.hint)

@@ -1,0 +1,1 @@
+"""Which coefficient each output of a robot is most sensitive to: indices, maps, result."""

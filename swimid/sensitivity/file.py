@@ -1,0 +1,159 @@
+"""The sensitivity file (``swimid-sensitivity/1``): what each coefficient does to each output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from swimid.files import yamlio
+from swimid.files.yamlio import Number, Rows
+
+FORMAT: Literal["swimid-sensitivity/1"] = "swimid-sensitivity/1"
+
+
+class Range(yamlio.Document):
+    """What a coefficient was varied over."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    #: ``bounds``, ``stderr`` (two standard errors to either side), ``share`` of its value, or ``given``.
+    source: Literal["bounds", "stderr", "share", "given"]
+
+
+class Index(yamlio.Document):
+    """A Sobol index with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+
+
+class Shares(yamlio.Document):
+    """A coefficient's share of an output's variance: alone, and with all interactions it takes part in."""
+
+    first: Index
+    total: Index
+    #: Whether the interval of the first-order index stays clear of zero.
+    first_told: bool
+    #: Whether the whole interval of the total index lies below 0.01.
+    negligible: bool
+
+
+class Effects(yamlio.Document):
+    """Elementary effects of a coefficient, per whole range, in the output's unit."""
+
+    mu: float
+    mu_star: float
+    mu_star_ci95: tuple[float, float]
+    sigma: float
+
+
+class Output(yamlio.Document):
+    """One output of one trial, or of all trials together where ``trial`` is missing."""
+
+    quantity: str
+    unit: str
+    trial: str | None = None
+    #: With the given coefficients; of all trials together there is none.
+    value: Number = None
+    #: Over the ranges.
+    mean: Number = None
+    sd: Number = None
+    shares: dict[str, Shares] = {}
+    effects: dict[str, Effects] = {}
+
+
+class Simulations(yamlio.Document):
+    """How many points were simulated."""
+
+    evaluated: int
+    broken: int
+    #: Rows of the design replaced (Sobol), or trajectories dropped (Morris), because a point broke down.
+    left_out: int
+
+
+class Axis(yamlio.Document):
+    """One varied number of the drive."""
+
+    name: str
+    values: list[float]
+
+
+class SweptOutput(yamlio.Document):
+    """An output over the grid: rows are the first axis, columns the second (one column without one)."""
+
+    quantity: str
+    unit: str
+    values: Rows
+    #: Standard deviation from the coefficients' covariance; missing where none is known.
+    stderr: Rows | None = None
+
+
+class Sweep(yamlio.Document):
+    """Outputs over a grid of drives."""
+
+    trial: str
+    axes: list[Axis]
+    outputs: list[SweptOutput]
+    broken: int
+
+
+class MeasuredChannel(yamlio.Document):
+    """Error of a channel with the given coefficients."""
+
+    unit: str
+    rmse: Number = None
+    #: Over the measured range.
+    nrmse: Number = None
+
+
+class Measured(yamlio.Document):
+    """A measured trial on the axes of a sweep."""
+
+    trial: str
+    role: Literal["fit", "validate"]
+    drive: dict[str, Number]
+    inside: bool
+    channels: dict[str, MeasuredChannel]
+
+
+class SensitivityFile(yamlio.Document):
+    """A sensitivity file."""
+
+    format: Literal["swimid-sensitivity/1"] = FORMAT
+    verdict: Literal["good", "caution", "bad"]
+    model: str
+    robot: str
+    experiment: str
+    params: str | None = None
+    method: Literal["sobol", "morris", "none"]
+    #: Rows of the design (Sobol), or trajectories (Morris).
+    samples: int
+    trials: list[str]
+    ranges: dict[str, Range] = {}
+    outputs: list[Output] = []
+    simulations: Simulations | None = None
+    sweep: Sweep | None = None
+    measured: list[Measured] = []
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+def write(path: str | Path, sensitivity: SensitivityFile) -> None:
+    """Write a sensitivity file, whole or not at all."""
+    yamlio.write(path, sensitivity.model_dump(mode="python", exclude_none=True))
+
+
+def read(path: str | Path) -> SensitivityFile:
+    """Read a sensitivity file.
+
+    Raises
+    ------
+    InputError
+        When it is none.
+    """
+    path = Path(path)
+    data = yamlio.of_format(path, FORMAT, "sensitivity file")
+    return yamlio.validate(data, SensitivityFile, path)

@@ -1,0 +1,356 @@
+"""Global sensitivity: which parameter makes an output vary, over ranges of all of them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import ks_2samp, qmc, sobol_indices
+
+from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting.model import Array
+from swimid.progress import Progress, silent
+
+#: Share of the evaluations that may break down.
+BROKEN = 0.01
+#: Draws behind an interval, and its ends.
+RESAMPLES = 1000
+ENDS = (2.5, 97.5)
+#: Levels of the grid on which Morris's trajectories move; the step is half of them.
+LEVELS = 4
+
+Evaluate = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Sobol:
+    """Sobol indices of s outputs to d parameters, those of g groups of outputs after them.
+
+    Attributes
+    ----------
+    first, total : ndarray, shape (s + g, d)
+    first_ci, total_ci : ndarray, shape (2, s + g, d)
+        Ends of the 95 % intervals.
+    mean, sd : ndarray, shape (s,)
+        Of the outputs over the ranges.
+    evaluations, broken, replaced : int
+        Evaluations in all, those that broke down, and rows of the design replaced for it.
+    """
+
+    first: Array
+    total: Array
+    first_ci: Array
+    total_ci: Array
+    mean: Array
+    sd: Array
+    evaluations: int
+    broken: int
+    replaced: int
+
+
+@dataclass(frozen=True)
+class Morris:
+    """Elementary effects of d parameters on s outputs, means over g groups of outputs after them.
+
+    Effects are per whole range of the parameter, in the output's unit.
+
+    Attributes
+    ----------
+    mu, mu_star, sigma : ndarray, shape (s + g, d)
+        Mean, mean magnitude and standard deviation of the effects.
+    mu_star_ci : ndarray, shape (2, s + g, d)
+        Ends of the 95 % interval.
+    mean, sd : ndarray, shape (s,)
+        Of the outputs over the design.
+    evaluations, broken, dropped : int
+        Evaluations in all, those that broke down, and trajectories dropped for it.
+    """
+
+    mu: Array
+    mu_star: Array
+    sigma: Array
+    mu_star_ci: Array
+    mean: Array
+    sd: Array
+    evaluations: int
+    broken: int
+    dropped: int
+
+
+def sobol(
+    evaluate: Evaluate,
+    lower: Array,
+    upper: Array,
+    *,
+    samples: int = 256,
+    seed: int = 0,
+    groups: Sequence[Sequence[int]] = (),
+    names: Sequence[str] = (),
+    jobs: int = 1,
+    checkpoint: Checkpoint | None = None,
+    progress: Progress = silent,
+) -> Sobol:
+    """First-order and total Sobol indices (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
+
+    Parameters
+    ----------
+    evaluate : callable
+        Outputs, shape (s,), at a point, shape (d,); NaN where the model breaks down. Called from threads.
+    lower, upper : ndarray, shape (d,), d >= 2
+        Uniform ranges.
+    samples : int
+        n, a power of two: rows of the design, each of d + 2 points.
+    seed : int
+        Of the scrambled Sobol sequence and of the bootstrap.
+    groups : sequence of sequences of int
+        Outputs to pool: the indices of their summed variance (Gamboa et al. 2014, doi:10.1214/14-EJS895).
+    names : sequence of str
+        Of the parameters, for the error.
+    jobs : int
+        Threads; the result does not depend on it.
+    checkpoint : Checkpoint, optional
+        Keeps every evaluation.
+
+    Returns
+    -------
+    Sobol
+        Intervals by the percentile bootstrap over the rows. A row of which a point breaks down is replaced
+        by the next one of the sequence, so that all its points are finite.
+
+    Raises
+    ------
+    UsageError
+        With fewer than two parameters, or another number of samples than a power of two.
+    NoTrustworthyResult
+        When more than :data:`BROKEN` of the evaluations break down, with the range in which they do.
+    """
+    d = len(lower)
+    if d < 2:
+        raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
+    if samples < 2 or samples & (samples - 1):
+        raise UsageError(f"the number of samples must be a power of two, not {samples}")
+    # twice the rows: the second half is in reserve
+    unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(2 * samples)
+    a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
+    design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
+    design[:, 2 + np.arange(d), np.arange(d)] = b
+    runs = _Runs(evaluate, samples * (d + 2), names, jobs, checkpoint or Checkpoint(), progress)
+    rows, unused = np.arange(samples), samples
+    values = runs.of([f"{r}.{p}" for r in rows for p in range(d + 2)], design[:samples].reshape(-1, d))
+    values = values.reshape(samples, d + 2, -1)
+    replaced = 0
+    while (bad := np.flatnonzero(~np.isfinite(values).all(axis=(1, 2)))).size:
+        if unused + len(bad) > len(design):
+            runs.refuse()
+        rows[bad] = np.arange(unused, unused + len(bad))
+        unused += len(bad)
+        replaced += len(bad)
+        labels = [f"{r}.{p}" for r in rows[bad] for p in range(d + 2)]
+        values[bad] = runs.of(labels, design[rows[bad]].reshape(-1, d)).reshape(len(bad), d + 2, -1)
+    outputs = np.moveaxis(values, 0, -1)  # (d + 2, s, n)
+    both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
+    mean, sd = both.mean(axis=1), both.std(axis=1)
+    outputs = outputs - mean[:, None]
+    parts = {"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}
+    found = sobol_indices(func=parts, n=samples)
+    shape = (outputs.shape[1], d)
+    first, total = found.first_order.reshape(shape), found.total_order.reshape(shape)
+    rng = np.random.default_rng([seed, 1])
+    drawn = [_resampled(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
+    first_ci = np.percentile([one for one, _ in drawn], ENDS, axis=0)
+    total_ci = np.percentile([two for _, two in drawn], ENDS, axis=0)
+    return Sobol(
+        _pooled(first, sd**2, groups),
+        _pooled(total, sd**2, groups),
+        first_ci,
+        total_ci,
+        mean,
+        sd,
+        runs.done,
+        len(runs.broken),
+        replaced,
+    )
+
+
+def _resampled(outputs: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+    """Indices of one bootstrap sample, shape (s + g, d), by the estimators of SciPy's sobol_indices."""
+    a, b, ab = outputs[0], outputs[1], outputs[2:]
+    variance = np.var([a, b], axis=(0, -1))
+    size = np.where(variance > 0, variance, 1.0)
+    first = np.mean(b * (ab - a), axis=-1) / size
+    total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / size
+    return _pooled(first.T, variance, groups), _pooled(total.T, variance, groups)
+
+
+def _pooled(indices: Array, variance: Array, groups: Sequence[Sequence[int]]) -> Array:
+    """Indices with those of the groups after them: means weighted by the outputs' variances."""
+    parts = [indices]
+    for members in groups:
+        weights = variance[list(members)]
+        known = weights.sum()
+        parts.append(((weights @ indices[list(members)]) / (known if known > 0 else 1.0))[None])
+    return np.concatenate(parts)
+
+
+def morris(
+    evaluate: Evaluate,
+    lower: Array,
+    upper: Array,
+    *,
+    samples: int = 32,
+    seed: int = 0,
+    groups: Sequence[Sequence[int]] = (),
+    names: Sequence[str] = (),
+    jobs: int = 1,
+    checkpoint: Checkpoint | None = None,
+    progress: Progress = silent,
+) -> Morris:
+    """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007).
+
+    Parameters
+    ----------
+    samples : int
+        Trajectories, each of d + 1 points, on a grid of :data:`LEVELS` levels.
+    evaluate, lower, upper, seed, groups, names, jobs, checkpoint
+        As :func:`sobol` takes them.
+
+    Returns
+    -------
+    Morris
+        Intervals by the percentile bootstrap over the trajectories. A trajectory of which a point breaks
+        down is dropped.
+
+    Raises
+    ------
+    UsageError
+        With fewer than two trajectories.
+    NoTrustworthyResult
+        As :func:`sobol`.
+    """
+    d = len(lower)
+    if samples < 2:
+        raise UsageError("elementary effects need two trajectories or more")
+    rng = np.random.default_rng(seed)
+    step = LEVELS / (2 * (LEVELS - 1))
+    begin = rng.integers(LEVELS // 2, size=(samples, d)) / (LEVELS - 1)
+    sign = rng.choice([-1.0, 1.0], size=(samples, d))
+    begin = np.where(sign < 0, begin + step, begin)
+    order = np.array([rng.permutation(d) for _ in range(samples)])
+    rank = np.argsort(order, axis=1)
+    moved = np.arange(d + 1)[None, :, None] > rank[:, None, :]
+    unit = begin[:, None] + np.where(moved, (step * sign)[:, None], 0.0)
+    points = (lower + unit * (upper - lower)).reshape(-1, d)
+    runs = _Runs(evaluate, len(points), names, jobs, checkpoint or Checkpoint(), progress)
+    labels = [f"{r}.{p}" for r in range(samples) for p in range(d + 1)]
+    values = runs.of(labels, points).reshape(samples, d + 1, -1)
+    whole = np.isfinite(values).all(axis=(1, 2))
+    values, order, sign, rank = values[whole], order[whole], sign[whole], rank[whole]
+    rises = np.take_along_axis(np.diff(values, axis=1), rank[:, :, None], axis=1)  # by parameter
+    effects = np.swapaxes(rises / (step * sign)[:, :, None], 1, 2)  # (r, s, d)
+    parts = [effects.mean(axis=0), np.abs(effects).mean(axis=0), effects.std(axis=0, ddof=1)]
+    draw = np.random.default_rng([seed, 1])
+    size = np.abs(effects)
+    count = len(effects)
+    drawn = [_averaged(size[draw.integers(count, size=count)].mean(axis=0), groups) for _ in range(RESAMPLES)]
+    seen = values.reshape(-1, values.shape[-1])
+    mu, mu_star, sigma = (_averaged(part, groups) for part in parts)
+    return Morris(
+        mu,
+        mu_star,
+        sigma,
+        np.percentile(drawn, ENDS, axis=0),
+        seen.mean(axis=0),
+        seen.std(axis=0),
+        runs.done,
+        len(runs.broken),
+        int((~whole).sum()),
+    )
+
+
+def _averaged(effects: Array, groups: Sequence[Sequence[int]]) -> Array:
+    return np.concatenate([effects, *(effects[list(m)].mean(axis=0)[None] for m in groups)])
+
+
+class _Runs:
+    """Evaluations in threads: kept, counted, and refused when too many break down."""
+
+    def __init__(
+        self,
+        evaluate: Evaluate,
+        planned: int,
+        names: Sequence[str],
+        jobs: int,
+        checkpoint: Checkpoint,
+        progress: Progress,
+    ) -> None:
+        self.evaluate, self.planned, self.names = evaluate, planned, names
+        self.jobs, self.checkpoint, self.progress = jobs, checkpoint, progress
+        self.done = 0
+        self.broken: list[Array] = []
+        self._fine: list[Array] = []
+
+    def of(self, labels: Sequence[str], points: Array) -> Array:
+        """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
+        found = []
+        with (
+            self.progress("sensitivity", total=len(points)) as step,
+            ThreadPoolExecutor(max(self.jobs, 1)) as pool,
+        ):
+            waiting = [pool.submit(self._one, *item) for item in zip(labels, points, strict=True)]
+            try:
+                for future, point in zip(waiting, points, strict=True):
+                    outputs = future.result()
+                    whole = bool(np.isfinite(outputs).all())
+                    (self._fine if whole else self.broken).append(point)
+                    found.append(outputs if whole else np.full(len(outputs), np.nan))
+                    self.done += 1
+                    if len(self.broken) > BROKEN * self.planned:
+                        self.refuse()
+                    step()
+            finally:
+                pool.shutdown(cancel_futures=True)
+        return np.array(found)
+
+    def _one(self, label: str, point: Array) -> NDArray[np.float64]:
+        known = self.checkpoint.get(label)
+        if known is not None:
+            return known
+        outputs = self.evaluate(point)
+        self.checkpoint.put(label, outputs)
+        return outputs
+
+    def refuse(self) -> NoReturn:
+        """Say where the model breaks down.
+
+        Raises
+        ------
+        NoTrustworthyResult
+            Always.
+        """
+        raise NoTrustworthyResult(
+            f"{len(self.broken)} of the first {self.done} simulations break down, more than "
+            f"{100 * BROKEN:g} % of all: {self._where()}",
+            hint="narrow that coefficient's range (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
+        )
+
+    def _where(self) -> str:
+        """The parameter whose values set the broken points apart most, and their range."""
+        bad = np.array(self.broken)
+        low, high = bad.min(axis=0), bad.max(axis=0)
+        names = list(self.names) or [f"parameter {k + 1}" for k in range(bad.shape[1])]
+        if not self._fine:
+            spans = ", ".join(f"{n} {a:.3g} to {b:.3g}" for n, a, b in zip(names, low, high, strict=True))
+            return f"all that were tried, over {spans}"
+        fine = np.array(self._fine)
+        apart = [ks_2samp(bad[:, k], fine[:, k]).statistic for k in range(bad.shape[1])]
+        k = int(np.argmax(apart))
+        also = float(np.mean((fine[:, k] >= low[k]) & (fine[:, k] <= high[k])))
+        return (
+            f"all of them have {names[k]} between {low[k]:.3g} and {high[k]:.3g}, as have {100 * also:.0f} % "
+            "of the others"
+        )

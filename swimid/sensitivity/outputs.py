@@ -1,0 +1,248 @@
+"""What a run of a robot with links comes to, as ``sensitivity`` and its drive sweep ask for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting import metrics
+from swimid.fitting.model import Array, Trial
+from swimid.simulation import swim_quantities
+from swimid.simulation.applied import Quantity
+from swimid.simulation.swim_quantities import PER_BEAT
+from swimid.swimmer import stroke_cycles
+from swimid.swimmer.planar.drive import Beat
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.stroke import Cycle
+from swimid.swimmer.trials import Swimmer
+
+#: How the cycles of a trial become one number; what is not here is averaged.
+OVER_CYCLES: dict[str, Callable[[list[float]], Any]] = {
+    "max_speed_m_s": np.max,
+    "max_pitch_rate_rad_s": np.max,
+    "final_pitch_rad": lambda cycles: cycles[-1],
+    "surge_m": np.sum,
+    "heave_m": np.sum,
+}
+#: Names of a misfit begin so.
+MISFIT = "misfit_"
+#: Samples of a run without a beat.
+SAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trial's drive and start, with the times its outputs are taken at.
+
+    Attributes
+    ----------
+    trial : Trial
+        At those times, which hold whole beats or cycles.
+    beats : int
+        Whole beats at the end that count; 0: the whole record.
+    begin_s : float
+        Where the first cycle begins.
+    frequency_hz : float or None
+    measured : dict of channel to (times, values, scale, unit)
+        Samples a misfit is taken over; it is divided by ``scale``.
+    """
+
+    trial: Trial
+    beats: int
+    begin_s: float
+    frequency_hz: float | None
+    measured: Mapping[str, tuple[Array, Array, float, str]]
+
+
+def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = None) -> Run:
+    """A trial as a run.
+
+    Parameters
+    ----------
+    noise : mapping of channel to float, optional
+        Standard deviation of each channel's noise: makes misfits of the measured channels, over it, or in
+        the channel's unit where it is not known. None: no misfits.
+    """
+    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+    measured = {}
+    units = {c.name: c.unit for c in model.channels}
+    for name, values in trial.measured.items() if noise is not None else ():
+        there = np.isfinite(values)
+        if there.sum() > 1:
+            sd = (noise or {}).get(name, 0.0)
+            scale, unit = (sd, "1") if sd > 0 else (1.0, units[name])
+            measured[name] = (trial.time_s[there], values[there], scale, unit)
+    if beat is None:
+        fine = replace(trial, time_s=np.linspace(begin, end, SAMPLES + 1), measured={}, inputs={})
+        return Run(fine, 0, begin, None, measured)
+    step = 1.0 / (beat.frequency_hz * PER_BEAT)
+    ramp = max(begin, beat.ramp_s)
+    if isinstance(model, MultilinkModel):
+        window = swim_quantities.last_beats(ramp, end, beat.frequency_hz)
+        beats, anchor = (window.beats if window else 0), end
+    else:
+        beats, anchor = 0, 0.0 if begin <= 0 else ramp
+    inner = anchor + step * np.arange(
+        math.ceil((begin - anchor) / step + 1e-6), math.floor((end - anchor) / step - 1e-6) + 1
+    )
+    times = np.concatenate(([begin], inner, [end]))
+    fine = replace(trial, time_s=times, measured={}, inputs={})
+    return Run(fine, beats, anchor, beat.frequency_hz, measured)
+
+
+def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
+    """What a run comes to; NaN where the simulation breaks down.
+
+    In the plane over the last whole beats (at most four): mean surge, half its range, half the range of the
+    heading about its straight course, the mean turning rate where the drive asks for turning, half the
+    range of passive joints. In space the quantities of :mod:`swimid.swimmer.stroke_cycles` over all
+    cycles: largest speed and pitch rate, mean speed and pitch rate, last pitch, way ahead and up in all.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        columns = model.simulate(values, run.trial)
+    found: dict[str, Quantity] = {}
+    if isinstance(model, MultibodyModel):
+        if model.free_base:
+            found |= _in_space(columns, run)
+    else:
+        found |= _in_plane(model, columns, run)
+    last = _last(run)
+    for axis in model.passive:
+        found[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column][last])), "rad")
+    for name, (times, seen, scale, unit) in run.measured.items():
+        simulated = columns[name]
+        error = math.nan
+        if np.isfinite(simulated).all():
+            error = math.sqrt(float(np.mean((seen - CubicSpline(run.trial.time_s, simulated)(times)) ** 2)))
+        found[f"{MISFIT}{name}"] = Quantity(error / scale, unit)
+    return found
+
+
+def _last(run: Run) -> slice:
+    return slice(-(run.beats * PER_BEAT + 1), None) if run.beats else slice(None)
+
+
+def _in_plane(model: MultilinkModel, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
+    if not model.free_base:
+        return {}
+    last = _last(run)
+    time = run.trial.time_s[last]
+    surge, heading = columns[model.velocity[0]][last], columns[model.pose[2]][last]
+    turn = model.pose[2].removesuffix("_rad")
+    duration = float(time[-1] - time[0])
+    rate = float(heading[-1] - heading[0]) / duration
+    course = heading - rate * (time - time[0])
+    found = {
+        "mean_surge_m_s": Quantity(float(np.trapezoid(surge, time)) / duration, "m/s"),
+        "surge_amplitude_m_s": Quantity(0.5 * float(np.ptp(surge)), "m/s"),
+        f"{turn}_amplitude_rad": Quantity(0.5 * float(np.ptp(course)), "rad"),
+    }
+    beat = run.trial.settings.get("beat")
+    if beat is None or beat.bias_rad or beat.asymmetry:
+        found[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
+    return found
+
+
+def _in_space(columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
+    time = run.trial.time_s
+    whole = stroke_cycles.Window(float(time[0]), float(time[-1]))
+    cycles = []
+    if run.frequency_hz is not None:
+        cycles = stroke_cycles.windows(time, run.frequency_hz, begin_s=run.begin_s)
+    told = [stroke_cycles.quantities(time, columns, window) for window in cycles or [whole]]
+    found = {}
+    for name, unit in stroke_cycles.QUANTITIES.items():
+        of_each = [q.get(name, math.nan) for q in told]
+        found[name] = Quantity(float(OVER_CYCLES.get(name, np.mean)(of_each)), unit)
+    return found
+
+
+# ------------------------------------------------------------ another drive
+
+
+def drive_of(trial: Trial) -> dict[str, float]:
+    """The numbers of a trial's drive a sweep may vary; empty where measured joints drive it."""
+    beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
+    if isinstance(stroke, Cycle):
+        return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
+    if isinstance(beat, Beat):
+        return {
+            "frequency_hz": beat.frequency_hz,
+            "amplitude_deg": math.degrees(beat.amplitude_rad),
+            "bias_deg": math.degrees(beat.bias_rad),
+        }
+    return {}
+
+
+def check_axes(names: list[str], trial: Trial) -> None:
+    """Refuse axes that the trial's drive does not have.
+
+    Raises
+    ------
+    UsageError
+    """
+    allowed = list(drive_of(trial))
+    if not allowed:
+        raise UsageError(f"the trial '{trial.id}' has no drive to sweep: measured joints move it")
+    for name in names:
+        if name not in allowed:
+            raise UsageError(f"--sweep: the drive has no '{name}'", hint=suggestion(name, allowed))
+
+
+def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
+    """The trial under another drive, from rest at its start pose.
+
+    A stroke keeps its number of whole cycles; a beat its time, or its ramp and four beats where that is
+    longer.
+    """
+    stroke, beat = trial.settings.get("stroke"), trial.settings.get("beat")
+    given = {**drive_of(trial), **drive}
+    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+    if isinstance(stroke, Cycle):
+        moved = replace(stroke, frequency_hz=given["frequency_hz"], scale=given["scale"])
+        count = max(math.floor((end - begin) * stroke.frequency_hz + 1e-6), 1)
+        begin, end = 0.0, count / moved.frequency_hz
+        settings: dict[str, Any] = {**trial.settings, "stroke": moved}
+    else:
+        assert isinstance(beat, Beat)
+        moved_beat = replace(
+            beat,
+            frequency_hz=given["frequency_hz"],
+            amplitude_rad=math.radians(given["amplitude_deg"]),
+            bias_rad=math.radians(given["bias_deg"]),
+        )
+        begin, end = 0.0, max(end, beat.ramp_s + swim_quantities.BEATS / given["frequency_hz"])
+        settings = {**trial.settings, "beat": moved_beat}
+    # a model keeps trajectories by the trial's name
+    name = ", ".join([trial.id, *(f"{k} {v!r}" for k, v in drive.items())])
+    return replace(trial, id=name, time_s=np.array([begin, end]), measured={}, inputs={}, settings=settings)
+
+
+def errors(model: Swimmer, values: Array, trial: Trial) -> dict[str, tuple[float, float]]:
+    """Root-mean-square error of each measured channel, and the same over its measured range."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        simulated = model.simulate(values, trial)
+    found = {}
+    for name, seen in trial.measured.items():
+        there = np.isfinite(seen)
+        if there.sum() > 1 and np.isfinite(simulated[name][there]).all():
+            score = metrics.score(seen, simulated[name])
+            found[name] = (score.rmse, score.nrmse)
+    return found
+
+
+def possible(model: Swimmer, values: Array) -> bool:
+    """Whether the coefficients make masses that a body has."""
+    try:
+        model.check(values)
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,627 @@
+"""``sensitivity``: which coefficient each output hangs on, and how outputs change with the drive."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.files import atomic, provenance
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting import fit_common
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.model import Array, Parameter, Trial
+from swimid.notices import recorded, warn
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results.outcome import Outcome
+from swimid.sensitivity import evidence as sensitivity_evidence
+from swimid.sensitivity import file as sensitivity_format
+from swimid.sensitivity import indices
+from swimid.sensitivity import outputs as sensitivity_outputs
+from swimid.sensitivity.file import (
+    Axis,
+    Effects,
+    Index,
+    Measured,
+    MeasuredChannel,
+    Output,
+    Range,
+    SensitivityFile,
+    Shares,
+    Simulations,
+    Sweep,
+    SweptOutput,
+)
+from swimid.sensitivity.indices import Morris, Sobol
+from swimid.sensitivity.outputs import Run
+from swimid.simulation import catalogue, compare_series
+from swimid.simulation.applied import Applied, Quantity
+from swimid.swimmer import trials as swimmer
+from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel, prepare
+from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.trials import Swimmer
+
+Method = Literal["sobol", "morris", "none"]
+#: Rows of the design, or trajectories, where nothing else is asked for.
+SAMPLES = {"sobol": 256, "morris": 32, "none": 0}
+#: A total index whose interval lies below this is negligible.
+NEGLIGIBLE = 0.01
+#: An output that varies less than this share of its size does not vary.
+CONSTANT = 1e-9
+#: Points of a sweep at most.
+MOST_POINTS = 10_000
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is varied, and what is looked at.
+
+    Attributes
+    ----------
+    applied : Applied
+    ranges : dict of str to Range
+    runs : list of Run
+    starts : list of ndarray
+        Parameter vector of each run, its start state in it.
+    columns : list of (quantity, trial, unit)
+        Outputs in order.
+    centre : ndarray, shape (s,)
+        Outputs with the given coefficients.
+    """
+
+    applied: Applied
+    ranges: Mapping[str, Range]
+    runs: Sequence[Run]
+    starts: Sequence[Array]
+    columns: Sequence[tuple[str, str, str]]
+    centre: Array
+
+    @property
+    def groups(self) -> dict[str, list[int]]:
+        """The outputs of each quantity that more than one trial has."""
+        found: dict[str, list[int]] = {}
+        for k, (quantity, _, _) in enumerate(self.columns):
+            found.setdefault(quantity, []).append(k)
+        return {quantity: members for quantity, members in found.items() if len(members) > 1}
+
+
+def sensitivity(
+    trials_file: str | Path,
+    *,
+    params: Path | None = None,
+    robot: str | None = None,
+    output: Path | None = None,
+    method: Method = "sobol",
+    samples: int | None = None,
+    ranges: Sequence[str] = (),
+    coefficients: Sequence[str] = (),
+    sweep: Mapping[str, tuple[float, float, int]] | None = None,
+    trial: str | None = None,
+    chosen: Mapping[str, float] | None = None,
+    readings: Mapping[str, str] | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    dt: float = DEFAULT_STEP,
+    progress: Progress = silent,
+) -> Outcome:
+    """Vary the coefficients of a robot with links over ranges, and its drive over a grid.
+
+    Parameters
+    ----------
+    trials_file : path
+        Of a free-swim or multibody experiment.
+    params : Path, optional
+        Parameter file: given values, standard errors, start states, noise.
+    robot : str, optional
+        Accept the parameters although they name another robot.
+    output : Path, optional
+        Sensitivity file to write; its evidence goes beside it.
+    method : {"sobol", "morris", "none"}
+    samples : int, optional
+        Rows of the design (a power of two), or trajectories of Morris's method.
+    ranges : sequence of str
+        ``bounds``, ``stderr`` or ``20%`` for all coefficients, ``NAME=LOW,HIGH`` for one.
+    coefficients : sequence of str
+        Vary these only; default all that a fit estimates, and those with a range of their own.
+    sweep : mapping of str to (low, high, count), optional
+        One or two numbers of the drive.
+    trial : str, optional
+        Whose drive is swept; default the first that has one.
+    chosen : mapping of str to float, optional
+        Values held, in place of the file's.
+    readings : mapping, optional
+    seed : int
+    jobs : int, optional
+        Threads, by default one per processor; the result does not depend on it.
+    dt : float, s
+
+    Raises
+    ------
+    UsageError, InputError
+        For bad files and options.
+    NoTrustworthyResult
+        When more than one in a hundred simulations breaks down.
+    """
+    sweep = dict(sweep or {})
+    count = SAMPLES[method] if samples is None else samples
+    if method == "none" and not sweep:
+        raise UsageError("--method none leaves nothing to do without --sweep")
+    with recorded(repeat=True) as notices:
+        experiment, applied = _loaded(trials_file, params, robot, chosen, readings, dt)
+        model = experiment.model
+        assert isinstance(model, MultilinkModel | MultibodyModel)
+        if output is not None:
+            atomic.check_writable(output, inputs=tuple(experiment.inputs))
+        over = _ranges(applied, ranges, coefficients) if method != "none" else {}
+        swept = _swept(experiment, sweep, trial)
+        prepare(progress)
+        origin = provenance.collect(
+            experiment.inputs,
+            settings={
+                "method": method,
+                "samples": count,
+                "range": list(ranges),
+                "coefficients": list(coefficients),
+                "sweep": {name: list(axis) for name, axis in sweep.items()},
+                "trial": trial,
+                "set": dict(chosen or {}),
+                "readings": dict(readings or {}),
+                "seed": seed,
+                "dt": dt,
+            },
+        )
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        workers = jobs or os.cpu_count() or 1
+        file = SensitivityFile(
+            verdict="caution",
+            model=model.name,
+            robot=experiment.robot.name,
+            experiment=experiment.name,
+            params=params.name if params is not None else None,
+            method=method,
+            samples=count,
+            trials=[t.id for t in experiment.trials],
+            ranges=over,
+            provenance=origin,
+        )
+        checks = []
+        if method != "none":
+            study = _study(experiment, applied, over)
+            common: dict[str, Any] = {
+                "samples": count,
+                "seed": seed,
+                "groups": list(study.groups.values()),
+                "names": list(over),
+                "jobs": workers,
+                "checkpoint": keep,
+                "progress": progress,
+            }
+            low, high = (np.array([getattr(r, end) for r in over.values()]) for end in ("low", "high"))
+            function = indices.sobol if method == "sobol" else indices.morris
+            found = function(_evaluation(study), low, high, **common)
+            file.outputs = _outputs(study, found)
+            left_out = found.replaced if isinstance(found, Sobol) else found.dropped
+            file.simulations = Simulations(
+                evaluated=found.evaluations, broken=found.broken, left_out=left_out
+            )
+            checks += sensitivity_evidence.index_checks(file, _step_change(study, found))
+            checks += sensitivity_evidence.correlation_check(_correlated(applied, over))
+        if swept is not None:
+            file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
+            file.measured = _measured(experiment, applied, sweep)
+            checks += sensitivity_evidence.sweep_checks(file.sweep, bool(applied.uncertain()[0]))
+    verdict = fit_common.verdict(checks, sensitivity_evidence.answer(file))
+    file.verdict = verdict.level
+    evidence = ev.Evidence(
+        verb="sensitivity",
+        title=f"Sensitivity of {experiment.robot.name}, {experiment.name}",
+        verdict=verdict,
+        checks=checks,
+        tables=sensitivity_evidence.tables(file),
+        figures=sensitivity_evidence.figures(file),
+        notices=fit_common.notices(notices),
+        methods=sensitivity_evidence.methods(file),
+        references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
+        provenance=origin,
+    )
+    outputs: list[Path] = []
+    if output is not None:
+        sensitivity_format.write(output, file)
+        outputs = ev.write_beside(output, evidence)
+        keep.done()
+    summary = sensitivity_evidence.summary(file, evidence)
+    return Outcome("sensitivity", summary, file.model_dump(mode="json"), outputs)
+
+
+def _loaded(
+    trials_file: str | Path,
+    params: Path | None,
+    robot: str | None,
+    chosen: Mapping[str, float] | None,
+    readings: Mapping[str, str] | None,
+    dt: float,
+) -> tuple[Experiment, Applied]:
+    if params is None:
+        if robot is not None:
+            raise UsageError("--robot belongs to --params: the trials file names the robot")
+        experiment = swimmer.load(trials_file, readings=readings, max_step=dt)
+        return experiment, Applied(experiment.model, chosen=dict(chosen or {}))
+    loaded = catalogue.load(
+        trials_file,
+        params,
+        robot=robot,
+        chosen=dict(chosen or {}),
+        readings=dict(readings or {}),
+        max_step=dt,
+    )
+    model = loaded.experiment.model
+    if not isinstance(model, MultilinkModel | MultibodyModel):
+        raise UsageError(f"a study needs a robot with links, not the model '{model.name}'")
+    return loaded.experiment, loaded.applied
+
+
+# ------------------------------------------------------------ what is varied
+
+
+def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
+    """The range of every coefficient that is varied.
+
+    Raises
+    ------
+    UsageError
+        For a range that cannot be read or is not known.
+    """
+    model = applied.model
+    own: dict[str, tuple[float, float]] = {}
+    rule = "bounds"
+    rules = []
+    for text in texts:
+        name, equals, ends = text.partition("=")
+        if equals:
+            own[name.strip()] = _ends(name.strip(), ends)
+        else:
+            rules.append(text.strip())
+    if len(rules) > 1:
+        raise UsageError(f"--range: {' and '.join(rules)} contradict each other")
+    rule = rules[0] if rules else "bounds"
+    shared = {p.name: p for p in model.parameters if not p.per_trial}
+    for name in (*own, *coefficients):
+        if name not in shared:
+            raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
+        if name in applied.chosen:
+            raise UsageError(f"{name} is held by --set and cannot be varied")
+    wanted = [
+        p
+        for p in shared.values()
+        if (p.name in coefficients if coefficients else p.free or p.name in own)
+        and p.name not in applied.chosen
+    ]
+    values = applied.values()
+    errors = dict(zip(*_stderr(applied), strict=True))
+    found, without = {}, []
+    for p in wanted:
+        value = float(values[model.index(p.name)])
+        if p.name in own:
+            low, high, source = *own[p.name], "given"
+        else:
+            low, high, source = _by_rule(p, value, rule, errors)
+        if math.isnan(low):
+            without.append(p.name)
+            continue
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
+        if not low < high:
+            raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}")
+        found[p.name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+    if coefficients and without:
+        raise UsageError(f"{without[0]} has no standard error to make a range of")
+    if not found:
+        raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
+    return found
+
+
+def _stderr(applied: Applied) -> tuple[list[str], list[float]]:
+    names, covariance = applied.uncertain()
+    return names, [float(v) for v in np.sqrt(np.diag(covariance))]
+
+
+def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
+    """The largest correlation of two coefficients whose ranges are their standard errors, and the two."""
+    names, covariance = applied.uncertain()
+    sd = np.sqrt(np.diag(covariance))
+    kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
+    pairs = [
+        (float(covariance[i, j] / (sd[i] * sd[j])), names[i], names[j])
+        for n, i in enumerate(kept)
+        for j in kept[n + 1 :]
+    ]
+    return max(pairs, key=lambda pair: abs(pair[0]), default=None)
+
+
+def _ends(name: str, text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--range: '{name}={text}' should be NAME=LOW,HIGH") from None
+    return low, high
+
+
+def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float]) -> tuple[float, float, str]:
+    """Ends of a range and what they are of; NaN where two standard errors are not known."""
+    if rule == "bounds":
+        return p.lower, p.upper, rule
+    if rule == "stderr":
+        if not errors:
+            raise UsageError("--range stderr needs a parameter file with standard errors: --params")
+        half = 2 * errors.get(p.name, math.nan)
+    else:
+        try:
+            share = float(rule.removesuffix("%")) / 100.0
+        except ValueError:
+            share = math.nan
+        if not rule.endswith("%") or not 0 < share < math.inf:
+            raise UsageError(f"--range: '{rule}' should be bounds, stderr, 20% or NAME=LOW,HIGH")
+        half, rule = share * abs(value), "share"
+        if half == 0:
+            raise UsageError(
+                f"{p.name} is 0, of which no share is a range",
+                hint=f"give it one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}=0",
+            )
+    return max(value - half, p.lower), min(value + half, p.upper), rule
+
+
+# ------------------------------------------------------------ the outputs
+
+
+def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
+    """The runs with their start states, and what they come to with the given coefficients.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When a run breaks down with them.
+    """
+    model = experiment.model
+    assert isinstance(model, MultilinkModel | MultibodyModel)
+    runs, starts, columns, centre = [], [], [], []
+    for trial in experiment.trials:
+        values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
+        run = sensitivity_outputs.run_of(model, trial, applied.noise())
+        told = sensitivity_outputs.outputs(model, values, run)
+        broken = [name for name, q in told.items() if not math.isfinite(q.value)]
+        if broken or not sensitivity_outputs.possible(model, values):
+            raise NoTrustworthyResult(
+                f"the simulation of '{trial.id}' breaks down with the given coefficients",
+                hint="check the parameters and the drive, or take a smaller --dt",
+            )
+        runs.append(run)
+        starts.append(values)
+        columns += [(name, trial.id, q.unit) for name, q in told.items()]
+        centre += [q.value for q in told.values()]
+    if not columns:
+        raise NoTrustworthyResult("these trials have no output: the base is held and nothing yields")
+    return Study(applied, over, runs, starts, columns, np.array(centre))
+
+
+def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
+    """From coefficients to the outputs, NaN where a simulation breaks down."""
+    known = model or study.applied.model
+    assert isinstance(known, MultilinkModel | MultibodyModel)
+    places = [known.index(name) for name in study.ranges]
+
+    def evaluate(point: Array) -> Array:
+        found: list[float] = []
+        for run, start in zip(study.runs, study.starts, strict=True):
+            values = start.copy()
+            values[places] = point
+            if not sensitivity_outputs.possible(known, values):
+                return np.full(len(study.columns), np.nan)
+            found += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
+        return np.array(found)
+
+    return evaluate
+
+
+def _step_change(study: Study, found: Sobol | Morris) -> float:
+    """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
+    finer = study.applied.model.refined()
+    assert isinstance(finer, MultilinkModel | MultibodyModel)
+    given = np.array([r.value for r in study.ranges.values()])
+    change = np.abs(_evaluation(study, finer)(given) - study.centre)
+    vary = found.sd > CONSTANT * np.abs(found.mean)
+    return float(np.max(change[vary] / found.sd[vary], initial=0.0))
+
+
+def _outputs(study: Study, found: Sobol | Morris) -> list[Output]:
+    units = {quantity: unit for quantity, _, unit in study.columns}
+    heads: list[dict[str, Any]] = [
+        {
+            "quantity": quantity,
+            "trial": trial,
+            "unit": unit,
+            "value": float(study.centre[k]),
+            "mean": float(found.mean[k]),
+            "sd": float(found.sd[k]),
+        }
+        for k, (quantity, trial, unit) in enumerate(study.columns)
+    ]
+    for quantity, members in study.groups.items():
+        sd = float(np.sqrt(np.mean(found.sd[members] ** 2)))
+        heads.append({"quantity": quantity, "unit": units[quantity], "sd": sd})
+    names = list(study.ranges)
+    told = []
+    for row, head in enumerate(heads):
+        constant = head["sd"] <= CONSTANT * abs(head.get("mean", 0.0))
+        if isinstance(found, Sobol) and not constant:
+            head["shares"] = {name: _shares(found, row, k) for k, name in enumerate(names)}
+        if isinstance(found, Morris):
+            head["effects"] = {name: _effects(found, row, k) for k, name in enumerate(names)}
+        told.append(Output(**head))
+    return told
+
+
+def _shares(found: Sobol, row: int, k: int) -> Shares:
+    first = Index(
+        value=float(found.first[row, k]),
+        ci95=(float(found.first_ci[0, row, k]), float(found.first_ci[1, row, k])),
+    )
+    total = Index(
+        value=float(found.total[row, k]),
+        ci95=(float(found.total_ci[0, row, k]), float(found.total_ci[1, row, k])),
+    )
+    return Shares(
+        first=first,
+        total=total,
+        first_told=first.ci95[0] > 0,
+        negligible=total.ci95[1] < NEGLIGIBLE,
+    )
+
+
+def _effects(found: Morris, row: int, k: int) -> Effects:
+    return Effects(
+        mu=float(found.mu[row, k]),
+        mu_star=float(found.mu_star[row, k]),
+        mu_star_ci95=(float(found.mu_star_ci[0, row, k]), float(found.mu_star_ci[1, row, k])),
+        sigma=float(found.sigma[row, k]),
+    )
+
+
+# ------------------------------------------------------------ the drive
+
+
+def _swept(
+    experiment: Experiment, sweep: Mapping[str, tuple[float, float, int]], name: str | None
+) -> Trial | None:
+    """The trial whose drive is swept.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not sweep:
+        if name is not None:
+            raise UsageError("--trial belongs to --sweep")
+        return None
+    if len(sweep) > 2:
+        raise UsageError("a sweep has one axis or two")
+    known = {t.id: t for t in experiment.trials}
+    if name is not None and name not in known:
+        raise UsageError(f"there is no trial '{name}'", hint=suggestion(name, list(known)))
+    driven = [t for t in experiment.trials if sensitivity_outputs.drive_of(t)]
+    trial = known[name] if name is not None else (driven or experiment.trials)[0]
+    sensitivity_outputs.check_axes(list(sweep), trial)
+    for axis, (low, high, count) in sweep.items():
+        if not low < high or count < 2:
+            raise UsageError(f"--sweep {axis}: needs LOW below HIGH and two points or more")
+        if low < 0 and axis != "bias_deg":
+            raise UsageError(f"--sweep {axis}: {low:g} is below zero")
+        if axis == "frequency_hz" and low == 0:
+            raise UsageError("--sweep frequency_hz: zero is no frequency")
+    if math.prod(axis[2] for axis in sweep.values()) > MOST_POINTS:
+        raise UsageError(f"a sweep of more than {MOST_POINTS} points is taken for a slip")
+    return trial
+
+
+def _sweep(
+    applied: Applied,
+    trial: Trial,
+    sweep: Mapping[str, tuple[float, float, int]],
+    jobs: int,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> Sweep:
+    """Outputs over the grid with their deviations, by the delta method from the coefficients' covariance."""
+    model = applied.model
+    assert isinstance(model, MultilinkModel | MultibodyModel)
+    axes = [Axis(name=name, values=[float(v) for v in np.linspace(*axis)]) for name, axis in sweep.items()]
+    grid = [dict(zip(sweep, point, strict=True)) for point in itertools.product(*(a.values for a in axes))]
+    values = applied.values()
+    known = bool(applied.uncertain()[0])
+    if known and (untold := applied.without_error()):
+        warn(
+            "SWM055",
+            f"{', '.join(untold)} {'has' if len(untold) == 1 else 'have'} no standard error in the parameter "
+            "file: what is not known of them is not in the deviations of the sweep",
+        )
+
+    def run(drive: Mapping[str, float]) -> Run:
+        return sensitivity_outputs.run_of(model, sensitivity_outputs.driven_otherwise(trial, drive))
+
+    units = {n: q.unit for n, q in sensitivity_outputs.outputs(model, values, run(grid[0])).items()}
+    if not units:
+        raise NoTrustworthyResult("the trial has no output: its base is held and nothing yields")
+
+    def one(k: int) -> Array:
+        kept = checkpoint.get(f"sweep {k}")
+        if kept is not None:
+            return kept
+        moved = run(grid[k])
+
+        def compute(point: Array) -> dict[str, Quantity]:
+            return sensitivity_outputs.outputs(model, point, moved)
+
+        told = applied.with_errors(values, compute)
+        row = np.array([[told[n].value, told[n].stderr or 0.0] for n in units]).ravel()
+        checkpoint.put(f"sweep {k}", row)
+        return row
+
+    found = []
+    with progress("sweep", total=len(grid)) as step, ThreadPoolExecutor(max(jobs, 1)) as pool:
+        waiting = [pool.submit(one, k) for k in range(len(grid))]
+        try:
+            for future in waiting:
+                found.append(future.result())
+                step()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
+    lost = ~np.isfinite(table[..., 0]).all(axis=-1)
+    table[lost] = np.nan
+    outputs = [
+        SweptOutput(
+            quantity=name,
+            unit=unit,
+            values=table[:, :, k, 0],  # type: ignore[arg-type]
+            stderr=table[:, :, k, 1] if known else None,  # type: ignore[arg-type]
+        )
+        for k, (name, unit) in enumerate(units.items())
+    ]
+    return Sweep(trial=trial.id, axes=axes, outputs=outputs, broken=int(lost.sum()))
+
+
+def _measured(
+    experiment: Experiment, applied: Applied, sweep: Mapping[str, tuple[float, float, int]]
+) -> list[Measured]:
+    """The actual error of every trial that has the axes of the sweep."""
+    model = experiment.model
+    assert isinstance(model, MultilinkModel | MultibodyModel)
+    units = {c.name: c.unit for c in model.channels}
+    found = []
+    for trial in experiment.trials:
+        drive = sensitivity_outputs.drive_of(trial)
+        if not trial.measured or not set(sweep) <= set(drive):
+            continue
+        values, _, _ = compare_series.start_of(applied, trial, refit=True)
+        errors = sensitivity_outputs.errors(model, values, trial)
+        found.append(
+            Measured(
+                trial=trial.id,
+                role=trial.role,  # type: ignore[arg-type]
+                drive={name: float(f"{value:.12g}") for name, value in drive.items()},
+                inside=all(low <= drive[name] <= high for name, (low, high, _) in sweep.items()),
+                channels={
+                    name: MeasuredChannel(unit=units[name], rmse=rmse, nrmse=nrmse)
+                    for name, (rmse, nrmse) in errors.items()
+                },
+            )
+        )
+    return found

@@ -1,1 +1,0 @@
-"""Signals: what can be said of a logged channel without a model."""

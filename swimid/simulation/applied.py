@@ -1,0 +1,232 @@
+"""A parameter file applied to a model: the values of each trial and their covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting.model import Array, Model
+from swimid.notices import warn
+from swimid.results.parameters import ParameterFile
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+
+#: Derivatives are taken over this share of a standard error, and of a parameter's size at most.
+STEP, SMALLEST = 0.05, 1e-3
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number computed from a simulation.
+
+    Attributes
+    ----------
+    value : float
+    unit : str
+    stderr : float or None
+        From the parameters' covariance; None where no uncertainty is known.
+    """
+
+    value: float
+    unit: str
+    stderr: float | None = None
+
+
+@dataclass
+class Applied:
+    """Parameter values for a model, with what is known of their uncertainty.
+
+    Attributes
+    ----------
+    model : Model
+    file : ParameterFile or None
+        None for the values of a robot file.
+    path : Path or None
+        Of ``file``.
+    chosen : dict of str to float
+        Values set by the user; they are exact and win over the file's.
+    """
+
+    model: Model
+    file: ParameterFile | None = None
+    path: Path | None = None
+    chosen: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [p.name for p in self.model.parameters]
+        body = None
+        if isinstance(self.model, MultilinkModel | MultibodyModel):
+            body = self.model.robot.multibody or self.model.robot.multilink
+        #: What a robot file says of its coefficients; a fit starts elsewhere.
+        self.stated = {name: c.value for name, c in body.coefficients.items()} if body else {}
+        for name, value in self.chosen.items():
+            if name not in names:
+                hint = suggestion(name, names)
+                raise UsageError(f"there is no parameter '{name}'", hint=hint)
+            p = self.model.parameters[names.index(name)]
+            if not p.lower <= value <= p.upper:
+                warn("SWM053", f"{name} = {value:g} lies outside its bounds, {p.lower:g} to {p.upper:g}")
+        if self.file is not None:
+            self._check(names)
+            self._warn_doubtful()
+
+    def _check(self, names: list[str]) -> None:
+        """Refuse a file of another robot: parameters too many, or too few."""
+        assert self.file is not None
+        known = {label.split("[")[0] for label in self.file.parameters}
+        strange = sorted(known - set(names))
+        missing = [
+            p.name
+            for p in self.model.parameters
+            if p.free and not p.per_trial and p.name not in known and p.name not in self.chosen
+        ]
+        for wrong, text in (
+            (strange, "the model of this robot has no such parameter"),
+            (missing, "this parameter is missing"),
+        ):
+            if wrong:
+                raise InputError(
+                    text,
+                    file=self.path,
+                    column=f"parameters.{wrong[0]}",
+                    hint=f"are these the parameters of another robot? This one has: {', '.join(names)}",
+                )
+
+    def _warn_doubtful(self) -> None:
+        """Tell which values the fit that wrote them does not vouch for."""
+        assert self.file is not None
+        name = self.path.name if self.path else "the parameter file"
+        if self.file.fit is not None and not self.file.fit.converged:
+            warn(
+                "SWM062", f"{name}: the fit did not converge; these are the values at which its search ended"
+            )
+        unknown = [
+            label
+            for label, known in self.file.parameters.items()
+            if known.status == "unidentifiable" and label not in self.chosen
+        ]
+        if unknown:
+            warn(
+                "SWM062",
+                f"{name}: not identifiable from the trials of the fit: {', '.join(unknown)}; what depends on "
+                "them alone is not known",
+            )
+
+    def values(self, trial: str | None = None) -> Array:
+        """Full parameter vector, shape (len(model.parameters),).
+
+        Parameters
+        ----------
+        trial : str, optional
+            Whose own values to take; without it, and for a trial the file does not know, per-trial
+            parameters have their neutral start value.
+        """
+        return np.array([self._value(p.name, p.start, p.per_trial, trial) for p in self.model.parameters])
+
+    def _value(self, name: str, start: float, per_trial: bool, trial: str | None) -> float:
+        if name in self.chosen:
+            return float(self.chosen[name])
+        label = f"{name}[{trial}]" if per_trial else name
+        if self.file is not None and label in self.file.parameters:
+            return self.file.parameters[label].value
+        return self.stated.get(name, start)
+
+    def knows(self, name: str, trial: str) -> bool:
+        """Whether the file holds this trial's own value of a parameter."""
+        return self.file is not None and f"{name}[{trial}]" in self.file.parameters
+
+    def fitted_per_trial(self) -> set[str]:
+        """Names of parameters the file holds for some trial."""
+        return {n.split("[")[0] for n in self.file.parameters if "[" in n} if self.file else set()
+
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the noise of each channel the parameters were fitted to."""
+        fit = self.file.fit if self.file is not None else None
+        return {
+            name: float(known["value_sd"])
+            for name, known in (fit.noise if fit is not None else {}).items()
+            if isinstance(known, dict) and known.get("value_sd")
+        }
+
+    # -------------------------------------------------------- uncertainty
+
+    def uncertain(self) -> tuple[list[str], Array]:
+        """Shared parameters with a standard error, and their covariance."""
+        if self.file is None:
+            return [], np.empty((0, 0))
+        errors = {
+            p.name: self.file.parameters[p.name].stderr
+            for p in self.model.parameters
+            if p.name in self.file.parameters and p.name not in self.chosen
+        }
+        names = [name for name, e in errors.items() if e and math.isfinite(e)]
+        sd = np.array([float(errors[name] or 0.0) for name in names])
+        correlation = np.eye(len(names))
+        groups = self.file.settings.get("shared", {})
+        owner = {member: group for group, members in groups.items() for member in members}
+        labels = [owner.get(name, name) for name in names]
+        listed = self.file.correlation.names if self.file.correlation else []
+        for i, first in enumerate(labels):
+            for j, second in enumerate(labels):
+                if first == second:
+                    correlation[i, j] = 1.0
+                elif self.file.correlation and first in listed and second in listed:
+                    row, column = listed.index(first), listed.index(second)
+                    correlation[i, j] = self.file.correlation.matrix[row][column]
+        return names, correlation * np.outer(sd, sd)
+
+    def without_error(self) -> list[str]:
+        """Shared parameters that were not identified, and have no standard error to carry along."""
+        if self.file is None:
+            return []
+        return [
+            p.name
+            for p in self.model.parameters
+            if p.name in self.file.parameters
+            and p.name not in self.chosen
+            and self.file.parameters[p.name].status in ("unidentifiable", "at-bound")
+            and not self.file.parameters[p.name].stderr
+        ]
+
+    def with_errors(
+        self, values: Array, compute: Callable[[Array], Mapping[str, Quantity]]
+    ) -> dict[str, Quantity]:
+        """Quantities with standard errors, by the delta method from the parameters' covariance.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(model.parameters),)
+        compute : callable
+            From a parameter vector to quantities by name.
+        """
+        centre = dict(compute(values))
+        names, covariance = self.uncertain()
+        if not names:
+            return centre
+        slopes: dict[str, list[float]] = {name: [] for name in centre}
+        for k, name in enumerate(names):
+            index = self.model.index(name)
+            p = self.model.parameters[index]
+            size = max(abs(values[index]), p.scale)
+            step = min(STEP * math.sqrt(covariance[k, k]), SMALLEST * size)
+            ends = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
+            found = []
+            for end in ends:
+                moved = values.copy()
+                moved[index] = end
+                found.append(compute(moved))
+            width = float(ends[1] - ends[0])
+            for key in centre:
+                rise = found[1][key].value - found[0][key].value if key in found[0] and key in found[1] else 0
+                slopes[key].append(rise / width if width else 0.0)
+        result = {}
+        for key, quantity in centre.items():
+            slope = np.array(slopes[key])
+            variance = float(slope @ covariance @ slope)
+            result[key] = replace(quantity, stderr=math.sqrt(variance) if variance > 0 else 0.0)
+        return result

@@ -1,0 +1,600 @@
+"""The runs ``swimid simulate`` is asked for, as cases: a beat, a weight, an input log, recorded trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.blackbox import trials as arma
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting.model import Array, Trial
+from swimid.logs import log as log_format
+from swimid.logs.beat import find_beat
+from swimid.logs.trials import StrokeDrive
+from swimid.notices import warn
+from swimid.propulsion import trials as propulsion
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import ParameterFile
+from swimid.rig import model as rig
+from swimid.robots import file as robot_format
+from swimid.robots.file import Robot
+from swimid.simulation import catalogue, swim_quantities
+from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.run import Case
+from swimid.swimmer import stroke_cycles
+from swimid.swimmer import trials as swimmer
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.stroke import Cycle
+from swimid.swimmer.trials import Swimmer
+
+#: Length and rate of a run where nothing else says.
+DURATION_S, RATE_HZ = 15.0, 50.0
+#: More integration steps than this are taken for a slip.
+MOST_STEPS = 20_000_000
+#: A joint bent farther than this is no swimming beat.
+STEEPEST_DEG = 90.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be simulated; see :func:`swimid.simulation.simulate.simulate`."""
+
+    params: Path | None = None
+    robot: str | None = None
+    waveform: str = "sine"
+    frequency_hz: float | None = None
+    amplitude_deg: float | None = None
+    bias_deg: float = 0.0
+    asymmetry: float = 0.0
+    ramp_s: float = 1.0
+    duration_s: float | None = None
+    sample_rate_hz: float | None = None
+    dt: float = DEFAULT_STEP
+    chosen: Mapping[str, float] = field(default_factory=dict)
+    readings: Mapping[str, str] = field(default_factory=dict)
+    input: Path | None = None
+    pulling_mass_kg: float | None = None
+    fin: str | None = None
+    distance_m: float | None = None
+    stroke: str | None = None
+    cycles: float | None = None
+    scale: float = 1.0
+
+    def metadata(self, robot: str, **more: Any) -> dict[str, Any]:
+        """Comment lines every log of this request has."""
+        found: dict[str, Any] = {"robot": robot}
+        if self.params is not None:
+            found["params"] = self.params.name
+        if self.chosen:
+            found["set"] = dict(self.chosen)
+        if self.readings:
+            found["readings"] = dict(self.readings)
+        return {**found, **more}
+
+    def times(self, stroke: Cycle | None = None) -> Array:
+        """Even sample times of the run, s; as long as the stroke's cycles where they are counted."""
+        whole = (
+            DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
+        )
+        duration = self.duration_s or whole
+        rate = self.sample_rate_hz or RATE_HZ
+        if duration * max(rate, 1.0 / self.dt) > MOST_STEPS:
+            raise UsageError(f"{duration:g} s at this rate and step are too many samples")
+        count = max(round(duration * rate), 1)
+        return np.arange(count + 1) / rate
+
+    def needs(self, what: str, **options: Any) -> None:
+        """Refuse the request when one of the options is missing."""
+        for option, value in options.items():
+            if value is None:
+                raise UsageError(f"{what} needs --{option.replace('_', '-')}")
+
+
+def of_options(request: Request) -> Case:
+    """The one run the options describe.
+
+    Raises
+    ------
+    UsageError
+        When options are missing that this model needs.
+    InputError
+        For anything wrong in a file.
+    """
+    if request.params is None:
+        if request.robot is None:
+            raise UsageError("name a parameter file (--params) or a robot (--robot)")
+        return _swim(request, None, request.robot, None)
+    file = catalogue.read_parameters(request.params)
+    if file.model in ("multilink", "multibody"):
+        name, folder = catalogue.robot_of_parameters(file, request.params, request.robot)
+        return _swim(request, file, name, folder)
+    if request.readings:
+        raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
+    makers = {
+        "falling-weight": _falling_weight,
+        "towed": _towed,
+        "arma": _arma,
+        RecoilModel.name: _cruise,
+        SurgeModel.name: _surge,
+    }
+    if file.model not in makers:
+        raise UsageError(
+            f"the model '{file.model}' can be simulated for recorded trials only",
+            hint="give them with --trials",
+        )
+    return makers[file.model](request, file)
+
+
+def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
+    """Recorded trials with their own drives and start states.
+
+    Raises
+    ------
+    UsageError
+        For a trial that is not there; without a parameter file.
+    InputError
+        For anything wrong in a file.
+    """
+    if request.params is None:
+        raise UsageError("--trials needs a parameter file: --params")
+    loaded = catalogue.load(
+        trials,
+        request.params,
+        robot=request.robot,
+        chosen=dict(request.chosen),
+        readings=dict(request.readings),
+        max_step=request.dt,
+    )
+    experiment, applied = loaded.experiment, loaded.applied
+    names = [t.id for t in experiment.trials]
+    if only is not None and only not in names:
+        hint = suggestion(only, names)
+        raise UsageError(f"there is no trial '{only}' in {trials.name}", hint=hint)
+    cases = []
+    for trial in experiment.trials:
+        if only not in (None, trial.id):
+            continue
+        values = applied.values(trial.id)
+        metadata = request.metadata(experiment.robot.name, experiment=experiment.name, trial=trial.id)
+        extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
+        compute, per_run = None, False
+        model = experiment.model
+        if isinstance(model, MultilinkModel | MultibodyModel):
+            beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
+            if beat is not None:
+                metadata["drive"] = drive_block(beat)
+            if stroke is not None:
+                metadata["drive"] = stroke_block(stroke)
+            metadata["dt_s"] = model.max_step
+            extra = commands(model, trial, values)
+            compute = _swim_quantities(model, trial, _frequency(model, trial, values))
+        elif isinstance(model, RecoilModel):
+            per_run = True
+            extra = {
+                "fin": [trial.id] * len(trial.time_s),
+                "frequency_hz": trial.inputs["frequency_hz"],
+                "amplitude_deg": np.rad2deg(trial.inputs["amplitude_rad"]),
+                "distance_m": trial.inputs["distance_m"],
+            }
+        cases.append(Case(trial.id, applied, values, trial, extra, metadata, compute, per_run))
+    return cases
+
+
+# ------------------------------------------------------------ swimmers with links
+
+
+def _swim(request: Request, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
+    readings = {**(file.settings.get("readings", {}) if file else {}), **request.readings}
+    robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=request.dt)
+    applied = Applied(model, file, request.params, request.chosen)
+    values = applied.values()
+    try:
+        model.check(values)
+    except InputError as error:
+        raise InputError(
+            f"with these parameters, {error.reason}",
+            file=request.params or robot_format.locate(name, folder),
+            column=error.column,
+        ) from error
+    experiment = "free-swim" if isinstance(model, MultilinkModel) and model.free_base else "multibody"
+    metadata = request.metadata(robot.name, experiment=experiment, dt_s=request.dt)
+    pose: dict[str, Any] = {"pose": (0.0,) * len(model.pose)} if model.free_base else {}
+    if request.input is not None:
+        if request.frequency_hz is not None or request.amplitude_deg is not None:
+            raise UsageError(
+                "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
+            )
+        time, joints = _recorded_joints(request, model)
+        trial = Trial("run", "fit", time, {}, settings={"joints": joints, **pose})
+        metadata["input"] = request.input.name
+    elif request.stroke is not None:
+        stroke = swimmer.cycle_of(_stroke(request), model)
+        trial = Trial("run", "fit", request.times(stroke), {}, settings={"stroke": stroke, **pose})
+        metadata["drive"] = stroke_block(stroke)
+    elif model.driven:
+        beat = _beat(request, model)
+        trial = Trial("run", "fit", request.times(), {}, settings={"beat": beat, **pose})
+        metadata["drive"] = drive_block(beat)
+    else:
+        if request.frequency_hz is not None or request.amplitude_deg is not None:
+            raise UsageError(f"the robot '{robot.name}' has no driven joint: there is nothing to beat")
+        trial = Trial("run", "fit", request.times(), {}, settings=pose)
+    frequency = _frequency(model, trial, values)
+    return Case(
+        "run",
+        applied,
+        values,
+        trial,
+        commands(model, trial, values),
+        metadata,
+        _swim_quantities(model, trial, frequency),
+    )
+
+
+def drive_block(beat: drive.Beat) -> dict[str, Any]:
+    """A beat as the ``drive`` of a trials file."""
+    return {
+        "waveform": beat.waveform,
+        "frequency_hz": beat.frequency_hz,
+        "amplitude_deg": float(f"{math.degrees(beat.amplitude_rad):.12g}"),
+        "bias_deg": float(f"{math.degrees(beat.bias_rad):.12g}"),
+        "asymmetry": beat.asymmetry,
+        "ramp_s": beat.ramp_s,
+        **({"phase_deg": math.degrees(beat.phase_rad)} if beat.phase_rad else {}),
+    }
+
+
+def stroke_block(stroke: Cycle) -> dict[str, Any]:
+    """A stroke as the ``drive`` of a trials file."""
+    return {
+        "stroke": stroke.name,
+        "frequency_hz": stroke.frequency_hz,
+        "scale": stroke.scale,
+        "ramp_s": stroke.ramp_s,
+        **({} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}),
+    }
+
+
+def _stroke(request: Request) -> StrokeDrive:
+    assert request.stroke is not None
+    if request.amplitude_deg is not None or request.bias_deg or request.asymmetry:
+        raise UsageError(
+            "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
+        )
+    # a beat is eased in by default, a stroke begins as it is
+    ramp = 0.0 if request.ramp_s == Request().ramp_s else request.ramp_s
+    return StrokeDrive(
+        stroke=request.stroke,
+        frequency_hz=request.frequency_hz,
+        scale=request.scale,
+        ramp_s=ramp,
+        cycles=request.cycles,
+    )
+
+
+def _beat(request: Request, model: Swimmer) -> drive.Beat:
+    request.needs("a beat", frequency_hz=request.frequency_hz, amplitude_deg=request.amplitude_deg)
+    assert request.frequency_hz is not None
+    assert request.amplitude_deg is not None
+    f, rate = request.frequency_hz, request.sample_rate_hz or RATE_HZ
+    if f * request.dt >= 0.5:
+        raise UsageError(
+            f"a beat of {f:g} Hz cannot be integrated with steps of {request.dt:g} s",
+            hint=f"take --dt {0.02 / f:.1g} or less",
+        )
+    if f >= 0.5 * rate:
+        warn("SWM054", f"{rate:g} samples a second do not show a beat of {f:g} Hz: raise --sample-rate-hz")
+    for axis in model.driven:
+        law = axis.driven
+        assert law is not None
+        bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+        bend = abs(law.gain) * request.amplitude_deg + abs(bias_gain * request.bias_deg)
+        if bend > STEEPEST_DEG:
+            warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
+            break
+    if request.asymmetry and request.waveform != "a-cpg":
+        warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {request.waveform} has none")
+    return drive.Beat(
+        request.waveform,
+        f,
+        math.radians(request.amplitude_deg),
+        math.radians(request.bias_deg),
+        request.asymmetry if request.waveform == "a-cpg" else 0.0,
+        request.ramp_s,
+    )
+
+
+def _recorded_joints(request: Request, model: Swimmer) -> tuple[Array, list[Any]]:
+    """Sample times, and each driven joint's motion from a log."""
+    assert request.input is not None
+    measured = [a.column for a in model.driven]
+    commanded = [name.replace("joint", "cmd") for name in measured]
+    log = log_format.read(request.input, optional=(*measured, *commanded))
+    joints = []
+    for axis, joint, command in zip(model.driven, measured, commanded, strict=True):
+        servo = axis.driven is not None and axis.driven.servo is not None
+        order = [command, joint] if servo else [joint, command]
+        there = [name for name in order if name in log and np.isfinite(log[name]).sum() >= 5]
+        if not there:
+            raise InputError(
+                f"the driven joint '{axis.name}' needs the column '{joint}' or '{command}'",
+                file=log.path,
+                column=joint,
+            )
+        joints.append(drive.spline_motion(drive.measured(log.time_s, log[there[0]])))
+    begin, end = float(log.time_s[0]), float(log.time_s[-1])
+    if request.duration_s is not None:
+        end = min(end, begin + request.duration_s)
+    if request.sample_rate_hz is None:
+        return log.time_s[log.time_s <= end], joints
+    return begin + np.arange(int((end - begin) * request.sample_rate_hz) + 1) / request.sample_rate_hz, joints
+
+
+def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
+    """Commanded angle of every driven joint, rad, as the columns of a log."""
+    phase = float(values[model.index("drive_phase")])
+    time = trial.time_s - float(values[model.index("clock_offset")])
+    return {
+        axis.column.replace("joint", "cmd"): model.command(k, trial.settings, time, phase)
+        for k, axis in enumerate(model.driven)
+    }
+
+
+def _frequency(model: Swimmer, trial: Trial, values: Array) -> float | None:
+    """Frequency of a run's beat, Hz: the drive's, or that found in its first driven joint."""
+    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    if beat is not None:
+        return float(beat.frequency_hz)
+    for angle in commands(model, trial, values).values():
+        found = find_beat(trial.time_s, angle)
+        if found is not None:
+            return found.frequency_hz
+    return None
+
+
+def _cycle_quantities(model: MultibodyModel, trial: Trial, frequency: float) -> Any:
+    """A function from parameter vectors to what each cycle comes to."""
+    cycles = stroke_cycles.windows(trial.time_s, frequency)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns = model.simulate(values, trial)
+        found = {}
+        for k, window in enumerate(cycles):
+            for name, value in stroke_cycles.quantities(trial.time_s, columns, window).items():
+                found[f"cycle_{k + 1}_{name}"] = Quantity(value, stroke_cycles.QUANTITIES[name])
+        return found
+
+    return compute if cycles else None
+
+
+def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> Any:
+    """A function from parameter vectors to the quantities of the last beats; None without a beat."""
+    if frequency is None:
+        return None
+    if isinstance(model, MultibodyModel):
+        return _cycle_quantities(model, trial, frequency)
+    beat = trial.settings.get("beat")
+    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+    ramp = max(begin, beat.ramp_s) if beat is not None else begin
+    window = swim_quantities.last_beats(ramp, end, frequency)
+    if window is None:
+        return None
+    times = window.times()
+    # the run itself begins where the trial does
+    lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
+    fine = Trial(
+        f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, settings=trial.settings
+    )
+    told = beat is not None and bool(beat.bias_rad or beat.asymmetry)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns = model.simulate(values, fine)
+        last = {name: v[len(lead) :] for name, v in columns.items()}
+        return swim_quantities.quantities(model, values, last, window, told_to_turn=told)
+
+    return compute
+
+
+# ------------------------------------------------------------ other models
+
+
+def _robot(request: Request, file: ParameterFile) -> Robot:
+    assert request.params is not None
+    name, folder = catalogue.robot_of_parameters(file, request.params, request.robot)
+    return robot_format.read(name, folder)
+
+
+def _body_inertia(robot: Robot) -> float:
+    mass = robot.body.inertial_mass_kg
+    if mass is None:
+        raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
+    return mass
+
+
+def _area_factor(file: ParameterFile, robot: Robot) -> tuple[bool, float]:
+    """Whether the drag coefficient is known, and ``rho A / 2``."""
+    known = "drag_coefficient" in file.parameters
+    area = robot.body.frontal_area_m2
+    if known and area is None:
+        raise InputError(f"the robot '{robot.name}' has no body.frontal_area_m2 for its drag coefficient")
+    return known, 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
+
+
+def _falling_weight(request: Request, file: ParameterFile) -> Case:
+    request.needs("a falling weight", pulling_mass_kg=request.pulling_mass_kg)
+    assert request.pulling_mass_kg is not None
+    robot = _robot(request, file)
+    known, factor = _area_factor(file, robot)
+    force = request.pulling_mass_kg * robot.fluid.gravity_m_s2
+    inertia = _body_inertia(robot) + request.pulling_mass_kg + robot.rig.pulley_inertia_kg
+    model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
+    applied = Applied(model, file, request.params, request.chosen)
+    settings = {
+        "inertia": inertia,
+        "force": force,
+        "pulley": True,
+        "area_factor": factor,
+        "release_s": 0.0,
+        "x0": 0.0,
+    }
+    trial = Trial("run", "fit", request.times(), {}, settings=settings)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        c = model.coefficients(values, settings)
+        net = force - c["dry"]
+        found = {}
+        if net > 0 and (c["quadratic"] > 0 or c["linear"] > 0):
+            # q v^2 + l v = F
+            top = 2 * net / (c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * net))
+            found["terminal_speed_m_s"] = Quantity(top, "m/s")
+        simulated = model.simulate(values, trial)
+        found["last_speed_m_s"] = Quantity(float(simulated[model.speed][-1]), "m/s")
+        found["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
+        return found
+
+    metadata = request.metadata(
+        robot.name, experiment="falling-weight", pulling_mass_kg=request.pulling_mass_kg
+    )
+    return Case("run", applied, applied.values(), trial, {}, metadata, compute)
+
+
+def _towed(request: Request, file: ParameterFile) -> Case:
+    request.needs("towing", input=request.input)
+    assert request.input is not None
+    robot = _robot(request, file)
+    known, factor = _area_factor(file, robot)
+    log = log_format.read(request.input, required=("force_N",), optional=())
+    if np.isnan(log["force_N"]).any():
+        raise InputError("the applied force is missing in places", file=log.path, column="force_N")
+    model = rig.towed(
+        mass_kg=_body_inertia(robot),
+        force_N=max(float(np.abs(log["force_N"]).max()), 1e-9),
+        area_known=known,
+    )
+    applied = Applied(model, file, request.params, request.chosen)
+    settings = {
+        "inertia": _body_inertia(robot),
+        "area_factor": factor,
+        "release_s": float(log.time_s[0]),
+        "x0": 0.0,
+    }
+    force = {"force_N": log["force_N"]}
+    trial = Trial("run", "fit", log.time_s, {}, inputs=force, settings=settings)
+    metadata = request.metadata(robot.name, experiment="towed", input=request.input.name)
+    return Case("run", applied, applied.values(), trial, force, metadata)
+
+
+def _arma(request: Request, file: ParameterFile) -> Case:
+    assert request.params is not None
+    model = arma.model_of(file, request.params)
+    applied = Applied(model, file, request.params, request.chosen)
+    robot = request.robot or file.robot or "unknown"
+    if request.input is None:
+        if model.sine is None:
+            raise UsageError(
+                f"this model runs on the column '{model.source}': give a log with --input run.csv"
+            )
+        count = round((request.duration_s or DURATION_S) / model.sample_time_s)
+        trial = Trial("run", "fit", np.linspace(0.0, count * model.sample_time_s, count + 1), {})
+        return Case("run", applied, applied.values(), trial, {}, request.metadata(robot, experiment="arma"))
+    wanted = () if model.sine else (model.source,)
+    log = log_format.read(request.input, required=wanted, optional=(model.output,))
+    measured = {model.output: log[model.output]} if model.output in log else {}
+    inputs = {name: log[name] for name in wanted}
+    trial = Trial("run", "fit", log.time_s, measured, inputs=inputs)
+    metadata = request.metadata(robot, experiment="arma", input=request.input.name)
+    return Case("run", applied, applied.values(), trial, inputs, metadata)
+
+
+def _cruise(request: Request, file: ParameterFile) -> Case:
+    request.needs(
+        "cruising",
+        frequency_hz=request.frequency_hz,
+        amplitude_deg=request.amplitude_deg,
+        fin=request.fin,
+    )
+    assert request.params is not None
+    assert request.fin is not None
+    robot = _robot(request, file)
+    drag_path = catalogue.drag_file(file, request.params)
+    drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
+    area, mass = propulsion.drag_numbers(drag, drag_path, robot)
+    unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
+    inertias = propulsion.fin_inertias(robot, [request.fin, *unknown], robot_format.locate(robot.name))
+    model = RecoilModel(
+        drag_area_kg_m=area,
+        moving_mass_kg=mass,
+        fins={fin: None if fin in unknown else i for fin, i in inertias.items()},
+    )
+    applied = Applied(model, file, request.params, request.chosen)
+    values = applied.values()
+    for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
+        if values[model.index(name)] != law:
+            raise UsageError(
+                f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
+            )
+    settings: dict[str, Any] = {"fin": request.fin, "middle": (1.0, 1.0)}
+    if request.fin not in unknown:
+        settings["inertia_kg_m2"] = inertias[request.fin]
+    far = 1e9
+    inputs = {
+        "frequency_hz": np.array([request.frequency_hz]),
+        "amplitude_rad": np.deg2rad([float(request.amplitude_deg or 0.0)]),
+        "distance_m": np.array([request.distance_m or far]),
+    }
+    trial = Trial(request.fin, "fit", np.zeros(1), {}, inputs=inputs, settings=settings)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        mean = float(model.simulate(values, trial)[SPEED][0])
+        terminal = mean / float(velocity_ratio(model.b1, 0.0, request.distance_m or far))
+        found = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
+        if request.distance_m is not None:
+            found[SPEED] = Quantity(mean, "m/s")
+        found["propulsive_force_N"] = Quantity(area * terminal**2, "N")
+        return found
+
+    extra: dict[str, Any] = {
+        "fin": [request.fin],
+        "frequency_hz": inputs["frequency_hz"],
+        "amplitude_deg": np.array([request.amplitude_deg]),
+        "distance_m": np.array([request.distance_m or math.nan]),
+    }
+    metadata = request.metadata(robot.name, experiment="cruise")
+    return Case(request.fin, applied, values, trial, extra, metadata, compute, per_run=True)
+
+
+def _surge(request: Request, file: ParameterFile) -> Case:
+    request.needs("a beat", frequency_hz=request.frequency_hz, amplitude_deg=request.amplitude_deg)
+    assert request.params is not None
+    assert request.frequency_hz is not None
+    assert request.amplitude_deg is not None
+    robot = _robot(request, file)
+    model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
+    catalogue.set_references(model, file, request.params)
+    applied = Applied(model, file, request.params, request.chosen)
+    settings = {
+        "amplitude_rad": math.radians(request.amplitude_deg),
+        "frequency_hz": request.frequency_hz,
+        "start_s": 0.0,
+    }
+    trial = Trial("run", "fit", request.times(), {}, settings=settings)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
+
+    metadata = request.metadata(
+        robot.name,
+        experiment="free-swim",
+        drive={"frequency_hz": request.frequency_hz, "amplitude_deg": request.amplitude_deg},
+    )
+    return Case("run", applied, applied.values(), trial, {}, metadata, compute)

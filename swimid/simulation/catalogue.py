@@ -1,0 +1,227 @@
+"""Any trials file, with any parameter file, as one experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from swimid.blackbox import trials as arma
+from swimid.errors import InputError, UsageError
+from swimid.fitting.experiment import Experiment
+from swimid.logs import trials as trials_format
+from swimid.propulsion import trials as propulsion
+from swimid.propulsion.model import RecoilModel, SurgeModel
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import ParameterFile
+from swimid.rig import trials as rig
+from swimid.robots import file as robot_format
+from swimid.simulation.applied import Applied
+from swimid.swimmer import trials as swimmer
+from swimid.swimmer.planar.model import DEFAULT_STEP
+
+#: Experiments whose trials tell each model's parameters.
+EXPERIMENTS = {
+    "multilink": ("free-swim", "multibody"),
+    "multibody": ("free-swim", "multibody"),
+    "falling-weight": ("falling-weight",),
+    "towed": ("towed",),
+    "free-decay": ("free-decay",),
+    RecoilModel.name: ("cruise",),
+    SurgeModel.name: ("free-swim",),
+    "arma": ("arma",),
+}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """An experiment and the parameters to simulate it with."""
+
+    experiment: Experiment
+    applied: Applied
+
+
+def read_parameters(path: str | Path) -> ParameterFile:
+    """A parameter file of any model that can be simulated.
+
+    Raises
+    ------
+    InputError
+        When it is none, or of a model that is not known.
+    """
+    return parameters_format.read(path, model=tuple(EXPERIMENTS))
+
+
+def load(
+    trials_file: str | Path,
+    parameters: str | Path | None,
+    *,
+    robot: str | None = None,
+    chosen: dict[str, float] | None = None,
+    readings: dict[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+) -> Loaded:
+    """A trials file of any experiment as the model of a parameter file, and its values.
+
+    Parameters
+    ----------
+    trials_file : path
+    parameters : path or None
+        Without a file, the values of the robot file, or the model's start values where it has none.
+    robot : str, optional
+        Accept the parameters for this robot although the file names another one.
+    chosen : dict of str to float, optional
+        Values that win over the file's.
+    readings : dict, optional
+        Readings of the robot's source over those of the parameter file.
+    max_step : float, s
+        Integration step of a multi-link robot.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in one of the files: another experiment than the parameters' model
+        describes, another robot, missing columns.
+    """
+    trials_path = Path(trials_file)
+    if parameters is None:
+        experiment = _of_trials(trials_path, readings, max_step)
+        return Loaded(experiment, Applied(experiment.model, chosen=chosen or {}))
+    path = Path(parameters)
+    file = read_parameters(path)
+    entries: Any = trials_format.read(trials_path)
+    if entries.experiment not in EXPERIMENTS[file.model]:
+        raise InputError(
+            f"holds trials of the experiment '{entries.experiment}'; parameters of the model "
+            f"'{file.model}' describe: {', '.join(EXPERIMENTS[file.model])}",
+            file=trials_path,
+            column="experiment",
+        )
+    _check_robot(entries.robot, trials_path, file, path, robot)
+    if file.model in ("multilink", "multibody"):
+        options = {**dict(file.settings.get("readings", {})), **(readings or {})}
+        experiment = swimmer.load(trials_path, readings=options, max_step=max_step)
+    elif file.model in ("falling-weight", "towed", "free-decay"):
+        experiment = _rig(trials_path, file)
+    elif file.model == "arma":
+        experiment = arma.load(trials_path, file, path)
+    else:
+        experiment = _propulsion(trials_path, file, path)
+    experiment = replace(experiment, inputs=[*experiment.inputs, path])
+    return Loaded(experiment, Applied(experiment.model, file, path, chosen or {}))
+
+
+def _of_trials(path: Path, readings: dict[str, str] | None, max_step: float) -> Experiment:
+    """The model that a trials file and its robot suggest: of links where the robot has any."""
+    entries: Any = trials_format.read(path)
+    if entries.experiment == "arma":
+        raise UsageError(
+            "a black-box model has no values but those of a fit: give them with --params",
+            hint="swimid rwls makes them",
+        )
+    robot = trials_format.robot_of(entries, path)
+    if entries.experiment == "multibody" or (
+        entries.experiment == "free-swim" and (robot.multilink is not None or robot.multibody is not None)
+    ):
+        return swimmer.load(path, readings=readings, max_step=max_step)
+    if entries.experiment in ("cruise", "free-swim"):
+        return propulsion.load(path)
+    return rig.load(path)
+
+
+def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
+    """Name or file of the robot a parameter file is of, and the folder that is relative to.
+
+    Raises
+    ------
+    InputError
+        When neither the file nor the user names one.
+    """
+    if robot is not None:
+        return robot, None
+    if file.robot is None:
+        raise InputError("this key is missing", file=path, column="robot", hint="give the robot: --robot")
+    return file.robot, path.parent
+
+
+def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path, accepted: str | None) -> None:
+    """Refuse the parameters of one robot for the trials of another."""
+    mine = robot_format.read(name, trials_path.parent).name
+    if file.robot is None or accepted is not None:
+        return
+    if file.robot in (mine, name):
+        return
+    try:
+        theirs = robot_format.read(file.robot, path.parent).name
+    except InputError:
+        theirs = Path(file.robot).stem
+    if theirs != mine:
+        raise InputError(
+            f"these are the parameters of the robot '{theirs}'; the trials in {trials_path.name} are of "
+            f"'{mine}'",
+            file=path,
+            column="robot",
+        )
+
+
+def _rig(trials_path: Path, file: ParameterFile) -> Experiment:
+    coordinate = None
+    if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
+        coordinate = next(iter(file.fit.channels))
+    experiment = rig.load(trials_path, coordinate=coordinate)
+    rounding = file.settings.get("encoder_rounding")
+    if rounding in experiment.variants:
+        experiment = replace(experiment, trials=experiment.variants[str(rounding)])
+    return experiment
+
+
+def drag_file(file: ParameterFile, path: Path) -> Path:
+    """The drag file that the parameters of the recoil law were estimated with.
+
+    Raises
+    ------
+    InputError
+        When it is not there: neither where the fit named it nor beside the parameter file.
+    """
+    named = file.settings.get("drag_file")
+    if named is None:
+        raise InputError("this key is missing", file=path, column="settings.drag_file")
+    # as the fit named it, relative to where it ran; else beside the parameter file
+    places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
+    found = next((p for p in places if p.is_file()), None)
+    if found is None:
+        raise InputError(
+            f"the drag file {named} it was made with is not there",
+            file=path,
+            column="settings.drag_file",
+            hint="put it beside this file",
+        )
+    return found
+
+
+def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
+    """Give a surge model the amplitude and frequency its parameters refer to."""
+    for key in ("reference_amplitude_rad", "reference_frequency_hz"):
+        if key not in file.settings:
+            raise InputError("this key is missing", file=path, column=f"settings.{key}")
+        setattr(model, key, float(file.settings[key]))
+
+
+def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experiment:
+    if file.model == RecoilModel.name:
+        # a file that does not say which drag it goes with takes the trials file's
+        named = file.settings.get("drag_file") is not None
+        return propulsion.load(trials_path, drag=drag_file(file, path) if named else None)
+    experiment = propulsion.load(trials_path)
+    assert isinstance(experiment.model, SurgeModel)
+    set_references(experiment.model, file, path)
+    for key in ("waveform", "asymmetry"):
+        fitted, here = file.settings.get(key), experiment.facts[key]
+        if fitted is not None and fitted != here:
+            raise InputError(
+                f"these trials were driven with the {key} {here}, those of the parameters with {fitted}: "
+                "each has a thrust of its own",
+                file=trials_path,
+                column=f"drive.{key}",
+            )
+    return experiment

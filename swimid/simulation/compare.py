@@ -1,0 +1,289 @@
+"""``compare``: measured trials against their simulation, for every model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.files import atomic, provenance
+from swimid.fitting import fit_common
+from swimid.fitting.experiment import Experiment
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.outcome import Outcome
+from swimid.simulation import (
+    catalogue,
+    compare_evidence,
+    compare_series,
+    compare_strokes,
+    compare_strokes_evidence,
+)
+from swimid.simulation import comparison_file as comparison_format
+from swimid.simulation.compare_series import Compared
+from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
+from swimid.swimmer.planar.model import DEFAULT_STEP
+
+#: Error over the measured range, up to which a channel is described well, and up to which at all.
+GOOD, USABLE = 0.15, 0.30
+#: The same for the mean speeds of the trials, over those measured.
+GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
+
+
+def compare(
+    trials_file: str | Path,
+    *,
+    params: Path,
+    robot: str | None = None,
+    output: Path | None = None,
+    channels: Sequence[str] = (),
+    refit_start: bool = True,
+    chosen: Mapping[str, float] | None = None,
+    readings: Mapping[str, str] | None = None,
+    dt: float = DEFAULT_STEP,
+    buoyancy: float = compare_strokes.BUOYANCY_SHARE,
+    progress: Progress = silent,
+) -> Outcome:
+    """Compare recorded trials with their simulation.
+
+    Parameters
+    ----------
+    trials_file : path
+    params : Path
+        Parameter file of the model that is to describe them.
+    robot : str, optional
+        Accept the parameters although they name another robot.
+    output : Path, optional
+        Comparison file to write; its evidence goes beside it.
+    channels : sequence of str
+        Compare these only; default every logged channel the model simulates, and surge, sway and turning
+        rate from the pose where they are not logged.
+    refit_start : bool
+        Estimate the start state of a trial the parameter file does not know from that trial, all
+        shared parameters held.
+    chosen, readings, dt
+        As in :func:`swimid.simulation.simulate.simulate`.
+    buoyancy : float
+        Half width of the band of buoyancy drawn for robots in space, as a share of it; 0 for none.
+
+    Raises
+    ------
+    UsageError, InputError
+        For bad files and options.
+    NoTrustworthyResult
+        When a simulation breaks down, or nothing can be compared.
+    """
+    with recorded(repeat=True) as notices:
+        loaded = catalogue.load(
+            trials_file,
+            params,
+            robot=robot,
+            chosen=dict(chosen or {}),
+            readings=dict(readings or {}),
+            max_step=dt,
+        )
+        experiment = loaded.experiment
+        if output is not None:
+            atomic.check_writable(output, inputs=tuple(experiment.inputs))
+        done = []
+        with progress("comparing", total=len(experiment.trials)) as step:
+            for trial in experiment.trials:
+                one = compare_series.compared(experiment, loaded.applied, trial, refit=refit_start)
+                done.append(_restricted(one, channels))
+                step()
+        if not any(d.pairs for d in done):
+            raise NoTrustworthyResult("the trials hold no channel that the model simulates")
+        origin = provenance.collect(
+            experiment.inputs,
+            settings={
+                "channels": list(channels),
+                "refit_start": refit_start,
+                "set": dict(chosen or {}),
+                "readings": dict(readings or {}),
+                "dt": dt,
+                "buoyancy_band": buoyancy,
+            },
+        )
+        profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
+        file = _file(experiment, done, params, origin)
+        file.profiles = [p.record for p in profiles]
+        checks = _checks(file)
+    verdict = fit_common.verdict(checks, _answer(file))
+    file.verdict = verdict.level
+    evidence = ev.Evidence(
+        verb="compare",
+        title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
+        verdict=verdict,
+        checks=checks,
+        tables=[*compare_strokes_evidence.tables(file.profiles), *compare_evidence.tables(file)],
+        figures=[
+            *compare_strokes_evidence.figures(profiles, buoyancy),
+            *compare_evidence.figures(experiment, done, file),
+        ],
+        notices=fit_common.notices(notices),
+        methods=[*_methods(experiment, done, params), *compare_strokes_evidence.methods(profiles, buoyancy)],
+        references=list(experiment.robot.sources),
+        provenance=origin,
+    )
+    outputs: list[Path] = []
+    if output is not None:
+        comparison_format.write(output, file)
+        outputs = ev.write_beside(output, evidence)
+    return Outcome("compare", _summary(file, evidence), file.model_dump(mode="json"), outputs)
+
+
+def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
+    if not channels:
+        return done
+    for name in channels:
+        if name not in done.pairs:
+            hint = suggestion(name, list(done.pairs))
+            raise UsageError(f"the trial '{done.trial.id}' has no channel '{name}' to compare", hint=hint)
+    pairs = {name: p for name, p in done.pairs.items() if name in channels}
+    return replace(done, pairs=pairs)
+
+
+def _file(
+    experiment: Experiment, done: Sequence[Compared], params: Path, origin: dict[str, Any]
+) -> ComparisonFile:
+    names = list(dict.fromkeys(name for d in done for name in d.pairs))
+    order = [c.name for c in experiment.model.channels]
+    pooled: dict[str, ChannelScore] = {}
+    for name in sorted(names, key=order.index):
+        pooled[name] = compare_series.scored([d.pairs[name] for d in done if name in d.pairs])
+    trials = [compare_series.record(d, experiment.model) for d in done]
+    return ComparisonFile(
+        verdict="caution",
+        model=experiment.model.name,
+        robot=experiment.robot.name,
+        experiment=experiment.name,
+        params=params.name,
+        channels=pooled,
+        trials=trials,
+        mean_speed_rmse_m_s=_speed_rmse(trials),
+        provenance=origin,
+    )
+
+
+def _speed_rmse(trials: Sequence[TrialComparison]) -> float | None:
+    errors = [
+        t.mean_speed.measured - t.mean_speed.simulated
+        for t in trials
+        if t.mean_speed is not None
+        and t.mean_speed.measured is not None
+        and t.mean_speed.simulated is not None
+    ]
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
+
+
+def _speed_share(file: ComparisonFile) -> float | None:
+    """Error of the mean speeds over their size."""
+    measured = [
+        t.mean_speed.measured for t in file.trials if t.mean_speed and t.mean_speed.measured is not None
+    ]
+    size = float(np.sqrt(np.mean(np.square(measured)))) if measured else 0.0
+    return file.mean_speed_rmse_m_s / size if file.mean_speed_rmse_m_s is not None and size > 0 else None
+
+
+def _checks(file: ComparisonFile) -> list[ev.Check]:
+    found = []
+    for name, score in file.channels.items():
+        value = score.nrmse if score.nrmse is not None else math.inf
+        found.append(
+            ev.Check(
+                name=f"error of {name}",
+                value=numbers.percent(score.nrmse),
+                limit=f"≤ {100 * GOOD:g} % of the measured range (fail above {100 * USABLE:g} %)",
+                verdict="pass" if value <= GOOD else "warn" if value <= USABLE else "fail",
+                text="root-mean-square error over all trials, over the measured range",
+            )
+        )
+    share = _speed_share(file)
+    if share is not None:
+        found.append(
+            ev.Check(
+                name="error of mean speeds",
+                value=numbers.percent(share),
+                limit=f"≤ {100 * GOOD_SPEED:g} % of the measured (fail above {100 * USABLE_SPEED:g} %)",
+                verdict="pass" if share <= GOOD_SPEED else "warn" if share <= USABLE_SPEED else "fail",
+                text="root-mean-square difference over the trials, over the root mean square measured",
+            )
+        )
+    fitted = [t.id for t in file.trials if t.start == "estimated"]
+    if fitted:
+        found.append(
+            ev.Check(
+                name="start states",
+                value=f"estimated for {len(fitted)} of {len(file.trials)} trials",
+                verdict="info",
+                text="from the trials themselves, all shared parameters held: offsets of pose and start "
+                "speed do not count as errors (--no-refit-start)",
+            )
+        )
+    return found
+
+
+def _answer(file: ComparisonFile) -> str:
+    parts = []
+    rates = [n for n in file.channels if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
+    for name in rates or list(file.channels)[:3]:
+        s = file.channels[name]
+        parts.append(
+            f"{name}: RMSE {numbers.number(s.rmse, 3, s.unit)} ({numbers.percent(s.nrmse)} of its range), "
+            f"VAF {numbers.percent(s.vaf)}"
+        )
+    if file.mean_speed_rmse_m_s is not None:
+        parts.append(f"mean speeds: RMSE {numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}")
+    return "; ".join(parts) + "."
+
+
+def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> list[str]:
+    said = [
+        f"{len(done)} {experiment.name} trials were compared with simulations under the parameters of "
+        f"{params.name}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
+        "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
+    ]
+    if any(p.source == "pose" for d in done for p in d.pairs.values()):
+        said.append(
+            "Surge, sway and turning rate were derived from the measured pose and, in the same way, from "
+            "the simulated one, by a cubic fitted over "
+            f"{2 * compare_series.WINDOW_BEATS:g} beats around each sample."
+        )
+    if any(d.start == "estimated" for d in done):
+        said.append(
+            "Where the parameter file held no start state of a trial it was estimated from the whole trial "
+            "with all shared parameters held."
+        )
+    return said
+
+
+def _summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+    lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
+    width = max(len(n) for n in file.channels)
+    lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
+    for name, s in file.channels.items():
+        lines.append(
+            f"  {name:<{width}}  {numbers.number(s.rmse, 3, s.unit):>14}  {numbers.percent(s.nrmse):>8}  "
+            f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
+            f"{numbers.number(compare_evidence.settled(s), 3, s.unit):>14}"
+        )
+    speeds = [(t.id, t.mean_speed) for t in file.trials if t.mean_speed is not None]
+    if speeds:
+        wide = max(len(i) for i, _ in speeds)
+        lines += ["", "  mean speed of the last beats, measured and simulated"]
+        for name, speed in speeds:
+            pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
+            lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
+    lines += compare_strokes_evidence.summary(file.profiles)
+    estimated = sum(t.start == "estimated" for t in file.trials)
+    if estimated:
+        lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
+    lines += ["", f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}"]
+    return "\n".join(lines)

@@ -1,0 +1,375 @@
+"""What ``swimid compare`` compares: the channels of each trial, measured beside simulated."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from swimid.blackbox.model import Arma
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import metrics, start_states
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.logs.beat import find_beat
+from swimid.logs.derivative import slope
+from swimid.notices import warn
+from swimid.simulation import cases as simulate_cases
+from swimid.simulation import cycles, swim_quantities
+from swimid.simulation.applied import Applied
+from swimid.simulation.comparison_file import ChannelScore, CycleTable, PhaseTable, Speed, TrialComparison
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+
+Start = Literal["file", "estimated", "neutral"]
+#: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
+STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
+#: Half width of the derivative's window: this share of a beat, or s where there is none.
+WINDOW_BEATS, WINDOW_S = 0.2, 0.15
+#: Time warping is computed over at most so many samples.
+WARPED = 2000
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One channel, measured and simulated at the same times.
+
+    Attributes
+    ----------
+    channel, unit, meaning : str
+    source : {"logged", "pose"}
+        ``pose``: both series derived from positions by the same smoothing derivative.
+    time_s, measured, simulated : ndarray, shape (n,)
+    """
+
+    channel: str
+    unit: str
+    meaning: str
+    source: Literal["logged", "pose"]
+    time_s: Array
+    measured: Array
+    simulated: Array
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One trial.
+
+    Attributes
+    ----------
+    trial : Trial
+    start : {"file", "estimated", "neutral"}
+    start_values : dict of str to float
+        Those that were estimated here.
+    frequency_hz : float or None
+    pairs : dict of str to Pair
+    values : ndarray, shape (p,)
+        Parameters of the simulation.
+    """
+
+    trial: Trial
+    start: Start
+    start_values: dict[str, float]
+    frequency_hz: float | None
+    pairs: dict[str, Pair]
+    values: Array
+
+    @property
+    def drive(self) -> dict[str, Any]:
+        """What drove the trial, as a trials file says it."""
+        beat = self.trial.settings.get("beat")
+        return simulate_cases.drive_block(beat) if beat is not None else {}
+
+
+def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool) -> Compared:
+    """Simulate a trial and set its channels beside the measured ones.
+
+    Parameters
+    ----------
+    refit : bool
+        Estimate the start state of a trial that the parameter file does not know, all shared
+        parameters held.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the simulation breaks down.
+    """
+    model: Model = experiment.model
+    values, start, found = start_of(applied, trial, refit)
+    if isinstance(model, Arma) and refit and (model.output_level or model.source_level):
+        model, level = _about_own_level(model, values, trial)
+        start, found = "estimated", {"output_level": level}
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        simulated = model.simulate(values, trial)
+    logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
+    if trial.settings.get("joints") is not None and isinstance(model, MultilinkModel | MultibodyModel):
+        # measured joints that drive the run are no prediction of it
+        for axis in model.driven:
+            if axis.driven is not None and axis.driven.servo is None:
+                logged.pop(axis.column, None)
+    pairs = {
+        c.name: Pair(c.name, c.unit, c.meaning, "logged", trial.time_s, logged[c.name], simulated[c.name])
+        for c in model.channels
+        if c.name in logged and np.isfinite(logged[c.name]).sum() > 1
+    }
+    for pair in pairs.values():
+        lost = np.isfinite(pair.measured) & ~np.isfinite(pair.simulated)
+        if lost.any() and model.name != "arma":
+            where = trial.time_s[int(np.argmax(lost))]
+            raise NoTrustworthyResult(
+                f"the simulation of '{trial.id}' breaks down at t = {where:.4g} s",
+                hint="check the parameters' signs and units and the drive, or take a smaller --dt",
+            )
+    frequency = _frequency(model, trial, values, pairs) if isinstance(model, MultilinkModel) else None
+    if isinstance(model, MultilinkModel):
+        pairs = _with_velocities(model, trial, pairs, frequency)
+    return Compared(trial, start, found, frequency, pairs, values)
+
+
+def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
+    """Parameters of a trial with its start state: from the file, estimated, or neutral."""
+    model = applied.model
+    values = applied.values(trial.id)
+    own = [p for p in model.parameters if p.per_trial]
+    if any(applied.knows(p.name, trial.id) for p in own):
+        return values, "file", {}
+    estimated = applied.fitted_per_trial()
+    names = {
+        p.name
+        for p in own
+        if (p.free or p.name in estimated)
+        and (p.name.startswith(STARTS) or p.name in getattr(model, "coefficients", ()))
+        and p.name not in applied.chosen
+    }
+    if not refit or not names:
+        return values, "neutral", {}
+    held = tuple(
+        replace(p, start=float(v), free=p.name in names)
+        for p, v in zip(model.parameters, values, strict=True)
+    )
+    sd = _noise(applied, trial)
+    found: dict[str, float] = {}
+    least = math.inf
+    for begun in _begun(held):
+        try:
+            tried = start_states.estimate(model, begun, trial, sd)
+        except (NoTrustworthyResult, np.linalg.LinAlgError):
+            continue
+        cost = _cost(model, values, tried, trial, sd)
+        if cost < least:
+            found, least = tried, cost
+    if not found or not np.isfinite(list(found.values())).all():
+        warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
+        return values, "neutral", {}
+    plain = {label.split("[")[0]: v for label, v in found.items()}
+    for name, value in plain.items():
+        values[model.index(name)] = value
+    return values, "estimated", plain
+
+
+def _begun(parameters: tuple[Parameter, ...]) -> list[tuple[Parameter, ...]]:
+    """Where to start the search from: an unknown phase of the beat has a minimum on every side."""
+    if not any(p.name == "drive_phase" and p.free for p in parameters):
+        return [parameters]
+    return [
+        tuple(replace(p, start=k * math.pi / 2) if p.name == "drive_phase" else p for p in parameters)
+        for k in range(4)
+    ]
+
+
+def _cost(
+    model: Model, values: Array, start: Mapping[str, float], trial: Trial, sd: Mapping[str, float]
+) -> float:
+    """Squared residuals of a trial from a start state, over the noise; infinite where it breaks down."""
+    values = values.copy()
+    for label, value in start.items():
+        values[model.index(label.split("[")[0])] = value
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        simulated = model.simulate(values, trial)
+    total = 0.0
+    for channel, size in sd.items():
+        there = np.isfinite(trial.measured[channel])
+        total += float(np.sum(((trial.measured[channel] - simulated[channel])[there] / size) ** 2))
+    return total if math.isfinite(total) else math.inf
+
+
+def _about_own_level(model: Arma, values: Array, trial: Trial) -> tuple[Arma, float]:
+    """A model of deviations from a working point, at the level this trial's output has.
+
+    The run is linear in the level, so two runs give the one with the least squared error.
+    """
+    runs = []
+    for level in (model.output_level, model.output_level + 1.0):
+        moved = copy.copy(model)
+        moved.output_level = level
+        runs.append(moved.simulate(values, trial)[model.output])
+    gain, left = runs[1] - runs[0], trial.measured[model.output] - runs[0]
+    there = np.isfinite(gain) & np.isfinite(left)
+    power = float(np.sum(gain[there] ** 2))
+    shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
+    moved = copy.copy(model)
+    moved.output_level = model.output_level + shift
+    return moved, moved.output_level
+
+
+def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
+    """Noise of the channels a start state is estimated from: those the parameters were fitted to.
+
+    Where none of them was, every measured channel, each with a hundredth of its range.
+    """
+    known = applied.noise()
+    found = {name: known[name] for name in trial.measured if name in known}
+    if found:
+        return found
+    for name, values in trial.measured.items():
+        there = values[np.isfinite(values)]
+        found[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
+    return found
+
+
+def _frequency(model: MultilinkModel, trial: Trial, values: Array, pairs: dict[str, Pair]) -> float | None:
+    beat = trial.settings.get("beat")
+    if beat is not None:
+        return float(beat.frequency_hz)
+    commands = simulate_cases.commands(model, trial, values)
+    series = [(trial.time_s, c) for c in commands.values()]
+    if model.assembly.free_base:
+        series += [
+            (p.time_s, p.measured)
+            for name in (model.plane.velocity[2], model.plane.pose[2])
+            if (p := pairs.get(name)) is not None
+        ]
+    for time, angle in series:
+        found = find_beat(time, angle)
+        if found is not None:
+            return found.frequency_hz
+    return None
+
+
+def _with_velocities(
+    model: MultilinkModel, trial: Trial, pairs: dict[str, Pair], frequency: float | None
+) -> dict[str, Pair]:
+    """Surge, sway and turning rate from the pose, where the log has no such columns."""
+    if not model.assembly.free_base or not all(name in pairs for name in model.plane.pose):
+        return pairs
+    half = WINDOW_BEATS / frequency if frequency else WINDOW_S
+    made = {
+        side: _velocities([getattr(pairs[name], side) for name in model.plane.pose], trial.time_s, half)
+        for side in ("measured", "simulated")
+    }
+    known = {c.name: c for c in model.channels}
+    found = dict(pairs)
+    for k, name in enumerate(model.plane.velocity):
+        if name not in pairs and np.isfinite(made["measured"][k]).sum() > 8:
+            c = known[name]
+            found[name] = Pair(
+                name, c.unit, c.meaning, "pose", trial.time_s, made["measured"][k], made["simulated"][k]
+            )
+    return found
+
+
+def _velocities(pose: list[Array], time: Array, half: float) -> list[Array]:
+    x, y, heading = pose
+    dx, dy, rate = slope(time, x, half), slope(time, y, half), slope(time, heading, half)
+    c, s = np.cos(heading), np.sin(heading)
+    return [c * dx + s * dy, -s * dx + c * dy, rate]
+
+
+# ------------------------------------------------------------ numbers
+
+
+def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
+    """Errors of a channel over one trial, or pooled over several."""
+    measured = np.concatenate([p.measured for p in parts])
+    simulated = np.concatenate([p.simulated for p in parts])
+    score = metrics.score(measured, simulated)
+    peak, relative = metrics.peak_error(measured, simulated)
+    found = ChannelScore(
+        unit=parts[0].unit,
+        source=parts[0].source,
+        **vars(score),
+        peak_error=peak,
+        peak_error_normalised=relative,
+    )
+    if frequency is None or len(parts) > 1:
+        return found
+    one = parts[0]
+    phase = metrics.phase_error(one.measured, one.simulated, one.time_s, frequency_hz=frequency)
+    keep = slice(None, None, max(1, -(-len(one.time_s) // WARPED)))
+    step = float(np.median(np.diff(one.time_s[keep])))
+    band = max(1, round(0.25 / (frequency * step)))
+    distance = metrics.dtw_distance(one.measured[keep], one.simulated[keep], band=band)
+    return ChannelScore.model_validate(
+        {**found.model_dump(), "phase_error_rad": phase, "dtw_distance": distance}
+    )
+
+
+def mean_speed(done: Compared, model: MultilinkModel) -> Speed | None:
+    """Mean speed over the last whole beats, measured and simulated by the same rule."""
+    if done.frequency_hz is None or not model.assembly.free_base:
+        return None
+    beat = done.trial.settings.get("beat")
+    begin = max(float(done.trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
+    pose = [done.pairs.get(name) for name in model.plane.pose[:2]]
+    surge = done.pairs.get(model.plane.velocity[0])
+    series = [p for p in pose if p is not None] if None not in pose else [surge] if surge else []
+    if not series:
+        return None
+    there = np.all([np.isfinite(p.measured) & np.isfinite(p.simulated) for p in series], axis=0)
+    if there.sum() < 3:
+        return None
+    time = done.trial.time_s[there]
+    window = swim_quantities.last_beats(max(begin, float(time[0])), float(time[-1]), done.frequency_hz)
+    if window is None:
+        return None
+    edges = np.linspace(window.begin_s, window.end_s, window.beats + 1)
+    found = []
+    for side in ("measured", "simulated"):
+        means = [_beat_means(time, getattr(p, side)[there], edges) for p in series]
+        if len(means) == 1:
+            found.append(float(means[0].mean()))
+        elif window.beats > 1:
+            path = float(np.hypot(*(np.diff(m) for m in means)).sum())
+            found.append(path / (edges[-1] - edges[1]))
+        else:
+            ends = [np.diff(np.interp(edges, time, getattr(p, side)[there])) for p in series]
+            found.append(float(np.hypot(*ends)[0]) / (edges[1] - edges[0]))
+    return Speed(measured=found[0], simulated=found[1], beats=window.beats)
+
+
+def _beat_means(time: Array, values: Array, edges: Array) -> Array:
+    """Mean between successive edges, of the series joined by straight lines."""
+    integral = cumulative_trapezoid(values, time, initial=0.0)
+    found: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
+    return found
+
+
+def record(done: Compared, model: Any) -> TrialComparison:
+    """A trial as the comparison file holds it."""
+    cycle_tables, phase_tables = {}, {}
+    if done.frequency_hz is not None:
+        for name, p in done.pairs.items():
+            if name in model.plane.pose and model.assembly.free_base:
+                continue  # a position has no mean of a stroke worth comparing
+            each = cycles.cycles(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
+            cycle_tables[name] = CycleTable(**vars(each))
+            bins = cycles.phases(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
+            phase_tables[name] = PhaseTable(**vars(bins))
+    return TrialComparison(
+        id=done.trial.id,
+        role=done.trial.role,  # type: ignore[arg-type]
+        start=done.start,
+        start_values=done.start_values,
+        frequency_hz=done.frequency_hz,
+        drive=done.drive,
+        channels={name: scored([p], done.frequency_hz) for name, p in done.pairs.items()},
+        cycles=cycle_tables,
+        phases=phase_tables,
+        mean_speed=mean_speed(done, model) if isinstance(model, MultilinkModel) else None,
+    )

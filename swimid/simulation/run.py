@@ -1,0 +1,172 @@
+"""One simulated run: its channels, the check of its step, and what it comes to."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import swimid
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting.model import Array, Trial
+from swimid.logs import log as log_format
+from swimid.notices import warn
+from swimid.simulation.applied import Applied, Quantity
+
+#: Halving the step may change a channel by this share of its range at most.
+STEP_LIMIT = 1e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run to simulate.
+
+    Attributes
+    ----------
+    id : str
+    applied : Applied
+        Model and parameters.
+    values : ndarray, shape (len(applied.model.parameters),)
+    trial : Trial
+        Sample times, drive and start of the run.
+    extra : dict of str to ndarray, each shape (n,)
+        Columns to write beside the simulated ones: commands, forces, measured inputs.
+    metadata : dict
+        For the log's comment lines.
+    quantities : callable, optional
+        From a parameter vector to what the run comes to.
+    per_run : bool
+        Samples are runs of a table, not instants: there is no time column.
+    """
+
+    id: str
+    applied: Applied
+    values: Array
+    trial: Trial
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    quantities: Callable[[Array], dict[str, Quantity]] | None = None
+    per_run: bool = False
+
+
+@dataclass(frozen=True)
+class StepChange:
+    """What halving the integration step does to one channel.
+
+    Attributes
+    ----------
+    largest : float
+        Largest change of a sample, in the channel's unit.
+    share : float
+        The same over the channel's range.
+    """
+
+    largest: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A simulated run.
+
+    Attributes
+    ----------
+    case : Case
+    columns : dict of str to ndarray
+        Of the log, ``t_s`` first.
+    quantities : dict of str to Quantity
+    step : dict of str to StepChange
+        By channel; empty where nothing is integrated.
+    """
+
+    case: Case
+    columns: dict[str, Any]
+    quantities: dict[str, Quantity]
+    step: dict[str, StepChange]
+
+
+def run(case: Case) -> Simulated:
+    """Simulate a case.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the simulation breaks down, with the time.
+
+    Warns
+    -----
+    SWM016
+        When halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
+    """
+    model = case.applied.model
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        simulated = model.simulate(case.values, case.trial)
+    _insist_whole(case, simulated)
+    _warn_folded(case, simulated)
+    step = _step_changes(case, simulated)
+    found = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
+    columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
+    columns |= {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
+    added = {k: v for k, v in case.extra.items() if k not in columns}
+    columns = {**added, **columns} if case.per_run else {**columns, **added}
+    return Simulated(case, columns, found, step)
+
+
+def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
+    lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
+    if not lost[-1] or any(not np.isfinite(v[-1]) for v in case.trial.inputs.values()):
+        return
+    whole = np.flatnonzero(~lost)
+    where = "at its start"
+    if len(whole) and not case.per_run:
+        where = f"at t = {case.trial.time_s[min(whole[-1] + 1, len(lost) - 1)]:.4g} s"
+    raise NoTrustworthyResult(
+        f"the simulation of '{case.id}' breaks down {where}",
+        hint="take a smaller step with --dt, or check the parameters' signs and units and the drive",
+    )
+
+
+def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
+    for name, values in simulated.items():
+        if re.fullmatch(r"joint\d+_rad", name) and np.nanmax(np.abs(values), initial=0.0) > math.pi:
+            turned = math.degrees(float(np.nanmax(np.abs(values))))
+            warn(
+                "SWM054",
+                f"{case.id}: {name.removesuffix('_rad')} turns by {turned:.0f} degrees: beyond 180 its link "
+                "has passed through the one ahead of it, which no body does",
+            )
+
+
+def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
+    finer = case.applied.model.refined()
+    if finer is None:
+        return {}
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        fine = finer.simulate(case.values, case.trial)
+    found = {}
+    for name, values in simulated.items():
+        both = np.isfinite(values) & np.isfinite(fine[name])
+        if not both.any():
+            continue
+        largest = float(np.max(np.abs(fine[name] - values)[both]))
+        span = float(np.ptp(values[both]))
+        found[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
+    worst = max(found, key=lambda name: found[name].share, default=None)
+    if worst is not None and found[worst].share > STEP_LIMIT:
+        warn(
+            "SWM016",
+            f"{case.id}: halving the integration step changes {worst} by {100 * found[worst].share:.2g} % of "
+            "its range; take a smaller step with --dt",
+        )
+    return found
+
+
+def write(path: Path, done: Simulated) -> None:
+    """Write a simulated run as a log, with what it was made by in its comment lines."""
+    metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **done.case.metadata}
+    log_format.write(path, done.columns, metadata)

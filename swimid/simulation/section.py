@@ -1,0 +1,69 @@
+"""Comparison files (``swimid-comparison/1``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Verdict
+from swimid.results.reader import reader
+from swimid.results.sections import Cell, Grid, Section
+from swimid.simulation import comparison_file as comparison
+from swimid.simulation.comparison_file import ComparisonFile
+
+
+@reader(format=comparison.FORMAT)
+def section(path: Path, evidence: Evidence | None) -> Section:
+    """The section of a comparison file."""
+    file = comparison.read(path)
+    return Section(
+        path=path,
+        kind="Comparison",
+        title=f"Measured against simulated: {file.robot}",
+        verdict=Verdict(level=file.verdict, text="No evidence file, so its checks cannot be shown."),
+        facts=_facts(file),
+        blocks=[_pooled(file)],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+def _facts(file: ComparisonFile) -> list[tuple[str, str]]:
+    facts = [
+        ("Robot", file.robot),
+        ("Model", file.model),
+        ("Experiment", file.experiment),
+        ("Parameters", file.params),
+        ("Trials", str(len(file.trials))),
+    ]
+    estimated = sum(t.start == "estimated" for t in file.trials)
+    if estimated:
+        facts.append(("Start states", f"estimated for {estimated} trials"))
+    if file.mean_speed_rmse_m_s is not None:
+        facts.append(("Mean speeds", f"RMSE {numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}"))
+    return facts
+
+
+def _pooled(file: ComparisonFile) -> Grid:
+    rows = []
+    for name, s in file.channels.items():
+        # a fitted start leaves a bias of rounding errors
+        small = s.bias is not None and s.rmse is not None and abs(s.bias) < 1e-3 * s.rmse
+        rows.append(
+            [
+                Cell(name, "code"),
+                Cell("from pose" if s.source == "pose" else "logged"),
+                Cell(numbers.number(s.rmse, 3, s.unit), numeric=True),
+                Cell(numbers.percent(s.nrmse), numeric=True),
+                Cell(numbers.percent(s.vaf), numeric=True),
+                Cell(numbers.number(s.fit_percent, 3, "percent"), numeric=True),
+                Cell(numbers.number(0.0 if small else s.bias, 3, s.unit), numeric=True),
+                Cell(numbers.number(s.samples), numeric=True),
+            ]
+        )
+    columns = ["Channel", "Source", "RMSE", "NRMSE", "VAF", "Fit", "Bias", "Samples"]
+    caption = (
+        "All trials together. NRMSE is over the measured range; bias is measured minus simulated. Good: VAF "
+        "near 100 % and a bias small against the RMSE."
+    )
+    return Grid("All trials together", columns, rows, caption)

@@ -1,0 +1,396 @@
+"""``simulate``: any robot from any parameter file, as a log, and as a film where it has links."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError, UsageError
+from swimid.files import atomic
+from swimid.logs.log import PARQUET_ENDINGS
+from swimid.notices import warn
+from swimid.progress import Progress, silent
+from swimid.results import numbers
+from swimid.results.outcome import Outcome
+from swimid.simulation import animation
+from swimid.simulation import cases as simulate_cases
+from swimid.simulation import run as simulation
+from swimid.simulation.cases import Request
+from swimid.simulation.run import Simulated
+from swimid.swimmer import stroke_cycles
+from swimid.swimmer.planar import geometry
+from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
+
+#: Endings of a log.
+LOG_ENDINGS = (".csv", *PARQUET_ENDINGS)
+#: A change of speed from beat to beat above this share is told.
+UNSTEADY = 0.005
+#: What a trial of many says in its line, where it has it.
+BRIEF = ("mean_speed_m_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "turning_radius_m")
+
+
+def simulate(
+    *,
+    params: Path | None = None,
+    robot: str | None = None,
+    trials: Path | None = None,
+    trial: str | None = None,
+    waveform: str = "sine",
+    frequency_hz: float | None = None,
+    amplitude_deg: float | None = None,
+    bias_deg: float = 0.0,
+    asymmetry: float = 0.0,
+    ramp_s: float = 1.0,
+    duration_s: float | None = None,
+    sample_rate_hz: float | None = None,
+    dt: float = DEFAULT_STEP,
+    chosen: Mapping[str, float] | None = None,
+    readings: Mapping[str, str] | None = None,
+    input: Path | None = None,
+    pulling_mass_kg: float | None = None,
+    fin: str | None = None,
+    distance_m: float | None = None,
+    stroke: str | None = None,
+    cycles: float | None = None,
+    scale: float = 1.0,
+    output: Path | None = None,
+    animate: Path | None = None,
+    view: str = "auto",
+    allow: Callable[[Path], object] = atomic.check_writable,
+    progress: Progress = silent,
+) -> Outcome:
+    """Simulate a robot.
+
+    Parameters
+    ----------
+    params : Path, optional
+        Parameter file of any model. Without it the values of the robot file are used.
+    robot : str, optional
+        Built-in name or robot file; in place of the one the parameter file names.
+    trials : Path, optional
+        Simulate the recorded trials' own drives and start states in place of the options below.
+    trial : str, optional
+        Only this one of them.
+    waveform, frequency_hz, amplitude_deg, bias_deg, asymmetry, ramp_s
+        The beat, as ``drive`` of a trials file.
+    duration_s, sample_rate_hz : float, optional
+        Default 15 s at 50 Hz; the times of ``input`` where one is given.
+    dt : float, s
+        Integration step of a robot with links, at most.
+    chosen : mapping of str to float, optional
+        Parameter values that win over the file's.
+    readings : mapping, optional
+        Readings of the robot's source other than the file's.
+    input : Path, optional
+        Log whose joint angles or commands drive the robot, or whose input column drives a
+        discrete-time model.
+    pulling_mass_kg : float, optional
+        Of a falling weight.
+    fin : str, optional
+    distance_m : float, optional
+        Of a cruise under the recoil law: the fin, and the course from rest for the mean speed.
+    stroke : str, optional
+    cycles, scale : float, optional
+        A stroke of the robot file in place of a beat, how often, and what its angles are multiplied with.
+    output : Path, optional
+        Log to write; for several trials a folder.
+    animate : Path, optional
+        Film (.mp4) or animated GIF of a robot with links.
+    view : {"auto", "fixed", "follow"}
+        Whether the film's frame holds the whole path or moves with the robot.
+    allow : callable
+        Called with every file before it is written; raises where that must not be.
+    progress : Progress
+
+    Raises
+    ------
+    UsageError, InputError
+        For options that do not fit together and for bad files.
+    NoTrustworthyResult
+        When the simulation breaks down.
+    """
+    request = Request(
+        params=params,
+        robot=robot,
+        waveform=waveform,
+        frequency_hz=frequency_hz,
+        amplitude_deg=amplitude_deg,
+        bias_deg=bias_deg,
+        asymmetry=asymmetry,
+        ramp_s=ramp_s,
+        duration_s=duration_s,
+        sample_rate_hz=sample_rate_hz,
+        dt=dt,
+        chosen=dict(chosen or {}),
+        readings=dict(readings or {}),
+        input=input,
+        pulling_mass_kg=pulling_mass_kg,
+        fin=fin,
+        distance_m=distance_m,
+        stroke=stroke,
+        cycles=cycles,
+        scale=scale,
+    )
+    if trials is None:
+        if trial is not None:
+            raise UsageError("--trial belongs to --trials")
+        cases = [simulate_cases.of_options(request)]
+    else:
+        _insist_on_trials_alone(request)
+        cases = simulate_cases.of_trials(trials, request, trial)
+    places = _places(output, [c.id for c in cases])
+    if animate is not None:
+        if len(cases) > 1:
+            raise UsageError("an animation shows one trial: name it with --trial")
+        if not isinstance(cases[0].applied.model, MultilinkModel):
+            raise UsageError("an animation needs a robot with links in one plane")
+        if animate.suffix.lower() not in animation.ENDINGS:
+            raise UsageError(
+                f"'{animate.name}' can be no animation",
+                hint=f"let it end in {' or '.join(animation.ENDINGS)}",
+            )
+        allow(animate)
+    folder = output if output is not None and places != [output] else None
+    if folder is not None and not folder.parent.is_dir():
+        raise InputError(f"the folder {folder.parent} does not exist", file=folder)
+    for place in places:
+        if folder is None or folder.is_dir():
+            allow(place)
+    done = []
+    with progress("simulating", total=len(cases)) as step:
+        for case in cases:
+            done.append(simulation.run(case))
+            step()
+    outputs = []
+    for place, one in zip(places, done, strict=False):
+        if folder is not None:
+            folder.mkdir(exist_ok=True)
+        simulation.write(place, one)
+        outputs.append(place)
+    remark = ""
+    if animate is not None:
+        remark = animation.write(animate, _film(done[0]), view=view, progress=progress)
+        outputs.append(animate)
+    _warn_unknown(done)
+    return Outcome("simulate", _summary(done, request, remark), _result(done, request), outputs)
+
+
+def _insist_on_trials_alone(request: Request) -> None:
+    """Refuse options that describe a run beside trials, which bring their own."""
+    plain = Request()
+    for name in (
+        "waveform",
+        "frequency_hz",
+        "amplitude_deg",
+        "bias_deg",
+        "asymmetry",
+        "ramp_s",
+        "duration_s",
+        "sample_rate_hz",
+        "input",
+        "pulling_mass_kg",
+        "fin",
+        "distance_m",
+        "stroke",
+        "cycles",
+        "scale",
+    ):
+        if getattr(request, name) != getattr(plain, name):
+            raise UsageError(
+                f"--{name.replace('_', '-')} has no place beside --trials: the trials bring their own drive"
+            )
+
+
+def _places(output: Path | None, ids: Sequence[str]) -> list[Path]:
+    """The file of each run: one log, or a folder of logs named after the trials."""
+    if output is None:
+        return []
+    if output.suffix.lower() in LOG_ENDINGS and not output.is_dir():
+        if len(ids) > 1:
+            raise UsageError(
+                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
+            )
+        return [output]
+    if len(ids) == 1 and not output.is_dir() and output.suffix:
+        raise UsageError(f"'{output.name}' can be no log", hint=f"let it end in {' or '.join(LOG_ENDINGS)}")
+    if len(ids) == 1 and not output.is_dir():
+        raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
+    if output.exists() and not output.is_dir():
+        raise UsageError(f"{output} is a file; several trials need a folder")
+    stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
+    return [output / f"{stem}.csv" for stem in stems]
+
+
+def _film(done: Simulated) -> animation.Film:
+    case = done.case
+    model = case.applied.model
+    assert isinstance(model, MultilinkModel)
+    x, y, heading = geometry.link_frames(model, case.values, done.columns)
+    front, _ = geometry.straight(model, case.values)
+    length = geometry.body_length(model, case.values)
+    passive = {a.link for a in model.assembly.passive}
+    drive = case.metadata.get("drive")
+    title = model.robot.name
+    if isinstance(drive, dict):
+        title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
+    return animation.Film(
+        time_s=case.trial.time_s,
+        x_m=x,
+        y_m=y,
+        heading_rad=heading,
+        links=[
+            animation.Link(link.length_m, float(begin), i in passive)
+            for i, (link, begin) in enumerate(zip(model.assembly.links, front, strict=True))
+        ],
+        length_m=length,
+        width_m=model.robot.body.width_m or animation.FULLNESS * length,
+        title=title,
+        tapered=model.assembly.free_base,
+    )
+
+
+# ------------------------------------------------------------ telling
+
+
+def _warn_unknown(done: Sequence[Simulated]) -> None:
+    lost = done[0].case.applied.without_error() if done[0].quantities else []
+    if lost:
+        warn(
+            "SWM055",
+            f"{', '.join(lost)} {'has' if len(lost) == 1 else 'have'} no standard error in the parameter "
+            "file: what is not known of them is not in the uncertainties given here",
+        )
+
+
+def label(name: str) -> str:
+    """A quantity's name in words, without its unit."""
+    if name == "mean_speed_BL_s":
+        return "in body lengths"
+    name = name.removesuffix("_BL")
+    bare, _ = numbers.split_unit(name)
+    return bare.replace("_", " ")
+
+
+def text(value: float, stderr: float | None, unit: str) -> str:
+    """A quantity as people read it: angles in degrees."""
+    if unit in ("rad", "rad/s"):
+        factor = 180.0 / math.pi
+        value, stderr, unit = value * factor, None if stderr is None else stderr * factor, f"deg{unit[3:]}"
+    if not stderr:
+        return numbers.number(value, 4, unit)
+    return numbers.measured(value, stderr, unit)
+
+
+def _summary(done: Sequence[Simulated], request: Request, remark: str) -> str:
+    lines = []
+    if len(done) == 1:
+        lines += _one(done[0], request)
+    else:
+        lines.append(f"{done[0].case.metadata['robot']}: {len(done)} trials")
+        width = max(len(d.case.id) for d in done)
+        for d in done:
+            lines.append(f"  {d.case.id:<{width}}  {', '.join(_brief(d))}")
+    changes = _worst_changes(done)
+    if changes:
+        shown = ", ".join(
+            f"{label(name)} {numbers.number(largest, 2, numbers.split_unit(name)[1])}"
+            for name, (largest, _) in changes.items()
+            if largest > 0
+        )
+        lines += ["", f"  halving the step changes at most: {shown}"]
+    if remark:
+        lines.append(f"  {remark}")
+    return "\n".join(lines)
+
+
+def _brief(done: Simulated) -> list[str]:
+    """What a trial of many comes to, or where it ends."""
+    if done.quantities:
+        last = [n for n in done.quantities if n.startswith("cycle_")][-len(stroke_cycles.QUANTITIES) :]
+        found = [(n, done.quantities[n]) for n in (*BRIEF, *last) if n in done.quantities]
+        return [f"{label(n)} {text(q.value, q.stderr, q.unit)}" for n, q in found]
+    channels = [c for c in done.case.applied.model.channels if c.name in done.columns]
+    if done.case.per_run:
+        name, v = channels[0].name, done.columns[channels[0].name]
+        low, high = numbers.number(float(np.min(v)), 4), numbers.number(float(np.max(v)), 4, channels[0].unit)
+        return [f"{len(v)} runs, {label(name)} {low} to {high}"]
+    ends = [f"{label(c.name)} {text(float(done.columns[c.name][-1]), None, c.unit)}" for c in channels]
+    return [f"after {done.case.trial.time_s[-1] - done.case.trial.time_s[0]:.4g} s", *ends]
+
+
+def _one(done: Simulated, request: Request) -> list[str]:
+    case = done.case
+    source = request.params.name if request.params else "the robot file's values"
+    lines = [f"{case.metadata['robot']}, {source}"]
+    drive = case.metadata.get("drive")
+    if isinstance(drive, dict) and "stroke" in drive:
+        parts = [f"{drive['stroke']} at {drive['frequency_hz']:.4g} Hz"]
+        parts += [f"scaled by {drive['scale']:g}"] if drive["scale"] != 1.0 else []
+        lines.append(f"  {', '.join(parts)}, {case.trial.time_s[-1] - case.trial.time_s[0]:g} s")
+    if isinstance(drive, dict) and "waveform" in drive:
+        parts = [f"{drive['waveform']} {drive['frequency_hz']:g} Hz", f"{drive['amplitude_deg']:g} deg"]
+        parts += [f"bias {drive['bias_deg']:g} deg"] if drive["bias_deg"] else []
+        parts += [f"asymmetry {drive['asymmetry']:g}"] if drive["asymmetry"] else []
+        lines.append(f"  {', '.join(parts)}, {case.trial.time_s[-1] - case.trial.time_s[0]:g} s")
+    shown = {n: q for n, q in done.quantities.items() if n != "speed_change_per_beat_m_s"}
+    width = max((len(label(n)) for n in shown), default=0)
+    for name, q in shown.items():
+        lines.append(f"  {label(name):<{width}}  {text(q.value, q.stderr, q.unit)}")
+    if not shown:
+        lines.append(f"  {', '.join(_brief(done))}")
+    speed, change = (done.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
+    if speed and change and abs(change.value) > UNSTEADY * abs(speed.value):
+        percent = 100 * change.value / speed.value
+        lines.append(f"  not yet steady: the speed changes by {numbers.fixed(percent, 1)} % a beat")
+    if shown and not case.applied.uncertain()[0]:
+        lines.append("  no uncertainty known")
+    return lines
+
+
+def _worst_changes(done: Sequence[Simulated]) -> dict[str, tuple[float, float]]:
+    worst: dict[str, tuple[float, float]] = {}
+    for one in done:
+        for name, change in one.step.items():
+            before = worst.get(name, (0.0, 0.0))
+            worst[name] = (max(before[0], change.largest), max(before[1], change.share))
+    return worst if any(largest > 0 for largest, _ in worst.values()) else {}
+
+
+def _result(done: Sequence[Simulated], request: Request) -> dict[str, Any]:
+    applied = done[0].case.applied
+    model = applied.model
+    values = done[0].case.values
+    return {
+        "model": model.name,
+        "robot": done[0].case.metadata["robot"],
+        "params": None if request.params is None else str(request.params),
+        "parameters": {
+            p.name: float(v) for p, v in zip(model.parameters, values, strict=True) if not p.per_trial
+        },
+        "uncertain": applied.uncertain()[0],
+        "step_limit": simulation.STEP_LIMIT,
+        "runs": [
+            {
+                "id": d.case.id,
+                "metadata": dict(d.case.metadata),
+                "samples": len(d.case.trial.time_s),
+                "quantities": {
+                    n: {"value": q.value, "stderr": q.stderr, "unit": q.unit} for n, q in d.quantities.items()
+                },
+                "step_check": {
+                    n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()
+                },
+                "last": {
+                    n: float(v[-1])
+                    for n, v in d.columns.items()
+                    if not isinstance(v[-1], str) and np.isfinite(v[-1])
+                },
+            }
+            for d in done
+        ],
+    }

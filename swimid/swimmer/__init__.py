@@ -1,0 +1,1 @@
+"""Robots with links, in their plane (``planar``) and in space (``spatial``): trials, models, gray-box fit."""

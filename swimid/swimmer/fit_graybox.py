@@ -1,0 +1,375 @@
+"""``fit-graybox``: hydrodynamic coefficients of a multi-link swimmer from its trials."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from swimid.errors import InputError, Interrupted, NoTrustworthyResult
+from swimid.files import provenance
+from swimid.fitting import fit_common, identifiability, multistart, output_error, start_states
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.tied import Tied, groups_by_prefix
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results import parameters as parameters_format
+from swimid.results.outcome import Outcome
+from swimid.results.parameters import ParameterFile
+from swimid.robots import file as robot_format
+from swimid.swimmer import fit_graybox_evidence, front
+from swimid.swimmer import trials as swimmer
+from swimid.swimmer.fit_graybox_evidence import body_of
+from swimid.swimmer.front import Found, Genetic
+from swimid.swimmer.planar.model import DEFAULT_STEP, prepare
+from swimid.swimmer.profiles import Profiles
+
+Method = Literal["least-squares", "nsga2", "hybrid"]
+
+
+def fit_graybox(
+    trials_file: str | Path,
+    *,
+    output: Path | None = None,
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    share: Sequence[str] = (),
+    channels: Sequence[str] = (),
+    start_state: str = "auto",
+    begin: Path | None = None,
+    loss: output_error.Loss = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    subset: bool = False,
+    readings: Mapping[str, str] | None = None,
+    max_step: float = DEFAULT_STEP,
+    method: Method = "least-squares",
+    options: Genetic = front.AS_PUBLISHED,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Identify the coefficients of a multi-link robot by output error over all trials at once.
+
+    Parameters
+    ----------
+    trials_file : path
+        Of a free-swim or multibody experiment with a robot that has links.
+    output : path, optional
+        Parameter file to write; its evidence goes beside it.
+    fixed, freed, bounds
+        The user's choices by parameter name.
+    share : sequence of str
+        Prefixes: all coefficients of such a prefix and a number get one value.
+    channels : sequence of str
+        Columns to fit; default the pose where logged, else velocities, and passive joints.
+    start_state : {"auto", "rest", "estimate"}
+    begin : path, optional
+        Parameter file whose values the search starts from.
+    loss : {"linear", "huber"}
+    starts, seed : int
+        Number of starts over the bounds, the first being the given one.
+    subset : bool
+        Fix what the trials cannot tell, least identifiable first, until all the rest is known.
+    readings : mapping, optional
+        Readings of the robot's source other than the file's.
+    max_step : float, s
+    method : {"least-squares", "nsga2", "hybrid"}
+        Output error; a Pareto front and a point chosen on it; output error that starts on the front.
+    options : Genetic
+        Of the front.
+    jobs : int, optional
+        Threads; default one per processor.
+
+    Raises
+    ------
+    InputError, UsageError
+        For bad files and options.
+    NoTrustworthyResult
+        When nothing can be identified. Also when the search did not converge, or was interrupted
+        (:class:`Interrupted`): what it has is then written first, marked so.
+    """
+    with recorded(repeat=True) as notices:
+        experiment = swimmer.load(
+            trials_file, readings=readings, channels=channels, start_state=start_state, max_step=max_step
+        )
+        prepare(progress)
+        model = _tied(experiment.model, share)
+        parameters = model.parameters if begin is None else _begun(model.parameters, begin, share)
+        choices = fit_common.prepare(
+            experiment,
+            output,
+            parameters=parameters,
+            fixed=fixed,
+            freed=freed,
+            bounds=bounds,
+            also=[begin] if begin else [],
+        )
+        origin = provenance.collect(
+            [*experiment.inputs, *(p for p in (begin, options.front) if p is not None)],
+            settings={
+                "fixed": dict(fixed or {}),
+                "freed": list(freed),
+                "bounds": {k: list(v) for k, v in (bounds or {}).items()},
+                "share": list(share),
+                "channels": list(channels),
+                "start_state": start_state,
+                "loss": loss,
+                "starts": starts,
+                "seed": seed,
+                "subset": subset,
+                "readings": dict(readings or {}),
+                "max_step_s": max_step,
+                "method": method,
+                **(options.settings() if method != "least-squares" else {}),
+            },
+        )
+        found: Found | None = None
+        stages: dict[str, FitResult | None] = {}
+        ends: list[multistart.Start] = []
+        if method == "least-squares":
+            result, ends = _least_squares(
+                model, experiment.trials, choices, None, starts, seed, jobs, loss, progress
+            )
+        else:
+            profiles = Profiles(
+                model, choices, experiment.trials, front.profiled(experiment.facts["profiles"], options),
+                scales=options.scales, band=options.band, jobs=jobs or os.cpu_count() or 1,
+            )  # fmt: skip
+            keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
+            found = front.search(profiles, options, seed=seed, checkpoint=keep, progress=progress)
+            result = _picked(model, experiment.trials, choices, found, jobs)
+            stages = {front.UNTUNED: _untuned(model, experiment.trials, choices, profiles, jobs)}
+            stages[front.CHOSEN] = start_states.with_held_out(result)
+            if method == "hybrid":
+                begins = found.begins(starts)
+                result, ends = _least_squares(
+                    model, experiment.trials, choices, begins, starts, seed, jobs, loss, progress
+                )
+        left_out: list[str] = []
+        if subset and result.converged:
+            result = _starting_here(result, experiment)
+            result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
+        result = start_states.with_held_out(result)
+        if method == "hybrid":
+            stages[front.AFTER] = result
+        file = _file(experiment, result, origin, left_out, output, trials_file, readings, method)
+        checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
+        if ends:
+            checks.append(fit_graybox_evidence.starts_check(ends))
+        if found is not None:
+            found.profiles.close()
+    tables = fit_graybox_evidence.tables(experiment, result, ends)
+    figures = [*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)]
+    methods = fit_graybox_evidence.methods(experiment, result, ends, left_out, method)
+    if found is not None:
+        tables = [front.stages_table(found, stages), front.choices_table(found), *tables]
+        figures = [*front.figures(found, stages), *figures]
+        methods = [*front.methods(found, options, method, seed), *methods]
+    evidence = ev.Evidence(
+        verb="fit-graybox",
+        title=f"Gray-box identification of {experiment.robot.name}",
+        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        checks=checks,
+        tables=tables,
+        figures=figures,
+        notices=fit_common.notices(notices),
+        methods=methods,
+        references=list(experiment.robot.sources),
+        provenance=origin,
+    )
+    outputs = fit_common.save(output, file, evidence)
+    if found is not None and output is not None:
+        outputs += front.save(output, found, options)
+        keep.done()
+    if result.interrupted or 0 < len(ends) < starts:
+        stopped = (
+            result.message if result.interrupted else f"interrupted after {len(ends)} of {starts} starts"
+        )
+        kept = f"the best point so far is in {output}" if output else "nothing was written"
+        raise Interrupted(
+            f"{stopped}; {kept}", hint=f"--start-from {output} goes on from there" if output else None
+        )
+    if not result.converged:
+        kept = f"; what it came to is in {output}, marked so" if output else ""
+        params = f" --params {output}" if output else ""
+        raise NoTrustworthyResult(
+            f"the fit did not converge: {result.message}{kept}",
+            hint="the model may lack an effect, which its coefficients cannot stand in for: "
+            f"swimid diagnose {trials_file}{params} -o gap.yaml; if not, check units and trial settings",
+        )
+    shared = [label for label in result.labels if "[" not in label]
+    if shared and all(result.status[label] == "unidentifiable" for label in shared) and not file.derived:
+        raise NoTrustworthyResult(
+            f"none of {', '.join(shared)} can be identified from these trials",
+            hint="use longer and more different trials, or fix what is known with --fix",
+        )
+    summary = "\n".join(
+        [
+            f"{experiment.robot.name}: {len(result.trials)} trials, {result.samples} samples, "
+            f"{', '.join(result.noise)}",
+            fit_common.summary_rows(fit_common.brief(file)),
+            *(f"  {line}" for line in file.identifiability),
+            *fit_graybox_evidence.scores(file),
+            *(front.summary(found, options, outputs) if found is not None else []),
+            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            *_next(checks, trials_file, output),
+        ]
+    )
+    return Outcome("fit-graybox", summary, file.model_dump(mode="json"), outputs)
+
+
+def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | None) -> list[str]:
+    """What to do about residuals that are more than noise."""
+    if not any(
+        c.verdict == "warn" and c.name.startswith(("white", "trials agree", "inside")) for c in checks
+    ):
+        return []
+    params = f" --params {output}" if output else ""
+    return [f"next: swimid diagnose {trials_file}{params} says whether the model lacks an effect, and which"]
+
+
+def _least_squares(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    begins: Sequence[Array] | None,
+    starts: int,
+    seed: int,
+    jobs: int | None,
+    loss: output_error.Loss,
+    progress: Progress,
+) -> tuple[FitResult, list[multistart.Start]]:
+    """The output-error fit, and its starts where there were several."""
+    starts = max(starts, len(begins or []))
+    if starts > 1:
+        # where no start converges, what the first one comes to is told as that of a single one is
+        with suppress(NoTrustworthyResult):
+            return multistart.multistart(
+                model, trials, parameters,
+                starts=starts, seed=seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
+            )  # fmt: skip
+    begin = None if begins is None else begins[0]
+    found = output_error.fit(
+        model, trials,
+        parameters=parameters, jobs=jobs, loss=loss, begin=begin, unfinished=True, progress=progress,
+    )  # fmt: skip
+    return found, []
+
+
+def _picked(
+    model: Model, trials: Sequence[Trial], parameters: tuple[Parameter, ...], found: Found, jobs: int | None
+) -> FitResult:
+    """The point chosen on the front, with the errors of the model made linear there."""
+    theta = found.profiles.theta(found.point)
+    result = output_error.at(model, trials, theta, parameters=parameters, jobs=jobs)
+    return replace(result, message=f"point {found.chosen} of the front; standard errors are local to it")
+
+
+def _untuned(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    profiles: Profiles,
+    jobs: int | None,
+) -> FitResult | None:
+    """The start values, for comparison; None where they cannot be simulated."""
+    try:
+        begin = profiles.theta(profiles.start)
+        return start_states.with_held_out(
+            output_error.at(model, trials, begin, parameters=parameters, jobs=jobs)
+        )
+    except NoTrustworthyResult:
+        return None
+
+
+def _tied(model: Model, share: Sequence[str]) -> Model:
+    groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
+    return Tied(model, groups) if groups else model
+
+
+def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
+    """The same with the estimates as start values: what a subset leaves out is held at them.
+
+    Held where a search starts, often the middle of the bounds, it would pull all others off. An
+    estimate that ran into a bound is no value to hold either: the robot file's is taken then.
+    """
+    known = body_of(experiment.robot).coefficients
+
+    def moved(p: Parameter) -> Parameter:
+        if p.per_trial:
+            return p
+        value = result.value(p.name)
+        margin = 1e-3 * p.scale
+        if p.name in known and (value - p.lower < margin or p.upper - value < margin):
+            value = known[p.name].value
+        return replace(p, start=value)
+
+    return replace(result, parameters=tuple(moved(p) for p in result.parameters))
+
+
+def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) -> tuple[Parameter, ...]:
+    """The parameters starting from a file's values; a shared one from its members' mean."""
+    file = parameters_format.read(path, model=("multilink", "multibody"))
+    found = []
+    for parameter in parameters:
+        members = [parameter.name]
+        if parameter.name in share:
+            members = [n for n in file.parameters if n.removeprefix(parameter.name).isdigit()]
+        known = [file.parameters[n].value for n in members if n in file.parameters]
+        if known and not parameter.per_trial:
+            value = float(np.clip(np.mean(known), parameter.lower, parameter.upper))
+            parameter = replace(parameter, start=value)
+        found.append(parameter)
+    if not any(p.name in file.parameters for p in parameters):
+        raise InputError("holds none of this robot's coefficients", file=path)
+    return tuple(found)
+
+
+def _file(
+    experiment: Experiment,
+    result: FitResult,
+    origin: dict[str, Any],
+    left_out: list[str],
+    output: Path | None,
+    trials_file: str | Path,
+    readings: Mapping[str, str] | None,
+    method: Method,
+) -> ParameterFile:
+    settings: dict[str, Any] = {}
+    if readings:
+        settings["readings"] = dict(readings)
+    model = result.model
+    if isinstance(model, Tied):
+        settings["shared"] = {name: list(members) for name, members in model.groups.items()}
+    if left_out:
+        settings["fixed_as_unidentifiable"] = left_out
+    file = fit_common.parameter_file(
+        result,
+        robot=_robot_reference(experiment, trials_file, output),
+        provenance=origin,
+        settings=settings,
+        method="point of a Pareto front" if method == "nsga2" else f"output error, {result.loss} loss",
+        unfinished=True,
+    )
+    parameters = file.parameters
+    if isinstance(model, Tied):
+        parameters = model.expanded(parameters)
+    return file.model_copy(update={"parameters": parameters})
+
+
+def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Path | None) -> str:
+    """The robot as the parameter file names it: built in, or a path relative to that file."""
+    name, path = experiment.robot.name, experiment.inputs[1].resolve()
+    if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
+        return name
+    folder = output.parent if output else Path(trials_file).parent
+    return Path(os.path.relpath(path, folder.resolve())).as_posix()

@@ -1,0 +1,234 @@
+"""What ``fit-graybox`` shows of a fit: paths, starts, errors of every trial, how it was done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from swimid.fitting import identifiability, metrics, multistart
+from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_result import FitResult, Series
+from swimid.fitting.tied import Tied
+from swimid.logs.beat import find_beat
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.parameters import ParameterFile
+from swimid.robots.file import Robot
+from swimid.robots.planar import Multilink
+from swimid.robots.spatial import Multibody
+from swimid.swimmer.planar.drive import Beat as Drive
+from swimid.swimmer.planar.model import DEFAULT_STEP, PLANES
+
+#: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
+BEAT_HARMONICS = 3.5
+
+
+def body_of(robot: Robot) -> Multilink | Multibody:
+    """The links of a robot: in space where its file says how, else in its plane."""
+    body = robot.multibody or robot.multilink
+    assert body is not None
+    return body
+
+
+def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
+    """The paths in the plane of motion, where the pose was fitted; in space from above and from the side."""
+    body = body_of(experiment.robot)
+    if isinstance(body, Multilink):
+        across, along = PLANES[body.plane].pose[:2]
+        return _path(result, across, along, "from above" if body.plane == "horizontal" else "from the side")
+    return [*_path(result, "x_m", "z_m", "from the side"), *_path(result, "x_m", "y_m", "from above")]
+
+
+def _path(result: FitResult, across: str, along: str, view: str) -> list[ev.Figure]:
+    traces = []
+    for group, trial in enumerate(t.id for t in result.trials):
+        series = {s.channel: s for s in result.series if s.trial == trial}
+        if across not in series or along not in series:
+            continue
+        held_out = ", held out" if series[across].role == "validate" else ""
+        for style, part in (("points", "measured"), ("line" if not held_out else "dashed", "simulated")):
+            x, y = getattr(series[across], part), getattr(series[along], part)
+            step = max(len(x) // 200, 1) if style == "points" else 1
+            label = f"{trial}{held_out}" if style == "points" else ""
+            traces.append(ev.Trace(x=x[::step], y=y[::step], style=style, label=label, group=group))
+    if not traces:
+        return []
+    panel = ev.Panel(
+        x_label=f"{across[:-2]} (m)", y_label=f"{along[:-2]} (m)", traces=traces, equal_aspect=True
+    )
+    return [
+        ev.Figure(
+            id="track" if view == "from above" else "track-side",
+            title=f"Paths {view}",
+            caption="Points are measured, lines simulated with the estimated parameters.",
+            panels=[panel],
+        )
+    ]
+
+
+def starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
+    """How many starts end in the minimum that is reported."""
+    agree = multistart.agreeing(ends)
+    return ev.Check(
+        name="one minimum",
+        value=f"{agree} of {len(ends)} starts end in it",
+        limit="every start",
+        verdict="pass" if agree == len(ends) else "warn",
+        text="the other starts end higher; the lowest is reported" if agree < len(ends) else "",
+    )
+
+
+def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
+    """Errors of every trial, what is known best, the starts, and how the source was read."""
+    tables = [_metrics_table(result)]
+    ranking = identifiability.ranked(result)
+    if len(ranking) > 1:
+        tables.append(
+            ev.Table(
+                id="ranking",
+                title="What the trials know best",
+                columns=["parameter", "share of its own", "status"],
+                rows=[[label, round(share, 4), result.status[label]] for label, share in ranking],
+                caption="From the best to the least identifiable parameter. The share is the part of the "
+                "trials' sensitivity to it that those above it, and the start states, cannot imitate.",
+            )
+        )
+    if ends:
+        tables.append(
+            ev.Table(
+                id="starts",
+                title="Starts",
+                columns=["start", "converged", "cost"],
+                rows=[[k + 1, end.converged, float(end.cost)] for k, end in enumerate(ends)],
+                caption="The cost is the mean squared residual, averaged geometrically over the channels.",
+            )
+        )
+    readings = experiment.robot.readings
+    if readings:
+        tables.append(
+            ev.Table(
+                id="readings",
+                title="How the source was read",
+                columns=["reading", "question", "chosen", "meaning"],
+                rows=[[k, r.question, r.chosen, r.options[r.chosen].says] for k, r in readings.items()],
+                caption="Other readings are options of the robot file (--reading NAME=OPTION).",
+            )
+        )
+    return tables
+
+
+def _metrics_table(result: FitResult) -> ev.Table:
+    rows: list[list[Any]] = []
+    units = {c.name: c.unit for c in result.model.channels}
+    drives = {t.id: t.settings.get("beat") for t in result.trials}
+    for s in result.series:
+        score = metrics.score(s.measured, s.simulated)
+        _, relative = metrics.peak_error(s.measured, s.simulated)
+        rows.append(
+            [
+                s.trial,
+                "held out" if s.role == "validate" else "fit",
+                s.channel,
+                numbers.number(score.rmse, 3, units[s.channel]),
+                numbers.percent(score.nrmse),
+                numbers.number(100 * score.vaf, 4, "%"),
+                numbers.number(100 * relative, 3, "%"),
+                numbers.number(_dtw(s), 3, units[s.channel]),
+                _phase(s, drives[s.trial]),
+            ]
+        )
+    return ev.Table(
+        id="metrics",
+        title="Errors of every trial",
+        columns=[
+            "trial",
+            "role",
+            "channel",
+            "RMSE",
+            "NRMSE",
+            "VAF",
+            "peak error",
+            "DTW distance",
+            "phase error",
+        ],
+        rows=rows,
+        caption="NRMSE is over the measured range (tendon fish, Eq 13); the peak error is the difference of "
+        "the largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
+        "within 5 % of the record; the phase error is taken at the beat.",
+    )
+
+
+def _dtw(s: Series) -> float:
+    return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
+
+
+def _phase(s: Series, drive: Drive | None) -> str:
+    there = np.isfinite(s.measured)
+    highest = None
+    if drive is not None and there.sum() > 1:
+        rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
+        highest = min(BEAT_HARMONICS * drive.frequency_hz, 0.45 * rate)
+    beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
+    if beat is None:
+        return ""
+    error = metrics.phase_error(s.measured, s.simulated, s.time_s, frequency_hz=beat.frequency_hz)
+    return numbers.number(float(np.degrees(error)), 2, "deg")
+
+
+def methods(
+    experiment: Experiment,
+    result: FitResult,
+    ends: Sequence[multistart.Start],
+    left_out: list[str],
+    method: str,
+) -> list[str]:
+    """How it was done, in sentences."""
+    fitted = [t for t in result.trials if t.role == "fit"]
+    names = [label for label in result.labels if "[" not in label]
+    body = body_of(experiment.robot)
+    kind = "planar model" if isinstance(body, Multilink) else "model in space"
+    model = result.model.model if isinstance(result.model, Tied) else result.model
+    by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
+    said = [
+        f"{', '.join(names)} were estimated from {len(fitted)} {experiment.name} trials ({result.samples} "
+        f"samples of {', '.join(result.noise)}) by {by} with a {kind} of "
+        f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
+        f"{1e3 * getattr(model, 'max_step', DEFAULT_STEP):g} ms; halving them changes no sample by more than "
+        f"{result.step_error:.2g} standard deviations of its noise.",
+        "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
+        "accounted for.",
+    ]
+    if result.loss == "huber":
+        said.append("Huber's loss was used.")
+    if ends:
+        said.append(
+            f"{multistart.agreeing(ends)} of {len(ends)} starts, "
+            f"{'on the front' if method == 'hybrid' else 'drawn evenly within the bounds'}, end in the "
+            "reported minimum."
+        )
+    if left_out:
+        said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")
+    if any("[" in label for label in result.labels):
+        kinds = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
+        said.append(
+            f"Each trial has its own {', '.join(kinds)}; on held-out trials these are estimated with the "
+            "rest held."
+        )
+    return said
+
+
+def scores(file: ParameterFile) -> list[str]:
+    """Errors by channel, for the terminal."""
+    assert file.fit is not None
+    lines = []
+    for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
+        for channel, score in block.items():
+            rmse, nrmse = (
+                numbers.number(score["rmse"], 3, score["unit"]),
+                numbers.percent(score["nrmse"]),
+            )
+            vaf = numbers.number(100 * score["vaf"], 4)
+            lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse}, VAF {vaf} %")
+    return lines

@@ -1,0 +1,278 @@
+"""From a robot file's links, joints and elements to the checked tables the engine reads."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.fitting.model import Array
+from swimid.robots.file import Fluid
+from swimid.robots.planar import Driven, Joint, Link, Multilink
+from swimid.swimmer import tree
+from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.elements import Row, Tables, adders
+from swimid.swimmer.polynomial import Polynomial, Table
+
+#: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
+GYRATION = (0.02, 5.0)
+#: So is a link heavier than a block of this density, kg/m3, its own length and as wide and high as the
+#: robot is long (solid lead has 11340).
+DENSEST = 5000.0
+#: A length may not exceed this times the robot's, an area this times its square.
+FAR = 3.0
+#: Keys that hold lengths, and keys of elements whose quantity has only one sign.
+LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
+LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume|mass_kg_m")
+#: What of a passive joint's law has only one sign, and its column in the engine's table.
+ONE_SIGN = {
+    "stiffness_N_m_rad": 0,
+    "damping_N_m_s_rad": 2,
+    "quadratic_damping_N_m_s2_rad2": 3,
+    "tendon.spring_N_m": 5,
+    "friction_N_m": 9,
+}
+#: The element tables, in the order of :func:`engine.integrate`.
+ELEMENTS = (
+    ("drag", engine.DRAG),
+    ("foil", engine.FOIL),
+    ("force", engine.FORCE),
+    ("wake", engine.WAKE),
+)
+#: A number beyond this is a slip of the pen.
+HUGE = 1e15
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A joint that moves: its number among the driven or the passive ones, and its column in a log."""
+
+    joint: Joint
+    column: str
+    link: int
+
+    @property
+    def name(self) -> str:
+        """Of the joint."""
+        return self.joint.name
+
+    @property
+    def driven(self) -> Driven | None:
+        """How it follows the drive."""
+        return self.joint.driven
+
+
+class Assembly:
+    """A robot's tree, checked, with its tables as functions of the coefficients.
+
+    Parameters
+    ----------
+    body : Multilink
+    fluid : Fluid
+
+    Attributes
+    ----------
+    names : list of str
+        Coefficients, in the order of the values given to :meth:`tables`.
+    links : list of Link
+        Parents before children; the first is the base.
+    driven, passive : list of Axis
+    topology : ndarray of int, shape (links, 3)
+        Parent, driven joint and passive joint of each link, -1 for none.
+
+    Raises
+    ------
+    InputError
+        With the dotted path of what is wrong: unknown or repeated names, a link without or with
+        two joints, a cycle, an element on a link that is not there, masses and inertias that no
+        body has.
+    """
+
+    def __init__(self, body: Multilink, fluid: Fluid) -> None:
+        self.body = body
+        self.names = list(body.coefficients)
+        tree.check_names(body, "multilink")
+        self.links, joints = tree.ordered(body, "multilink")
+        index = {link.name: i for i, link in enumerate(self.links)}
+        moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
+        columns = {j.name: f"joint{k + 1}_rad" for k, j in enumerate(moving)}
+        self.driven = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.driven is not None]
+        self.passive = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.passive is not None]
+        self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
+        for i in range(1, len(self.links)):
+            self.topology[i, 0] = index[joints[i].parent]  # type: ignore[union-attr]
+        for k, axis in enumerate(self.driven):
+            self.topology[axis.link, 1] = k
+        for k, axis in enumerate(self.passive):
+            self.topology[axis.link, 2] = k
+        self.free_base = body.base == "free"
+        if not self.free_base and not self.passive:
+            raise InputError(
+                "a robot on a fixed base without a passive joint has nothing to simulate",
+                column="multilink.base",
+            )
+        tables = Tables(
+            fluid.density_kg_m3, fluid.gravity_m_s2, index, [[0.0] * len(engine.INERTIA) for _ in self.links]
+        )
+        for link in self.links:
+            _add_rigid(link, tables)
+        rigid = [list(row) for row in tables.inertia]
+        kinds = adders()
+        for element in body.elements:
+            kinds[element.kind](element, self.links[index[element.link]], tables)
+        self.world_forces = any(row[4] == 1.0 for _, row in tables.force)
+        self._joint = Table([_place(j, self.links, index) for j in joints], len(engine.JOINT), self.names)
+        self._rigid = Table(rigid, len(engine.INERTIA), self.names)
+        self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
+        self._passive = Table([_law(a.joint) for a in self.passive], len(engine.PASSIVE), self.names)
+        self._elements = tree.element_tables(tables, ELEMENTS, self.names)
+        self.check(np.array([c.value for c in body.coefficients.values()]))
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom n: 3 of the base and one per passive joint."""
+        return 3 + len(self.passive)
+
+    def tables(self, values: Array) -> dict[str, Any]:
+        """The arguments of :func:`engine.integrate` from ``topology`` on, by their names.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(names),)
+        """
+        found: dict[str, Any] = {
+            "topology": self.topology,
+            "joint": self._joint(values),
+            "inertia": self._inertia(values),
+            "passive": self._passive(values),
+        }
+        for name, owner, table in self._elements:
+            found[f"{name}_link"], found[name] = owner, table(values)
+        found["free_base"] = self.free_base
+        return found
+
+    def check(self, values: Array) -> None:
+        """Refuse masses and inertias that no body has, and what looks like a slip of units.
+
+        Raises
+        ------
+        InputError
+        """
+        rigid, apparent = self._rigid(values), self._inertia(values)
+        _check_sizes(self.body, dict(zip(self.names, values, strict=True)))
+        span = sum(link.length_m for link in self.links)
+        for link, own, whole in zip(self.links, rigid, apparent, strict=True):
+            _check_link(link, own, span)
+            scale = np.sqrt(np.diag(_full(own)))
+            if np.linalg.eigvalsh(_full(whole) / np.outer(scale, scale)).min() <= 0:
+                raise InputError(
+                    "its apparent inertia (with added mass) is not positive definite",
+                    column=f"multilink.links.{link.name}",
+                    hint="an added mass or inertia is negative",
+                )
+        for axis, law in zip(self.passive, self._passive(values), strict=True):
+            for key, column in ONE_SIGN.items():
+                if law[column] < 0:
+                    raise InputError(
+                        f"{law[column]:g} is negative; it must not be",
+                        column=f"multilink.joints.{axis.joint.name}.passive.{key}",
+                    )
+
+
+def _check_link(link: Link, own: Array, span: float) -> None:
+    """Refuse a rigid link that no body is."""
+    where = f"multilink.links.{link.name}"
+    mass = float(own[0])
+    if mass <= 0:
+        raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
+    if mass > DENSEST * link.length_m * span**2:
+        raise InputError(
+            f"it weighs {mass:g} kg at a length of {link.length_m:g} m, in a robot {span:g} m long",
+            column=f"{where}.mass_kg",
+            hint="masses are in kg, lengths in m: is one of them in g or mm?",
+        )
+    x, y = own[4] / mass, -own[2] / mass
+    central = float(own[5] - mass * (x * x + y * y))
+    if central <= 1e-9 * mass * link.length_m**2:
+        shift = f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end"
+        raise InputError(
+            f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
+            column=f"{where}.inertia_kg_m2",
+            hint=f"the file says it is about the front end: {shift}"
+            if link.inertia_about == "front"
+            else None,
+        )
+    radius = math.sqrt(central / mass)
+    if not GYRATION[0] <= radius / link.length_m <= GYRATION[1]:
+        raise InputError(
+            f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
+            f"{1e3 * radius:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
+            column=f"{where}.inertia_kg_m2",
+            hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
+        )
+
+
+def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
+    """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
+    span = sum(link.length_m for link in body.links)
+    for path, quantity in tree.quantities(body, "multilink"):
+        number = Polynomial.of(quantity).at(values)
+        key = path.rsplit(".", 1)[-1]
+        if not abs(number) < HUGE:
+            raise InputError(f"{number:g} is out of all proportion", column=path)
+        power = 2 if key.endswith("area_m2") else 1 if LENGTH.fullmatch(key) else 0
+        if power and abs(number) > FAR * span**power:
+            unit = ("m", "m2")[power - 1]
+            raise InputError(
+                f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
+                column=path,
+                hint=f"lengths are in m, areas in m2: is it in {'mm' if power == 1 else 'cm2'}?",
+            )
+        if number < 0 and LOSS.search(key) and path.startswith("multilink.elements"):
+            raise InputError(f"{number:g} is negative; it must not be", column=path)
+
+
+def _add_rigid(link: Link, tables: Tables) -> None:
+    mass = Polynomial.of(link.mass_kg)
+    x, y = -Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m)
+    inertia = Polynomial.of(link.inertia_kg_m2)
+    if link.inertia_about == "front":
+        inertia = inertia - mass * (x * x + y * y)
+    tables.add_inertia(link.name, x, y, mass, mass, inertia)
+
+
+def _place(joint: Joint | None, links: list[Link], index: dict[str, int]) -> Row:
+    if joint is None:
+        return [0.0, 0.0, 1.0, 0.0]
+    station = links[index[joint.parent]].length_m if joint.at_m is None else joint.at_m
+    mount = math.radians(joint.mount_deg)
+    return [-Polynomial.of(station), Polynomial.of(joint.offset_m), math.cos(mount), math.sin(mount)]
+
+
+def _law(joint: Joint) -> Row:
+    law = joint.passive
+    assert law is not None
+    tendon = law.tendon
+    wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
+    return [
+        Polynomial.of(q)
+        for q in (
+            law.stiffness_N_m_rad,
+            law.cubic_N_m_rad3,
+            law.damping_N_m_s_rad,
+            law.quadratic_damping_N_m_s2_rad2,
+            math.radians(law.rest_deg),
+            *wire,
+            law.friction_N_m,
+            law.friction_below_rad_s,
+        )
+    ]
+
+
+def _full(row: Array) -> Array:
+    a, b, c, d, e, f = row
+    return np.array([[a, b, c], [b, d, e], [c, e, f]])

@@ -1,0 +1,562 @@
+"""Planar rigid-body tree in water: compiled equations of motion and their integration.
+
+The unknowns are the base's pose and the angles of the passive joints; driven joints enter
+through their angle, rate and acceleration. Every link has one constant symmetric apparent
+inertia ``G`` over its body-frame velocity ``nu = (u, v, r)`` at its origin (rigid body plus added
+mass); its momentum is ``P = G nu`` and the wrench that moves it, by Kirchhoff's equations,
+
+    ``f = G nu' + (-r P_y, r P_x, u P_y - v P_x)``.
+
+A pass from the base outwards gives velocities, accelerations and wrenches with the unknown
+accelerations at zero (recursive Newton-Euler); a pass back sums them and the composite
+inertias; one LDL^T factorisation gives the accelerations. This equals the Lagrange equations of
+the tendon fish (Eqs 1, 2, 5) and of the dolphin (Eqs 3, 6).
+
+State of a robot with p passive joints, n = 3 + p:
+``(x, y, theta, passive angles.., u, v, r, passive rates..)``, the pose in the world, the velocity
+in the base's own frame. Nothing here checks an index: :mod:`swimid.swimmer.planar.assembly`
+has done so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+
+from swimid.fitting.hooks import MOST_FORCES, Force, no_force
+
+#: Columns of the tables the kernels read.
+TOPOLOGY = ("parent", "driven", "passive")
+JOINT = ("x", "y", "cos_mount", "sin_mount")
+INERTIA = ("uu", "uv", "ur", "vv", "vr", "rr")
+PASSIVE = (
+    "stiffness",
+    "cubic",
+    "damping",
+    "quadratic_damping",
+    "rest",
+    "spring",
+    "pretension",
+    "arm",
+    "crank",
+    "friction",
+    "friction_below",
+)
+DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
+FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
+FORCE = ("x", "y", "force_x", "force_y", "world")
+WAKE = ("x", "y", "half_mass")
+#: A state farther out than this has broken down.
+BROKEN = 1e6
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-untyped-def]
+    """Torque of a wire and spring that pull a joint straight, N m.
+
+    Parameters
+    ----------
+    angle : float, rad
+    spring : float, N/m
+        K_t.
+    pretension : float, m
+        d_p, elongation at zero angle.
+    arm, crank : float, m
+        l_3 and l_ps; the crank must be the shorter.
+
+    Returns
+    -------
+    float
+        ``-dE/dphi`` of the tendon fish's Eqs 3 and 4.
+
+    Notes
+    -----
+    With ``D = sqrt(l_3^2 + l_ps^2 - 2 l_3 l_ps cos phi)`` and ``d_t = D - l_3 + l_ps`` it is
+    ``-K_t (d_p + d_t) l_3 l_ps sin(phi) / D``. Eq 11 is the same when its garbled argument is
+    read as ``arccos((l_3 - l_cr cos phi) / D)``.
+    """
+    distance = math.sqrt(arm * arm + crank * crank - 2.0 * arm * crank * math.cos(angle))
+    stretch = distance - arm + crank
+    return -spring * (pretension + stretch) * arm * crank * math.sin(angle) / distance
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
+    """Torque of passive joint ``k``, N m, at an angle (rad) and rate (rad/s); columns :data:`PASSIVE`."""
+    off = angle - passive[k, 4]
+    torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
+    torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
+    if passive[k, 9] != 0.0:
+        torque -= passive[k, 9] * w / math.sqrt(w * w + passive[k, 10] * passive[k, 10])
+    if passive[k, 5] != 0.0:
+        torque += tendon_torque(angle, passive[k, 5], passive[k, 6], passive[k, 7], passive[k, 8])
+    return torque
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
+    """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
+    n = len(state) // 2
+    for i in range(topology.shape[0]):
+        if i == 0:
+            c, s = 1.0, 0.0
+            u, v, r = state[n], state[n + 1], state[n + 2]
+            du, dv, dr = 0.0, 0.0, 0.0
+            work[0, 17], work[0, 18] = math.cos(state[2]), math.sin(state[2])
+        else:
+            p, d, k = topology[i, 0], topology[i, 1], topology[i, 2]
+            if d >= 0:
+                w, dw = row[d, 1], row[d, 2]
+                c, s = row[d, 3], row[d, 4]
+            elif k >= 0:
+                w, dw = state[n + 3 + k], 0.0
+                ca, sa = math.cos(state[3 + k]), math.sin(state[3 + k])
+                c = ca * joint[i, 2] - sa * joint[i, 3]
+                s = sa * joint[i, 2] + ca * joint[i, 3]
+            else:
+                w, dw = 0.0, 0.0
+                c, s = joint[i, 2], joint[i, 3]
+            jx, jy = joint[i, 0], joint[i, 1]
+            pr, pdr = work[p, 4], work[p, 7]
+            a, b = work[p, 2] - pr * jy, work[p, 3] + pr * jx
+            da, db = work[p, 5] - pdr * jy, work[p, 6] + pdr * jx
+            u, v, r = c * a + s * b, c * b - s * a, pr + w
+            du, dv, dr = c * da + s * db + w * v, c * db - s * da - w * u, pdr + dw
+            work[i, 17] = work[p, 17] * c - work[p, 18] * s
+            work[i, 18] = work[p, 18] * c + work[p, 17] * s
+        g0, g1, g2 = inertia[i, 0], inertia[i, 1], inertia[i, 2]
+        g3, g4, g5 = inertia[i, 3], inertia[i, 4], inertia[i, 5]
+        px = g0 * u + g1 * v + g2 * r
+        py = g1 * u + g3 * v + g4 * r
+        work[i, 0], work[i, 1] = c, s
+        work[i, 2], work[i, 3], work[i, 4] = u, v, r
+        work[i, 5], work[i, 6], work[i, 7] = du, dv, dr
+        work[i, 8] = g0 * du + g1 * dv + g2 * dr - r * py
+        work[i, 9] = g1 * du + g3 * dv + g4 * dr + r * px
+        work[i, 10] = g2 * du + g4 * dv + g5 * dr + u * py - v * px
+        work[i, 11], work[i, 12], work[i, 13] = g0, g1, g2
+        work[i, 14], work[i, 15], work[i, 16] = g3, g4, g5
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
+    """A force at a point of link ``i`` lessens the wrench its motion needs."""
+    work[i, 8] -= fx
+    work[i, 9] -= fy
+    work[i, 10] -= x * fy - y * fx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
+    """Morison drag at points, and damping of rotation."""
+    for e in range(drag.shape[0]):
+        i = drag_link[e]
+        r = work[i, 4]
+        x, y = drag[e, 0], drag[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        fx = -(drag[e, 2] * abs(vx) + drag[e, 4]) * vx
+        fy = -(drag[e, 3] * abs(vy) + drag[e, 5]) * vy
+        _push(work, i, x, y, fx, fy)
+        work[i, 10] += (drag[e, 6] * abs(r) + drag[e, 7]) * r
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
+    """Lift against and drag along the motion of a fin's point."""
+    for e in range(foil.shape[0]):
+        i = foil_link[e]
+        r = work[i, 4]
+        x, y = foil[e, 0], foil[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        square = vx * vx + vy * vy
+        if square > 0.0:
+            speed = math.sqrt(square)
+            along = vx * foil[e, 6] + vy * foil[e, 7]
+            across = vy * foil[e, 6] - vx * foil[e, 7]
+            lift = 2.0 * foil[e, 3] * along * across / square
+            drag_coefficient = foil[e, 4] + 2.0 * foil[e, 5] * across * across / square
+            push = foil[e, 2] * speed
+            fx = push * (lift * vy - drag_coefficient * vx)
+            fy = push * (-lift * vx - drag_coefficient * vy)
+            _push(work, i, x, y, fx, fy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
+    """Constant forces, in a link's axes or in the world's."""
+    for e in range(force.shape[0]):
+        i = force_link[e]
+        x, y = force[e, 0], force[e, 1]
+        fx, fy = force[e, 2], force[e, 3]
+        if force[e, 4] != 0.0:
+            c, s = work[i, 17], work[i, 18]
+            fx, fy = c * fx + s * fy, c * fy - s * fx
+        _push(work, i, x, y, fx, fy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
+    """Momentum shed at trailing edges; an edge that moves backwards sheds none."""
+    for e in range(wake.shape[0]):
+        i = wake_link[e]
+        r = work[i, 4]
+        x, y = wake[e, 0], wake[e, 1]
+        vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
+        _push(work, i, x, y, wake[e, 2] * vy * vy, -2.0 * wake[e, 2] * max(vx, 0.0) * vy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
+    """Forces of functions from outside (:class:`swimid.fitting.hooks.Force`)."""
+    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
+    for e in range(len(links)):
+        i = links[e]
+        x, y = places[e, 0], places[e, 1]
+        r = work[i, 4]
+        velocity[0], velocity[1], velocity[2] = work[i, 2] - r * y, work[i, 3] + r * x, r
+        c, s = work[0, 17], work[0, 18]
+        a, b = state[0] + c * frame[4] - s * frame[5], state[1] + s * frame[4] + c * frame[5]
+        pose[0] = frame[0] + frame[2] * a - frame[3] * b
+        pose[1] = frame[1] + frame[3] * a + frame[2] * b
+        # the link's heading, continuous: that of the base and what the joints add
+        turn = math.atan2(work[i, 18] * c - work[i, 17] * s, work[i, 17] * c + work[i, 18] * s)
+        pose[2] = frame[6] + state[2] + turn
+        wrench[:] = 0.0
+        own = constants[ends[e] : ends[e + 1]]
+        if e == 0:
+            first(time, pose, velocity, own, wrench)
+        elif e == 1:
+            second(time, pose, velocity, own, wrench)
+        elif e == 2:
+            third(time, pose, velocity, own, wrench)
+        else:
+            fourth(time, pose, velocity, own, wrench)
+        _push(work, i, x, y, wrench[0], wrench[1])
+        work[i, 10] -= wrench[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
+    """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
+    hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
+    at = i
+    while at > 0:
+        c, s = work[at, 0], work[at, 1]
+        hx, hy = c * hx - s * hy, s * hx + c * hy
+        hm += joint[at, 0] * hy - joint[at, 1] * hx
+        at = topology[at, 0]
+        other = topology[at, 2]
+        if at > 0 and other >= 0:
+            matrix[3 + k, 3 + other] = hm
+            matrix[3 + other, 3 + k] = hm
+    matrix[3 + k, 0], matrix[3 + k, 1], matrix[3 + k, 2] = hx, hy, hm
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
+    """Add a link's wrench and composite inertia to its parent's, in the parent's axes."""
+    c, s = work[i, 0], work[i, 1]
+    jx, jy = joint[i, 0], joint[i, 1]
+    fx, fy = work[i, 8], work[i, 9]
+    gx, gy = c * fx - s * fy, s * fx + c * fy
+    work[p, 8] += gx
+    work[p, 9] += gy
+    work[p, 10] += work[i, 10] + jx * gy - jy * gx
+    # G in the parent's axes, then about the parent's origin
+    a0, a1, a3 = work[i, 11], work[i, 12], work[i, 14]
+    b0 = c * c * a0 - 2.0 * c * s * a1 + s * s * a3
+    b1 = c * s * (a0 - a3) + (c * c - s * s) * a1
+    b3 = s * s * a0 + 2.0 * c * s * a1 + c * c * a3
+    b2 = c * work[i, 13] - s * work[i, 15]
+    b4 = s * work[i, 13] + c * work[i, 15]
+    h2, h4 = b2 - b0 * jy + b1 * jx, b4 - b1 * jy + b3 * jx
+    work[p, 11] += b0
+    work[p, 12] += b1
+    work[p, 13] += h2
+    work[p, 14] += b3
+    work[p, 15] += h4
+    work[p, 16] += work[i, 16] - jy * (h2 + b2) + jx * (h4 + b4)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
+    """Sums of wrenches and composite inertias; the passive joints' rows of the equations."""
+    n = len(state) // 2
+    # joints on different branches do not meet; the last factorisation has filled their entries
+    for k in range(3, n):
+        for m in range(3, k):
+            matrix[k, m] = 0.0
+    for i in range(topology.shape[0] - 1, 0, -1):
+        k = topology[i, 2]
+        if k >= 0:
+            torque = passive_torque(passive, k, state[3 + k], state[n + 3 + k])
+            right[3 + k] = torque - work[i, 10]
+            matrix[3 + k, 3 + k] = work[i, 16]
+            _coupling(i, k, topology, joint, work, matrix)
+        _to_parent(i, topology[i, 0], joint, work)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def solve(matrix, right, first):  # type: ignore[no-untyped-def]
+    """Solve for the accelerations from row ``first`` on, by LDL^T in the lower triangle."""
+    n = len(right)
+    for j in range(first, n):
+        pivot = matrix[j, j]
+        for m in range(first, j):
+            pivot -= matrix[j, m] * matrix[j, m] * matrix[m, m]
+        matrix[j, j] = pivot if pivot > 0.0 else math.nan
+        for i in range(j + 1, n):
+            entry = matrix[i, j]
+            for m in range(first, j):
+                entry -= matrix[i, m] * matrix[j, m] * matrix[m, m]
+            matrix[i, j] = entry / pivot
+    for i in range(first, n):
+        for m in range(first, i):
+            right[i] -= matrix[i, m] * right[m]
+    for i in range(n - 1, first - 1, -1):
+        right[i] /= matrix[i, i]
+        for m in range(i + 1, n):
+            right[i] -= matrix[m, i] * right[m]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def derivative(  # type: ignore[no-untyped-def]
+    state,
+    row,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+    forced,
+    time,
+    work,
+    matrix,
+    right,
+    rate,
+):
+    """Rate of the state, written into ``rate``.
+
+    Parameters
+    ----------
+    state, rate : ndarray, shape (2 n,)
+    row : ndarray, shape (driven joints, 5)
+        Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint.
+    topology : ndarray of int, shape (links, 3); joint : ndarray, shape (links, 4)
+    inertia : ndarray, shape (links, 6)
+    passive : ndarray, shape (passive joints, 11)
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
+    free_base : bool
+        Whether the base moves; else it holds its pose.
+    forced : tuple or None
+        Forces from outside, as :func:`outside` packs them; None costs nothing.
+    time : float, s
+    work : ndarray, shape (links, 19)
+    matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
+        Scratch.
+    """
+    n = len(state) // 2
+    _outwards(state, row, topology, joint, inertia, work)
+    _drag(drag_link, drag, work)
+    _foils(foil_link, foil, work)
+    _forces(force_link, force, work)
+    _wakes(wake_link, wake, work)
+    if forced is not None:
+        _forced(time, state, work, forced)
+    _inwards(state, topology, joint, passive, work, matrix, right)
+    first = 3
+    if free_base:
+        first = 0
+        matrix[0, 0], matrix[1, 1], matrix[2, 2] = work[0, 11], work[0, 14], work[0, 16]
+        matrix[1, 0], matrix[2, 0], matrix[2, 1] = work[0, 12], work[0, 13], work[0, 15]
+        right[0], right[1], right[2] = -work[0, 8], -work[0, 9], -work[0, 10]
+    solve(matrix, right, first)
+    u, v = state[n], state[n + 1]
+    c, s = work[0, 17], work[0, 18]
+    rate[0] = c * u - s * v
+    rate[1] = s * u + c * v
+    for i in range(2, n):
+        rate[i] = state[n + i]
+    for i in range(n):
+        rate[n + i] = right[i] if i >= first else 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def integrate(  # type: ignore[no-untyped-def]
+    start,
+    step,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+    forced,
+    begin,
+):
+    """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
+
+    Parameters
+    ----------
+    start : ndarray, shape (2 n,)
+    step : float, s
+    table : ndarray, shape (2 steps + 1, driven joints, 5)
+        Driven joints on the half-step grid; see :func:`derivative`.
+    begin : float, s
+        Time of the first state, for the forces from outside. Given by name or left to a default, a None for
+        ``forced`` would cost half as much again: it must be an argument for the compiler to leave them out.
+    others
+        As :func:`derivative`.
+
+    Returns
+    -------
+    states, rates : ndarray, shape (steps + 1, 2 n)
+        NaN from where the motion breaks down.
+    """
+    steps = (table.shape[0] - 1) // 2
+    size = len(start)
+    n = size // 2
+    states = np.empty((steps + 1, size))
+    rates = np.empty((steps + 1, size))
+    work = np.zeros((topology.shape[0], 19))
+    matrix = np.zeros((n, n))
+    right = np.zeros(n)
+    k2, k3, k4 = np.empty(size), np.empty(size), np.empty(size)
+    trial = np.empty(size)
+    states[0] = start
+    for i in range(steps + 1):
+        here, k1 = states[i], rates[i]
+        derivative(
+            here, table[2 * i], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * i, work, matrix, right, k1,
+        )  # fmt: skip
+        largest = 0.0
+        for j in range(size):
+            largest = max(largest, abs(here[j]))
+            if not abs(k1[j]) < math.inf:
+                largest = math.inf
+        if not largest < BROKEN:
+            states[i:] = math.nan
+            rates[i:] = math.nan
+            break
+        if i == steps:
+            break
+        for j in range(size):
+            trial[j] = here[j] + 0.5 * step * k1[j]
+        derivative(
+            trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
+            right, k2,
+        )  # fmt: skip
+        for j in range(size):
+            trial[j] = here[j] + 0.5 * step * k2[j]
+        derivative(
+            trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
+            right, k3,
+        )  # fmt: skip
+        for j in range(size):
+            trial[j] = here[j] + step * k3[j]
+        derivative(
+            trial, table[2 * i + 2], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
+            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 1.0), work, matrix,
+            right, k4,
+        )  # fmt: skip
+        for j in range(size):
+            states[i + 1, j] = here[j] + step / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
+    return states, rates
+
+
+def outside(
+    forces: Sequence[Force], frame: Sequence[float], reference: tuple[float, float], links: int
+) -> tuple[Any, ...]:
+    """Forces from outside as :func:`integrate` takes them.
+
+    Parameters
+    ----------
+    forces : sequence of Force, at most :data:`swimid.fitting.hooks.MOST_FORCES`
+    frame : (x, y, heading)
+        Of the run's axes in the world.
+    reference : (x, y), m
+        The reference point in the base's axes, whose place the forces are given.
+    links : int
+        Number of links.
+    """
+    functions = [f.function for f in forces] + [no_force] * (MOST_FORCES - len(forces))
+    ends = np.concatenate(([0], np.cumsum([len(f.constants) for f in forces]))).astype(np.int64)
+    return (
+        np.array([f.link % links for f in forces], dtype=np.int64),
+        np.array([(f.x, f.y) for f in forces]).reshape(-1, 2),
+        np.concatenate([np.asarray(f.constants, dtype=float) for f in forces]),
+        ends,
+        np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]]),
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(3),
+        *functions,
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
+    """States and rates at any times of the run, by cubic Hermite interpolation.
+
+    Parameters
+    ----------
+    time : ndarray, shape (m,), s
+        Times before the run hold its first state, later ones its last.
+    begin, step : float, s
+        Time of the first state and step of the grid.
+    states, rates : ndarray, shape (steps + 1, k)
+
+    Returns
+    -------
+    values, slopes : ndarray, shape (m, k)
+        The error of the values is of fourth order in the step, as that of the integration.
+    """
+    count, size = len(time), states.shape[1]
+    values = np.empty((count, size))
+    slopes = np.empty((count, size))
+    last = states.shape[0] - 1
+    for i in range(count):
+        place = min(max((time[i] - begin) / step, 0.0), float(last))
+        k = min(int(place), max(last - 1, 0))
+        f = place - k
+        # a sample on the grid, up to rounding, is the grid's own state
+        if abs(f) < 1e-9 or abs(f - 1.0) < 1e-9 or last == 0:
+            k = min(k + int(f + 0.5), last)
+            for j in range(size):
+                values[i, j] = states[k, j]
+                slopes[i, j] = rates[k, j]
+            continue
+        h00, h10 = (1.0 + 2.0 * f) * (1.0 - f) ** 2, f * (1.0 - f) ** 2
+        h01, h11 = f * f * (3.0 - 2.0 * f), f * f * (f - 1.0)
+        d00, d10 = 6.0 * f * (f - 1.0), (1.0 - f) * (1.0 - 3.0 * f)
+        d11 = f * (3.0 * f - 2.0)
+        for j in range(size):
+            a, b = states[k, j], states[k + 1, j]
+            da, db = step * rates[k, j], step * rates[k + 1, j]
+            values[i, j] = h00 * a + h10 * da + h01 * b + h11 * db
+            slopes[i, j] = (d00 * (a - b) + d10 * da + d11 * db) / step
+    return values, slopes

@@ -1,0 +1,83 @@
+"""Apparent inertias as blocks of polynomials: masses that differ by direction, at a place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swimid.fitting.model import Array
+from swimid.swimmer.polynomial import Polynomial
+
+Quantity = Polynomial | float
+#: Rows and columns of the entries a symmetric block is stored by.
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+#: Sign of the levers in a cross product: (row, column) -> (axis, sign) of ``S(r)``, ``S(r) w = r x w``.
+LEVER = {
+    (0, 1): (2, -1.0),
+    (0, 2): (1, 1.0),
+    (1, 0): (2, 1.0),
+    (1, 2): (0, -1.0),
+    (2, 0): (1, -1.0),
+    (2, 1): (0, 1.0),
+}
+
+
+def block(
+    mass: Sequence[Sequence[Quantity]], at: Sequence[Quantity], turning: Sequence[Sequence[Quantity]]
+) -> list[Quantity]:
+    """The stored entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) of a mass at a place.
+
+    Parameters
+    ----------
+    mass : 3 by 3
+        Symmetric; momentum of the place for its velocity, kg.
+    at : 3
+        The place, m.
+    turning : 3 by 3
+        Inertia about that place, kg m2.
+
+    Returns
+    -------
+    list of 21
+        A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the
+        place is ``v - S w``.
+    """
+    m = [[Polynomial.of(e) for e in row] for row in mass]
+    lever = [[Polynomial.of(0.0)] * 3 for _ in range(3)]
+    for (r, c), (axis, sign) in LEVER.items():
+        lever[r][c] = sign * Polynomial.of(at[axis])
+    ms = _product(m, lever)
+    sms = _product(lever, ms)
+    a = [m[r][c] for r, c in UPPER]
+    b = [-ms[r][c] for r in range(3) for c in range(3)]
+    d = [Polynomial.of(turning[r][c]) - sms[r][c] for r, c in UPPER]
+    return [*a, *b, *d]
+
+
+def diagonal(values: Sequence[Quantity]) -> list[list[Quantity]]:
+    """A matrix of these values on its diagonal."""
+    return [[values[r] if r == c else 0.0 for c in range(3)] for r in range(3)]
+
+
+def along(direction: Sequence[float], size: Quantity) -> list[list[Quantity]]:
+    """A mass that only motion along a unit direction feels."""
+    unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    return [[Polynomial.of(size) * float(unit[r] * unit[c]) for c in range(3)] for r in range(3)]
+
+
+def full(row: Array) -> Array:
+    """The 6 by 6 matrix of a stored row of numbers, shape (6, 6)."""
+    a, b, d = (np.zeros((3, 3)) for _ in range(3))
+    for n, (r, c) in enumerate(UPPER):
+        a[r, c] = a[c, r] = row[n]
+        d[r, c] = d[c, r] = row[15 + n]
+    b[:] = np.asarray(row[6:15]).reshape(3, 3)
+    return np.block([[a, b], [b.T, d]])
+
+
+def _product(first: list[list[Polynomial]], second: list[list[Polynomial]]) -> list[list[Polynomial]]:
+    return [
+        [sum((first[r][k] * second[k][c] for k in range(3)), Polynomial.of(0.0)) for c in range(3)]
+        for r in range(3)
+    ]

@@ -1,0 +1,337 @@
+"""The video setup file, ``swimid-setup/1``: markers, camera and scale of one camera set-up.
+
+One file serves every video taken with the same camera and lights. ``swimid track setup``
+drafts it from a video; ``docs/tracking.md`` explains each key with an example.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from swimid.errors import InputError
+from swimid.files import yamlio
+from swimid.files.yamlio import Document
+from swimid.robots import file as robot_format
+
+FORMAT = "swimid-setup/1"
+
+_Number = Annotated[float, Field(strict=False)]
+_Positive = Annotated[float, Field(gt=0)]
+_Point = tuple[_Number, _Number]
+
+
+def _tuples(value: Any) -> Any:
+    """Lists as tuples all the way down; YAML knows lists only."""
+    return tuple(_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError(f"[{value[0]:g}, {value[1]:g}] must be [smallest, largest]")
+    return value
+
+
+_Fraction = Annotated[float, Field(ge=0, le=1)]
+_Span = Annotated[tuple[_Fraction, _Fraction], BeforeValidator(_tuples), AfterValidator(_ordered)]
+_Area = Annotated[tuple[_Positive, _Positive], BeforeValidator(_tuples), AfterValidator(_ordered)]
+_HueSpan = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=360)], Annotated[float, Field(ge=0, le=360)]],
+    BeforeValidator(_tuples),
+]
+_Points = Annotated[tuple[_Point, ...], BeforeValidator(_tuples)]
+_Box = Annotated[tuple[_Number, _Number, _Number, _Number], BeforeValidator(_tuples)]
+
+
+class HsvRange(Document):
+    """A range of colours. Hue is an angle: ``[345, 15]`` runs through red at 0."""
+
+    hue_deg: _HueSpan = (0.0, 360.0)
+    saturation: _Span = (0.0, 1.0)
+    value: _Span = (0.0, 1.0)
+
+
+class Tolerance(Document):
+    """How far a pixel may be from the reference colour."""
+
+    hue_deg: Annotated[float, Field(gt=0, le=180)] = 20.0
+    saturation: Annotated[float, Field(gt=0, le=1)] = 0.35
+    value: Annotated[float, Field(gt=0, le=1)] = 0.4
+
+
+class Marker(Document):
+    """One kind of marker: its colour, how many there are, and how large they look."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    hsv: HsvRange | None = None
+    #: ``"#rrggbb"``, with ``tolerance`` about it.
+    colour: str | None = None
+    tolerance: Tolerance | None = None
+    number: Annotated[int, Field(ge=1, le=20)] = 1
+    area_px: _Area | None = None
+    #: Where each is in the first frame (image pixels), to name equal ones.
+    start_px: _Points | None = None
+    #: Place on the robot, seen from its reference point: forward, and to port (up in the vertical plane), m.
+    at_m: Annotated[_Point, BeforeValidator(_tuples)] | None = None
+
+    @model_validator(mode="after")
+    def _one_colour(self) -> Marker:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
+            raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
+        if (self.hsv is None) == (self.colour is None):
+            raise ValueError(f"marker '{self.name}' needs either hsv or colour")
+        if self.tolerance is not None and self.colour is None:
+            raise ValueError(f"marker '{self.name}': tolerance goes with colour, not with hsv")
+        if self.colour is not None and not re.fullmatch(r"#[0-9A-Fa-f]{6}", self.colour):
+            raise ValueError(f"colour '{self.colour}' of marker '{self.name}' must look like \"#d01c1c\"")
+        if self.start_px is not None and len(self.start_px) != self.number:
+            raise ValueError(
+                f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
+            )
+        return self
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the single markers: the name, or name1, name2, ... when there are several."""
+        return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
+
+    def colour_range(self) -> HsvRange:
+        """The colours that belong to the marker, however the file gives them."""
+        if self.hsv is not None:
+            return self.hsv
+        assert self.colour is not None
+        red, green, blue = (int(self.colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
+        about = self.tolerance or Tolerance()
+        whole = about.hue_deg >= 180
+        return HsvRange(
+            hue_deg=(0.0, 360.0)
+            if whole
+            else ((360 * hue - about.hue_deg) % 360, (360 * hue + about.hue_deg) % 360),
+            saturation=(max(saturation - about.saturation, 0.0), min(saturation + about.saturation, 1.0)),
+            value=(max(value - about.value, 0.0), min(value + about.value, 1.0)),
+        )
+
+
+class Heights(Document):
+    """Height of the camera and of the markers over the plane the scale was measured in."""
+
+    camera_m: _Positive
+    marker_m: float
+
+    @model_validator(mode="after")
+    def _below(self) -> Heights:
+        if self.marker_m >= self.camera_m:
+            raise ValueError(f"marker_m {self.marker_m:g} must be below camera_m {self.camera_m:g}")
+        return self
+
+
+class Scale(Document):
+    """Pixels to metres: a factor, two points and their distance, or four points and more."""
+
+    metres_per_pixel: _Positive | None = None
+    points_px: _Points | None = None
+    distance_m: _Positive | None = None
+    points_m: _Points | None = None
+    heights: Heights | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Scale:
+        ways = [
+            name
+            for name, given in (
+                ("metres_per_pixel", self.metres_per_pixel),
+                ("distance_m", self.distance_m),
+                ("points_m", self.points_m),
+            )
+            if given is not None
+        ]
+        if len(ways) > 1:
+            raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
+        if not ways:
+            raise ValueError(
+                "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
+            )
+        if self.metres_per_pixel is None and self.points_px is None:
+            raise ValueError(f"{ways[0]} needs points_px")
+        if self.metres_per_pixel is not None and self.points_px is not None:
+            raise ValueError("contradicting scales: metres_per_pixel needs no points_px; keep one")
+        count = 0 if self.points_px is None else len(self.points_px)
+        if self.distance_m is not None:
+            if count != 2:
+                raise ValueError(f"distance_m needs two points_px, not {count}")
+            assert self.points_px is not None
+            if self.points_px[0] == self.points_px[1]:
+                raise ValueError("the two points_px are the same")
+        if self.points_m is not None and (count < 4 or count != len(self.points_m)):
+            raise ValueError(
+                f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
+            )
+        return self
+
+
+class Camera(Document):
+    """Lens calibration as OpenCV gives it."""
+
+    matrix: Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(_tuples)]
+    distortion: Annotated[tuple[float, ...], BeforeValidator(_tuples)] = (0.0, 0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _shapes(self) -> Camera:
+        if len(self.matrix) != 3:
+            raise ValueError(f"matrix has {len(self.matrix)} rows; a camera matrix is 3 x 3")
+        if self.matrix[0][0] <= 0 or self.matrix[1][1] <= 0 or self.matrix[2] != (0.0, 0.0, 1.0):
+            raise ValueError("matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with fx, fy above 0")
+        if len(self.distortion) not in (4, 5, 8, 12, 14):
+            raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV knows 4, 5, 8, 12 or 14")
+        return self
+
+
+class Setup(Document):
+    """How to read one camera's videos."""
+
+    format: Literal["swimid-setup/1"]
+    markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
+    #: The marker whose path is the log's (the nose), and the one behind it. Of markers of one kind the first
+    #: is the head unless said otherwise, and they need no tail.
+    head: str | None = None
+    tail: str | None = None
+    plane: Literal["horizontal", "vertical"] = "horizontal"
+    #: Vertical plane: which way the robot faces in the picture, and x of the log runs.
+    facing: Literal["auto", "right", "left"] = "auto"
+    #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
+    robot: str | None = None
+    #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.
+    reference_offset_m: Annotated[_Point, BeforeValidator(_tuples)] = (0.0, 0.0)
+    scale: Scale | None = None
+    camera: Camera | None = None
+    #: Overrides the stamps of the container.
+    frame_rate_hz: _Positive | None = None
+    #: Longest dropout that is bridged.
+    max_gap_s: Annotated[float, Field(ge=0)] = 1.0
+    #: Turn the picture as the container's rotation tag says.
+    apply_rotation: bool = True
+    #: Search here only: [left, top, right, bottom].
+    region_px: _Box | None = None
+    #: Never search here.
+    ignore_px: list[_Box] = []
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Setup:
+        names = self.marker_names
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two markers are named '{name}'")
+        for role, chosen in (("head", self.head), ("tail", self.tail)):
+            if chosen is not None and chosen not in names:
+                raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
+        if self.head is None and self.tail is not None:
+            raise ValueError("tail is given without head")
+        if self.head is not None and self.head == self.tail:
+            raise ValueError(f"head and tail are both '{self.head}'")
+        if self.head is None and len(self.markers) > 1:
+            raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
+        if self.reference_offset_m != (0.0, 0.0) and (self.tail is None or self.scale is None):
+            raise ValueError("reference_offset_m needs a head, a tail and a scale")
+        if self.facing != "auto" and self.plane == "horizontal":
+            raise ValueError(f"facing: {self.facing} goes with plane: vertical")
+        for box in [self.region_px, *self.ignore_px]:
+            if box is not None and (box[2] <= box[0] or box[3] <= box[1]):
+                raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
+        return self
+
+    @model_validator(mode="after")
+    def _places_fit(self) -> Setup:
+        if all(marker.at_m is None for marker in self.markers):
+            return self
+        if self.tail is None or self.scale is None:
+            raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
+        if self.reference_offset_m != (0.0, 0.0):
+            raise ValueError("reference_offset_m and at_m both say where the reference point lies; keep one")
+        head, tail = (self.marker(name) for name in (self.head_name, self.tail))
+        for marker in (head, tail):
+            if marker.at_m is None and self.robot is None:
+                raise ValueError(
+                    f"marker '{marker.name}' needs at_m, too: head and tail both have it or none"
+                )
+        if head.at_m is not None and head.at_m == tail.at_m:
+            raise ValueError(f"markers '{self.head}' and '{self.tail}' have the same at_m")
+        return self
+
+    @property
+    def marker_names(self) -> list[str]:
+        """Names of all single markers in the order of the file."""
+        return [name for marker in self.markers for name in marker.names]
+
+    @property
+    def head_name(self) -> str:
+        """The marker that gives the position."""
+        return self.head or self.marker_names[0]
+
+    def marker(self, name: str) -> Marker:
+        """The kind of a single marker."""
+        return next(marker for marker in self.markers if name in marker.names)
+
+    @property
+    def places(self) -> tuple[_Point, _Point] | None:
+        """Where head and tail marker are, seen from the reference point (``at_m``); None if not known."""
+        if self.tail is None:
+            return None
+        head, tail = self.marker(self.head_name).at_m, self.marker(self.tail).at_m
+        return None if head is None or tail is None else (head, tail)
+
+
+def read(path: str | Path) -> Setup:
+    """Read and check a setup file; with a ``robot``, its markers' places are put in.
+
+    Raises
+    ------
+    InputError
+        With line, key and what is allowed.
+    """
+    data = yamlio.load(path)
+    setup = yamlio.validate(data, Setup, path)
+    if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
+        raise InputError(
+            "plane: vertical with several markers needs a tail for the pitch", file=path, column="tail"
+        )
+    if setup.robot is None:
+        return setup
+    filled = yamlio.plain(data)
+    places = _robot_places(setup, setup.robot, Path(path))
+    for marker, kind in zip(filled["markers"], setup.markers, strict=True):
+        if kind.at_m is None and kind.name in places:
+            marker["at_m"] = list(places[kind.name])
+    return yamlio.validate(filled, Setup, path)
+
+
+def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
+    """Places of the robot's markers; raises when head or tail is none of them."""
+    robot = robot_format.read(name, path.parent)
+    if robot.multilink is not None and robot.multilink.plane != setup.plane:
+        raise InputError(
+            f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows the "
+            f"{setup.plane} one",
+            file=path,
+            column="robot",
+        )
+    places = robot.marker_places(setup.plane)
+    if setup.tail is None:
+        raise InputError(
+            "robot gives the places of head and tail; there is no tail", file=path, column="robot"
+        )
+    for role in (setup.head_name, setup.tail):
+        marker = setup.marker(role)
+        if marker.at_m is None and marker.name not in places:
+            raise InputError(
+                f"the robot '{name}' names no marker '{marker.name}'; "
+                f"it names: {', '.join(places) or 'none'}",
+                file=path,
+                column="robot",
+                hint="name the markers of the film as the robot file does, or give their at_m",
+            )
+    return places
