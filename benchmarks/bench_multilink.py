@@ -554,7 +554,7 @@ def section_fit(plant: Engine, full: bool) -> None:
         line(label, wall, used, own, note, result.estimate)
     errors = np.sqrt(np.diag(result.covariance))
     print(f"{'  standard errors':<86}" + " ".join(f"{e:.2g}" for e in errors))
-    estimate = [outcome.result["parameters"][name]["value"] for name in NAMES]
+    estimate = [outcome.data["parameters"][name]["value"] for name in NAMES]
     line("swimid fit-graybox, files to evidence", verb_wall, verb, own, "", estimate)
     scipy_fit(plant, trials, plant.model.parameters[: len(NAMES)], own, full)
     sysid_fit(plant, own)

@@ -147,7 +147,7 @@ def estimate(folder: Path, method: Method) -> Estimate:
     ]
     trials = swimmer.write_trials(folder, "dolphin", runs, NOISE, SEED, columns=method.columns)
     held = {n: swimmer.DOLPHIN[n] for n in NAMES if n not in method.free}
-    file = fit_graybox(trials, start_state="rest", channels=method.columns, fixed=held).result
+    file = fit_graybox(trials, start_state="rest", channels=method.columns, fixed=held).data
     entries = file["parameters"]
     return Estimate(
         {n: entries[n]["value"] for n in NAMES},

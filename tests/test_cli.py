@@ -18,7 +18,7 @@ import swimid as package
 from swimid.cli.common import Shared, running, shared_options
 from swimid.cli.main import SECTIONS, main
 from swimid.files.checkpoint import Checkpoint
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -191,7 +191,7 @@ class TestInterrupts:
         def command(shared: Shared) -> None:
             with running("verb", shared) as run:
                 work()
-                run.finish(Outcome("verb", "done", {}, outputs))
+                run.finish(Result("verb", "done", {}, outputs))
 
         return CliRunner().invoke(command, [] if output is None else ["-o", str(output)])
 

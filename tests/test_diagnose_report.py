@@ -25,8 +25,8 @@ from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Model, Trial
 from swimid.results import evidence as ev
 from swimid.results import figures, heat
-from swimid.results.outcome import Outcome
 from swimid.results.report import report
+from swimid.results.result import Result
 from tests import gap_cases as cases
 from tests.conftest import ROOT, Ran
 
@@ -244,9 +244,9 @@ def test_the_command_hands_over_what_was_asked(
 ) -> None:
     seen: dict[str, Any] = {}
 
-    def diagnose(trials: Path, **options: Any) -> Outcome:
+    def diagnose(trials: Path, **options: Any) -> Result:
         seen.update(options, trials=trials)
-        return Outcome("diagnose", said("explained"), {"verdict": "explained"})
+        return Result("diagnose", said("explained"), {"verdict": "explained"})
 
     monkeypatch.setitem(sys.modules, "swimid.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     ran = swimid(

@@ -18,7 +18,6 @@ from click.testing import CliRunner
 
 from swimid.cli.report import command
 from swimid.errors import InputError, UsageError
-from swimid.files import yamlio
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
 from swimid.results import evidence, page, parameters, sections
@@ -228,7 +227,7 @@ def test_hostile_texts_are_escaped(tmp_path: Path) -> None:
     assert not {"script", "i"} & {tag for tag, _ in parsed.tags}
     assert [a for tag, a in parsed.tags if tag == "img"] == []
     assert "alert('x')" in parsed.words
-    markdown = quietly(inputs=[path], format="md", title=evil).summary  # type: ignore[attr-defined]
+    markdown = quietly(inputs=[path], format="md", title=evil).text  # type: ignore[attr-defined]
     markdown = re.sub(r"(`+).*?\1", "", markdown)
     assert "<script" not in markdown
     assert "<img" not in markdown
@@ -287,8 +286,7 @@ def test_new_kind_is_one_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     """A registered format is shown; registering it twice is an error."""
     monkeypatch.setattr(results, "_BY_FORMAT", dict(results._BY_FORMAT))
 
-    def section(path: Path, proof: evidence.Evidence | None) -> Section:
-        data = yamlio.load(path)
+    def section(path: Path, data: dict[str, str], proof: evidence.Evidence | None) -> Section:
         return Section(path, "Toy", "A toy", Verdict(level="good", text=str(data["answer"])))
 
     reader(format="toy/1")(section)
@@ -370,7 +368,7 @@ def test_markdown_tables_are_sound(tmp_path: Path) -> None:
     record = evidence.read(evidence.sidecar(path))
     checks = [*record.checks, Check(name="|r| < 1", value="a|b", verdict="pass")]
     evidence.write(evidence.sidecar(path), record.model_copy(update={"checks": checks}))
-    text = report(inputs=[path], format="md").summary
+    text = report(inputs=[path], format="md").text
     assert "| `drag_coefficient` | 0.705 ± 0.033 |" in text
     assert "**Figure: Residuals.**" in text
     tables = re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE)

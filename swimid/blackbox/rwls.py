@@ -26,7 +26,7 @@ from swimid.fitting import fit_common
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import numbers, parameters
-from swimid.results.outcome import Outcome
+from swimid.results.fitted import Fitted
 
 #: Rows of the trajectory kept when no stride is given.
 KEPT = 1000
@@ -60,7 +60,7 @@ def rwls(
     stride: int | None = None,
     output: Path | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
     Parameters
@@ -96,7 +96,7 @@ def rwls(
 
     Returns
     -------
-    Outcome
+    Fitted
 
     Raises
     ------
@@ -191,7 +191,8 @@ def rwls(
         }
         for c in table
     ]
-    return Outcome("rwls", _summary(data, found, file, poles, fit_scores, scores, horizon), result, outputs)
+    text = _summary(data, found, file, poles, fit_scores, scores, horizon)
+    return Fitted("rwls", text, result, outputs, shown, file)
 
 
 # ---------------------------------------------------------------- computing

@@ -25,7 +25,7 @@ from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
 
 if TYPE_CHECKING:
-    from swimid.results.outcome import Outcome
+    from swimid.results.result import Result
 
 #: Version of the ``--json`` envelope.
 ENVELOPE = 1
@@ -116,7 +116,7 @@ class Run:
 
     def __init__(self, shared: Shared) -> None:
         self.shared = shared
-        self.outcome: Outcome | None = None
+        self.outcome: Result | None = None
 
     @property
     def progress(self) -> Progress:
@@ -125,7 +125,7 @@ class Run:
         hidden = shared.no_progress or shared.quiet or not sys.stderr.isatty() or bool(os.environ.get("CI"))
         return silent if hidden else _rich_progress
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, outcome: Result) -> None:
         """Take the outcome; it is printed when the run ends."""
         self.outcome = outcome
 
@@ -185,14 +185,14 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
             "schema": ENVELOPE,
             "ok": True,
             "verb": verb,
-            "result": _jsonable(run.outcome.result),
+            "result": _jsonable(run.outcome.data),
             "warnings": [{"code": n.code, "text": n.text} for n in notices],
             "outputs": [str(path) for path in run.outcome.outputs],
         }
         click.echo(json.dumps(document, ensure_ascii=False))
     elif not shared.quiet:
-        if run.outcome.summary:
-            click.echo(run.outcome.summary)
+        if run.outcome.text:
+            click.echo(run.outcome.text)
         for path in run.outcome.outputs:
             click.echo(f"wrote {path}", err=True)
 

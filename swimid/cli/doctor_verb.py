@@ -14,7 +14,7 @@ from typing import Any
 import swimid
 from swimid.files import atomic
 from swimid.progress import Progress, silent
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 
 #: Packages every verb needs, and those that widen what can be done.
 REQUIRED = (
@@ -47,7 +47,7 @@ KERNELS = (
 )
 
 
-def doctor(*, warm_up: bool = False, output: Path | None = None, progress: Progress = silent) -> Outcome:
+def doctor(*, warm_up: bool = False, output: Path | None = None, progress: Progress = silent) -> Result:
     """Versions, video decoding, optional parts; compiles the kernels when asked.
 
     Parameters
@@ -81,7 +81,7 @@ def doctor(*, warm_up: bool = False, output: Path | None = None, progress: Progr
     if output is not None:
         atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
         outputs.append(output)
-    return Outcome("doctor", _text(findings, missing), findings, outputs)
+    return Result("doctor", _text(findings, missing), findings, outputs)
 
 
 def _version(name: str) -> str | None:

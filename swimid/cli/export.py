@@ -52,7 +52,7 @@ def command(
     """
     with running("export", shared) as run:
         from swimid.export.export import export
-        from swimid.results.outcome import Outcome
+        from swimid.results.result import Result
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         protect(output, shared, inputs=(params,))
@@ -66,6 +66,6 @@ def command(
         )
         if output is None and not shared.as_json:
             # The document is the result: --quiet must not swallow it.
-            click.echo(outcome.summary)
-            outcome = Outcome(outcome.verb, "", outcome.result, outcome.outputs)
+            click.echo(outcome.text)
+            outcome = Result(outcome.verb, "", outcome.data, outcome.outputs)
         run.finish(outcome)

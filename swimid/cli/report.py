@@ -33,8 +33,8 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
     """
     with running("report", shared) as run:
         from swimid.errors import UsageError
-        from swimid.results.outcome import Outcome
         from swimid.results.report import report
+        from swimid.results.result import Result
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         if output is None and shared.output is None and kind in (None, "html") and not shared.as_json:
@@ -45,6 +45,6 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
         outcome = report(inputs=results, output=output, format=kind, title=title, progress=run.progress)  # type: ignore[arg-type]
         if output is None and not shared.as_json:
             # The document is the result: --quiet must not swallow it.
-            click.echo(outcome.summary)
-            outcome = Outcome(outcome.verb, "", outcome.result, outcome.outputs)
+            click.echo(outcome.text)
+            outcome = Result(outcome.verb, "", outcome.data, outcome.outputs)
         run.finish(outcome)

@@ -13,7 +13,7 @@ from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.logs import mapping, trials
 from swimid.results import evidence, parameters
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.robots import file as robot
 from swimid.sensitivity import file as sensitivity
 from swimid.simulation import comparison_file as comparison
@@ -41,7 +41,7 @@ def schemas() -> dict[str, dict[str, Any]]:
     }
 
 
-def schema(name: str | None, *, output: Path | None = None) -> Outcome:
+def schema(name: str | None, *, output: Path | None = None) -> Result:
     """The schema of one format, or the list of formats.
 
     Raises
@@ -52,13 +52,13 @@ def schema(name: str | None, *, output: Path | None = None) -> Outcome:
     known = schemas()
     if name is None:
         text = "\n".join(known)
-        return Outcome("schema", text, {"formats": list(known)})
+        return Result("schema", text, {"formats": list(known)})
     if name not in known:
         hint = suggestion(name, list(known))
         raise UsageError(f"there is no format '{name}'", hint=hint)
     document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **known[name]}
     text = json.dumps(document, indent=2)
     if output is None:
-        return Outcome("schema", text, document)
+        return Result("schema", text, document)
     atomic.write_text(output, text + "\n")
-    return Outcome("schema", "", document, [output])
+    return Result("schema", "", document, [output])

@@ -13,6 +13,7 @@ from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as diagnose_summary
+from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.nominal import Given
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
@@ -23,7 +24,6 @@ from swimid.fitting import fit_common
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
-from swimid.results.outcome import Outcome
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
 from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel, prepare
@@ -44,7 +44,7 @@ def diagnose(
     readings: Mapping[str, str] | None = None,
     max_step: float = DEFAULT_STEP,
     progress: Progress = silent,
-) -> Outcome:
+) -> Diagnosis:
     """Find the effect behind the gap between a model and its trials.
 
     Parameters
@@ -150,7 +150,8 @@ def diagnose(
         gap_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
         keep.done()
-    return Outcome("diagnose", diagnose_summary.summary(file), file.model_dump(mode="json"), outputs)
+    text = diagnose_summary.summary(file)
+    return Diagnosis("diagnose", text, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def _given(loaded: Loaded) -> dict[str, Given]:

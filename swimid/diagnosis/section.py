@@ -14,10 +14,9 @@ from swimid.results.sections import Block, Cell, Grid, Note, Section
 _LEVELS = {"none": "good", "explained": "good", "ambiguous": "caution", "unexplained": "caution"}
 
 
-@reader(format=gap.FORMAT)
-def section(path: Path, evidence: Evidence | None) -> Section:
+@reader(format=gap.FORMAT, read=gap.read)
+def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
     """The section of a gap file."""
-    file = gap.read(path)
     return Section(
         path=path,
         kind="Gap",

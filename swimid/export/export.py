@@ -13,7 +13,7 @@ from swimid.files import atomic
 from swimid.files.provenance import sha256
 from swimid.notices import warn
 from swimid.results import parameters
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -30,7 +30,7 @@ def export(
     robot_name: str | None = None,
     added_mass: AddedMass = "native",
     servo_hz: float = 20.0,
-) -> Outcome:
+) -> Result:
     """Write a parameter file's coefficients as a simulator reads them.
 
     Parameters
@@ -50,7 +50,7 @@ def export(
 
     Returns
     -------
-    Outcome
+    Result
         Its result has the target, the added-mass choice and the limits. Every limit is also a
         warning SWM060, every danger of instability a SWM061.
 
@@ -101,13 +101,13 @@ def export(
         "dangers": list(done.dangers),
     }
     if out is None:
-        return Outcome("export", done.text.rstrip("\n"), result | {"text": done.text})
+        return Result("export", done.text.rstrip("\n"), result | {"text": done.text})
     atomic.write_text(out, done.text)
     count = len(done.limits)
     carried = (
         "everything" if not count else f"all but {count} thing{'s' if count > 1 else ''}, see the warnings"
     )
-    return Outcome("export", f"{source.robot.name} as {target.title}: {carried}", result, [out])
+    return Result("export", f"{source.robot.name} as {target.title}: {carried}", result, [out])
 
 
 def load(path: Path, robot_name: str | None = None) -> Source:

@@ -23,6 +23,7 @@ from swimid.notices import Notice, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 
 #: Correlations above this are named.
@@ -529,27 +530,6 @@ def figures(result: FitResult) -> list[ev.Figure]:
     return found
 
 
-def summary_rows(file: ParameterFile, parameters: tuple[Parameter, ...] = ()) -> str:
-    """The parameters as lines of plain text for the terminal."""
-    rows = []
-    for name, e in {**file.parameters, **file.derived}.items():
-        if e.status == "unidentifiable":
-            text = "not identifiable from these trials"
-        elif e.status == "fixed":
-            if e.value == 0:
-                continue
-            text = f"{numbers.measured(e.value, None, e.unit)}  (fixed)"
-        elif e.status == "at-bound":
-            text = f"{numbers.measured(e.value, None, e.unit)}  (at its bound)"
-        else:
-            ends = e.ci95 if e.ci95 and None not in e.ci95 else numbers.confidence95(e.value, e.stderr)
-            band = f"   95 %: {numbers.interval(ends[0], ends[1], e.stderr)}" if ends else ""
-            text = f"{numbers.measured(e.value, e.stderr, e.unit)}{band}"
-        rows.append((name, text))
-    width = max((len(name) for name, _ in rows), default=0)
-    return "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
-
-
 def answer(file: ParameterFile) -> str:
     """The shared parameters that were estimated, as one sentence."""
     parts = [
@@ -575,6 +555,12 @@ def save(output: Path | None, file: ParameterFile, evidence: ev.Evidence) -> lis
         return []
     parameters_format.write(output, file)
     return ev.write_beside(output, evidence)
+
+
+def fitted(verb: str, text: str, file: ParameterFile, evidence: ev.Evidence, output: Path | None) -> Fitted:
+    """The result of a fit, written where an output is named."""
+    outputs = save(output, file, evidence)
+    return Fitted(verb, text, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def judgement(evidence: ev.Evidence) -> str:

@@ -38,7 +38,7 @@ from swimid.logs.rotation import angles
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 
 
 def track_imu(
@@ -49,7 +49,7 @@ def track_imu(
     other: str | Path | None = None,
     settings: Settings | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Make motion of an inertial recording and write the log.
 
     Parameters
@@ -308,7 +308,7 @@ def _columns(m: Material) -> dict[str, Any]:
 
 def _write(
     m: Material, poses: Poses | None, inputs: list[Path], output: Path, notices: list[Notice]
-) -> Outcome:
+) -> Result:
     machine = told.result(m)
     kept = {k: v for k, v in m.record.metadata.items() if isinstance(v, int | float | str | bool)}
     head = {
@@ -326,4 +326,4 @@ def _write(
     evidence.write(
         proof, told.record(m, poses, machine, notices, provenance.collect(inputs, settings=told.settings(m)))
     )
-    return Outcome("track imu", told.summary(m, machine), machine, [output, proof])
+    return Result("track imu", told.summary(m, machine), machine, [output, proof])

@@ -14,13 +14,13 @@ from swimid.logs import mapping
 from swimid.logs.foreign import Source, open_source
 from swimid.logs.foreign.delimited import DelimitedSource
 from swimid.logs.guessing import Guess, guess
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 
 #: Samples looked at.
 SAMPLE = 20_000
 
 
-def guess_mapping(path: str | Path, *, output: Path | None = None) -> Outcome:
+def guess_mapping(path: str | Path, *, output: Path | None = None) -> Result:
     """Draft the mapping of a file; each line says what it rests on.
 
     Parameters
@@ -55,10 +55,10 @@ def guess_mapping(path: str | Path, *, output: Path | None = None) -> Outcome:
         ],
     }
     if output is None:
-        return Outcome("import", text.rstrip("\n"), result)
+        return Result("import", text.rstrip("\n"), result)
     atomic.write_text(output, text)
     mapped = sum(g.target is not None for g in guesses)
-    return Outcome(
+    return Result(
         "import",
         f"{path.name}: {mapped} of {len(guesses)} columns guessed; look at every line of {output}",
         result,

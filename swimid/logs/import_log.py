@@ -38,7 +38,7 @@ from swimid.logs.track_speed import TrackSpeed
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 
 Array = NDArray[np.float64]
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -107,7 +107,7 @@ def import_logs(
     clean: bool | None = None,
     request: Request | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Write foreign logs in the log format, each with its evidence.
 
     Parameters
@@ -144,10 +144,10 @@ def import_logs(
             done.append(_one(path, target, rules, map_path, clean, request or Request(), progress, notices))
     if len(done) == 1:
         return done[0]
-    return Outcome(
+    return Result(
         "import",
-        "\n".join(outcome.summary for outcome in done),
-        {"logs": [outcome.result for outcome in done]},
+        "\n".join(outcome.text for outcome in done),
+        {"logs": [outcome.data for outcome in done]},
         [path for outcome in done for path in outcome.outputs],
     )
 
@@ -190,7 +190,7 @@ def _one(
     request: Request,
     progress: Progress,
     notices: list[Notice],
-) -> Outcome:
+) -> Result:
     inputs = [path] if map_path is None else [path, map_path]
     with ThreadPoolExecutor(1) as beside:
         # a long file is hashed while it is read
@@ -211,7 +211,7 @@ def _one(
     proof = evidence.sidecar(target)
     evidence.write(proof, record)
     machine = facts(found, record)
-    return Outcome("import", summary(found, machine), machine, [target, proof])
+    return Result("import", summary(found, machine), machine, [target, proof])
 
 
 def examine(source: MappedLog, *, clean: bool | None = None, request: Request | None = None) -> Imported:

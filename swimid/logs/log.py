@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +20,9 @@ from swimid.files import atomic, yamlio
 from swimid.files.delimited import MISSING, column_names, head, missing_column, number, number_hint
 from swimid.logs import plausible
 from swimid.notices import warn
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TIME = "t_s"
 PARQUET_ENDINGS = (".parquet", ".pq")
@@ -50,6 +53,12 @@ class Log:
     def time_s(self) -> NDArray[np.float64]:
         """Sample times, s, shape (n,)."""
         return self.columns[TIME]
+
+    def frame(self) -> pd.DataFrame:
+        """The columns as a table, one row a sample."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
         return self.columns[column]

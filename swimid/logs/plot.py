@@ -15,7 +15,7 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import page, sheet
 from swimid.results.evidence import NoticeRecord, Verdict
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.results.sections import Section
 
 PAGES = (".html", ".htm")
@@ -24,7 +24,7 @@ PICTURES = (".svg", ".png")
 
 def plot(
     logs: Sequence[str | Path], *, output: str | Path, title: str | None = None, progress: Progress = silent
-) -> Outcome:
+) -> Result:
     """Draw logs on one page or picture.
 
     Parameters
@@ -72,4 +72,4 @@ def plot(
             sheet.write(output, figures, title=heading, step=step)
     names = [figure.title for figure in figures]
     result = {"logs": [str(path) for path in paths], "figures": [figure.id for figure in figures]}
-    return Outcome("plot", f"{heading}: {', '.join(names)}", result, [output])
+    return Result("plot", f"{heading}: {', '.join(names)}", result, [output])

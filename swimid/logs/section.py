@@ -16,10 +16,9 @@ from swimid.results.reader import reader
 from swimid.results.sections import LONG_TABLE, Block, Cell, Grid, Section, mapping_grid
 
 
-@reader(endings=(".csv", ".parquet", ".pq"))
-def section(path: Path, evidence: Evidence | None) -> Section:
+@reader(endings=(".csv", ".parquet", ".pq"), read=log.read)
+def section(path: Path, record: Log, evidence: Evidence | None) -> Section:
     """The section of a log; without evidence its channels over time, gaps shaded."""
-    record = log.read(path)
     channels = {name: values for name, values in record.columns.items() if name != log.TIME}
     blocks: list[Block] = [_summary(record, channels)]
     if evidence is None:

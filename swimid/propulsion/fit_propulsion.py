@@ -13,7 +13,7 @@ from swimid.progress import Progress, silent
 from swimid.propulsion import cruise as propulsion_cruise
 from swimid.propulsion import surge as propulsion_surge
 from swimid.propulsion import trials as experiment_module
-from swimid.results.outcome import Outcome
+from swimid.results.fitted import Fitted, rows
 
 
 def fit_propulsion(
@@ -27,7 +27,7 @@ def fit_propulsion(
     fixed: dict[str, float] | None = None,
     freed: Sequence[str] = (),
     progress: Progress = silent,
-) -> Outcome:
+) -> Fitted:
     """Identify the propulsion of a fin.
 
     Parameters
@@ -85,12 +85,11 @@ def fit_propulsion(
             )
     file, evidence = page
     evidence.notices = fit_common.notices(notices)
-    outputs = fit_common.save(output, file, evidence)
     summary = "\n".join(
         [
             f"{experiment.name} of {experiment.robot.name}",
-            fit_common.summary_rows(fit_common.brief(file)),
+            rows(fit_common.brief(file)),
             f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
         ]
     )
-    return Outcome("fit-propulsion", summary, file.model_dump(mode="json"), outputs)
+    return fit_common.fitted("fit-propulsion", summary, file, evidence, output)

@@ -1,7 +1,7 @@
 """Result files and the readers that make sections of them.
 
-A reader is a function in the module ``section`` of the room a result belongs to, registered for a
-``format:`` of YAML results or for the ending of other files. These modules are found by
+A function in the module ``section`` of the room a result belongs to, registered for a ``format:`` of
+YAML results or for the ending of other files, makes its section. These modules are found by
 themselves: a new kind of result is one new file.
 """
 
@@ -13,7 +13,7 @@ import pkgutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import swimid
 from swimid.errors import InputError, nearest
@@ -23,14 +23,30 @@ from swimid.results import evidence as evidence_format
 from swimid.results.evidence import Evidence, NoticeRecord, Verdict
 from swimid.results.sections import Cell, Note, Section, table_grid
 
-Reader = Callable[[Path, Evidence | None], Section]
+#: Makes the section of a result from its path, what is read from it, and its evidence.
+Builder = Callable[[Path, Any, Evidence | None], Section]
+
+
+class Reader(NamedTuple):
+    """How a kind of result is read, and made a section of."""
+
+    read: Callable[[Path], Any]
+    build: Builder
+
 
 _BY_FORMAT: dict[str, Reader] = {}
 _BY_ENDING: dict[str, Reader] = {}
 
 
-def reader(*, format: str | None = None, endings: tuple[str, ...] = ()) -> Callable[[Reader], Reader]:
-    """Register a reader for a YAML ``format:`` or for file endings.
+def reader(
+    *, format: str | None = None, endings: tuple[str, ...] = (), read: Callable[[Path], Any] = yamlio.load
+) -> Callable[[Builder], Builder]:
+    """Register how results of a YAML ``format:``, or with certain file endings, become sections.
+
+    Parameters
+    ----------
+    read : callable
+        Gives what the decorated function takes as its second argument; by default the YAML as a mapping.
 
     Raises
     ------
@@ -38,13 +54,13 @@ def reader(*, format: str | None = None, endings: tuple[str, ...] = ()) -> Calla
         When another reader is registered for it.
     """
 
-    def register(function: Reader) -> Reader:
+    def register(function: Builder) -> Builder:
         for key, table in ((format, _BY_FORMAT), *((ending, _BY_ENDING) for ending in endings)):
             if key is None:
                 continue
             if key in table:
                 raise ValueError(f"two readers for {key}")
-            table[key] = function
+            table[key] = Reader(read, function)
         return function
 
     return register
@@ -74,17 +90,32 @@ def load(path: str | Path) -> Section:
     """
     path = Path(path)
     _discover()
-    function = _reader_of(path)
+    kind = _reader_of(path)
     sidecar = evidence_format.sidecar(path)
     evidence = evidence_format.read(sidecar) if sidecar.exists() else None
     with recorded(repeat=True) as raised:
-        section = function(path, evidence)
+        section = kind.build(path, kind.read(path), evidence)
     notices = [NoticeRecord(code=notice.code, text=notice.text) for notice in raised]
     if evidence is None:
         text = f"{path.name} has no evidence beside it ({sidecar.name}): its figures and checks are not shown"
         warn("SWM050", text)
         return replace(section, notices=[*section.notices, *notices, NoticeRecord(code="SWM050", text=text)])
     return _joined(section, evidence, notices)
+
+
+def of_document(name: Path, document: Any, format: str, evidence: Evidence) -> Section:
+    """The section of a result that was never written.
+
+    Parameters
+    ----------
+    name : Path
+        What to call it.
+    document : object
+        What the reader of ``format`` (or of the ending of ``name``) would have read.
+    """
+    _discover()
+    kind = _BY_FORMAT[format] if format else _BY_ENDING[name.suffix.lower()]
+    return _joined(kind.build(name, document, evidence), evidence, [])
 
 
 def _reader_of(path: Path) -> Reader:

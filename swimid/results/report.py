@@ -13,7 +13,7 @@ from swimid.files.provenance import sha256
 from swimid.progress import Progress, silent
 from swimid.results import documents, page
 from swimid.results import reader as results
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 
 Kind = Literal["html", "md", "json"]
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
@@ -26,7 +26,7 @@ def report(
     format: Kind | None = None,
     title: str | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Write one document about any number of result files. Nothing is computed again.
 
     Parameters
@@ -72,11 +72,11 @@ def report(
     else:
         text = documents.json_text(document)
     if target is None:
-        return Outcome("report", text.rstrip("\n"), document)
+        return Result("report", text.rstrip("\n"), document)
     atomic.write_text(target, text)
     whole = page.overall(sections)
     lines = [f"{page.verdict_badge(whole)[1]}: {whole.text}"]
     for section in sections:
         word = page.verdict_badge(section.verdict)[1].lower()
         lines.append(f"  {section.path.name}: {word}. {section.verdict.text}")
-    return Outcome("report", "\n".join(lines), document, [target])
+    return Result("report", "\n".join(lines), document, [target])

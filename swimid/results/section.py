@@ -33,10 +33,9 @@ _PARAMETER_CAPTION = (
 )
 
 
-@reader(format=parameters.FORMAT)
-def section(path: Path, evidence: Evidence | None) -> Section:
+@reader(format=parameters.FORMAT, read=parameters.read)
+def section(path: Path, file: ParameterFile, evidence: Evidence | None) -> Section:
     """The section of a parameter file."""
-    file = parameters.read(path)
     return Section(
         path=path,
         kind="Parameters",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
@@ -43,19 +44,32 @@ def write(
     step : callable
         Called once a panel.
     """
-    rows = [row for figure in figures for row in _rows(figure)]
-    height = 2 * MARGIN + HEADING + sum(_height(row) for row in rows)
-    width = WIDE.width + 2 * MARGIN
     settings = {**drawing.SETTINGS, "svg.fonttype": "path"}
     with mpl.rc_context(settings):
-        canvas = Canvas(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
-        FigureCanvasAgg(canvas)
+        drawn = canvas(figures, title=title, step=step)
+        with atomic.replacing(path) as temporary:
+            kind = path.suffix.lower().removeprefix(".")
+            metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": "swimid"}
+            drawn.savefig(temporary, format=kind, dpi=72 * PIXELS, metadata=metadata)
+
+
+def canvas(
+    figures: Sequence[Figure], *, title: str = "", step: Callable[[int], None] = lambda amount: None
+) -> Canvas:
+    """Figures below each other as one of matplotlib's."""
+    rows = [row for figure in figures for row in _rows(figure)]
+    top_room = HEADING if title else 0.0
+    height = 2 * MARGIN + top_room + sum(_height(row) for row in rows)
+    width = WIDE.width + 2 * MARGIN
+    with mpl.rc_context(drawing.SETTINGS | {"svg.fonttype": mpl.rcParams["svg.fonttype"]}):
+        drawn = Canvas(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
+        FigureCanvasAgg(drawn)
         style: dict[str, Any] = {"color": INK, "ha": "left", "va": "top"}
-        canvas.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
-        top = height - MARGIN - HEADING
+        drawn.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
+        top = height - MARGIN - top_room
         for figure, heading, panels, size in rows:
             if heading:
-                canvas.text(MARGIN / width, (top - 4) / height, heading, fontsize=13, weight="bold", **style)
+                drawn.text(MARGIN / width, (top - 4) / height, heading, fontsize=13, weight="bold", **style)
             down = top - (HEADING if heading else 0.0)
             for index, (panel, look) in enumerate(panels):
                 left = MARGIN + index * (size.width + 20)
@@ -66,17 +80,24 @@ def write(
                     (size.width - 62) / width,
                     (tall - 60) / height,
                 )
-                axes = canvas.add_axes(box, facecolor="none")
+                axes = drawn.add_axes(box, facecolor="none")
                 _panel(axes, panel, look, size)
                 label = "\n".join(textwrap.wrap(_y_label(panel), int(size.width / 7)))
-                canvas.text(left / width, (down - 4) / height, label, fontsize=size.font, **style)
+                drawn.text(left / width, (down - 4) / height, label, fontsize=size.font, **style)
                 step(1)
             top -= _height((figure, heading, panels, size))
-        _coloured(canvas)
-        with atomic.replacing(path) as temporary:
-            kind = path.suffix.lower().removeprefix(".")
-            metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": "swimid"}
-            canvas.savefig(temporary, format=kind, dpi=72 * PIXELS, metadata=metadata)
+        _coloured(drawn.findobj())
+    return drawn
+
+
+def paint(figure: Figure, places: Sequence[Axes]) -> None:
+    """Draw each panel of a figure on axes of the caller's."""
+    with mpl.rc_context(drawing.SETTINGS):
+        for panel, look, axes in zip(figure.panels, looks.assigned(figure), places, strict=True):
+            _panel(axes, panel, look, NARROW)
+            axes.set_ylabel(panel.y_label, fontsize=NARROW.font, color=INK)
+            axes.set_title(panel.title, fontsize=NARROW.font, color=INK)
+            _coloured(axes.findobj())
 
 
 _Row = tuple[Figure, str, list[tuple[Panel, list[Look]]], Size]
@@ -147,10 +168,10 @@ def _palette() -> dict[str, str]:
     return {role: values[name] for role, name in roles.items()}
 
 
-def _coloured(canvas: Canvas) -> None:
+def _coloured(artists: Sequence[Artist]) -> None:
     """Give every artist the colour its role has on the page."""
     palette = _palette()
-    for artist in canvas.findobj():
+    for artist in artists:
         for name in ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor"):
             get, put = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)
             if get is None or put is None:

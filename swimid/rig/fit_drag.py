@@ -20,7 +20,7 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.outcome import Outcome
+from swimid.results.fitted import Fitted, rows
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
@@ -41,7 +41,7 @@ def fit_drag(
     profile: bool = False,
     coordinate: str | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Fitted:
     """Identify a rig: falling weight, towing or free decay.
 
     Parameters
@@ -122,10 +122,8 @@ def fit_drag(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    outputs = fit_common.save(output, file, evidence)
-    return Outcome(
-        "fit-drag", _summary(experiment, file, evidence, pair), file.model_dump(mode="json"), outputs
-    )
+    text = _summary(experiment, file, evidence, pair)
+    return fit_common.fitted("fit-drag", text, file, evidence, output)
 
 
 # ------------------------------------------------------------ fitting
@@ -387,7 +385,7 @@ def _summary(
             if file.fit.model_extra and "samples" in file.fit.model_extra
             else ""
         ),
-        fit_common.summary_rows(shown),
+        rows(shown),
     ]
     if pair is not None and not all(math.isfinite(e) for e in pair.stderr.values()):
         lines.append(

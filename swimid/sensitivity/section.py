@@ -14,10 +14,9 @@ from swimid.sensitivity.file import Index, Output, SensitivityFile
 _SOURCES = {"bounds": "bounds", "stderr": "± 2 std. errors", "share": "share of the value", "given": "given"}
 
 
-@reader(format=sensitivity.FORMAT)
-def section(path: Path, evidence: Evidence | None) -> Section:
+@reader(format=sensitivity.FORMAT, read=sensitivity.read)
+def section(path: Path, file: SensitivityFile, evidence: Evidence | None) -> Section:
     """The section of a sensitivity file."""
-    file = sensitivity.read(path)
     blocks: list[Block] = []
     if file.outputs:
         pooled = [o for o in file.outputs if o.trial is None]

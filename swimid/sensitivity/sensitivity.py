@@ -22,7 +22,6 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
-from swimid.results.outcome import Outcome
 from swimid.sensitivity import evidence as sensitivity_evidence
 from swimid.sensitivity import file as sensitivity_format
 from swimid.sensitivity import indices
@@ -43,6 +42,7 @@ from swimid.sensitivity.file import (
 )
 from swimid.sensitivity.indices import Morris, Sobol
 from swimid.sensitivity.outputs import Run
+from swimid.sensitivity.studied import Sensitivity
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
@@ -112,7 +112,7 @@ def sensitivity(
     jobs: int | None = None,
     dt: float = DEFAULT_STEP,
     progress: Progress = silent,
-) -> Outcome:
+) -> Sensitivity:
     """Vary the coefficients of a robot with links over ranges, and its drive over a grid.
 
     Parameters
@@ -239,7 +239,7 @@ def sensitivity(
         outputs = ev.write_beside(output, evidence)
         keep.done()
     summary = sensitivity_evidence.summary(file, evidence)
-    return Outcome("sensitivity", summary, file.model_dump(mode="json"), outputs)
+    return Sensitivity("sensitivity", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def _loaded(

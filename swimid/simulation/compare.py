@@ -18,7 +18,6 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.outcome import Outcome
 from swimid.simulation import (
     catalogue,
     compare_evidence,
@@ -28,6 +27,7 @@ from swimid.simulation import (
 )
 from swimid.simulation import comparison_file as comparison_format
 from swimid.simulation.compare_series import Compared
+from swimid.simulation.compared import Comparison
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
 from swimid.swimmer.planar.model import DEFAULT_STEP
 
@@ -50,7 +50,7 @@ def compare(
     dt: float = DEFAULT_STEP,
     buoyancy: float = compare_strokes.BUOYANCY_SHARE,
     progress: Progress = silent,
-) -> Outcome:
+) -> Comparison:
     """Compare recorded trials with their simulation.
 
     Parameters
@@ -136,7 +136,9 @@ def compare(
     if output is not None:
         comparison_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
-    return Outcome("compare", _summary(file, evidence), file.model_dump(mode="json"), outputs)
+    return Comparison(
+        "compare", _summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
+    )
 
 
 def _restricted(done: Compared, channels: Sequence[str]) -> Compared:

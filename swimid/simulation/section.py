@@ -12,10 +12,9 @@ from swimid.simulation import comparison_file as comparison
 from swimid.simulation.comparison_file import ComparisonFile
 
 
-@reader(format=comparison.FORMAT)
-def section(path: Path, evidence: Evidence | None) -> Section:
+@reader(format=comparison.FORMAT, read=comparison.read)
+def section(path: Path, file: ComparisonFile, evidence: Evidence | None) -> Section:
     """The section of a comparison file."""
-    file = comparison.read(path)
     return Section(
         path=path,
         kind="Comparison",

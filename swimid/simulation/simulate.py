@@ -16,7 +16,7 @@ from swimid.logs.log import PARQUET_ENDINGS
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 from swimid.results import numbers
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.simulation import animation
 from swimid.simulation import cases as simulate_cases
 from swimid.simulation import run as simulation
@@ -63,7 +63,7 @@ def simulate(
     view: str = "auto",
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Simulate a robot.
 
     Parameters
@@ -177,7 +177,7 @@ def simulate(
         remark = animation.write(animate, _film(done[0]), view=view, progress=progress)
         outputs.append(animate)
     _warn_unknown(done)
-    return Outcome("simulate", _summary(done, request, remark), _result(done, request), outputs)
+    return Result("simulate", _summary(done, request, remark), _result(done, request), outputs)
 
 
 def _insist_on_trials_alone(request: Request) -> None:

@@ -22,7 +22,7 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.outcome import Outcome
+from swimid.results.fitted import Fitted, rows
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
 from swimid.swimmer import fit_graybox_evidence, front
@@ -56,7 +56,7 @@ def fit_graybox(
     options: Genetic = front.AS_PUBLISHED,
     jobs: int | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Fitted:
     """Identify the coefficients of a multi-link robot by output error over all trials at once.
 
     Parameters
@@ -216,7 +216,7 @@ def fit_graybox(
         [
             f"{experiment.robot.name}: {len(result.trials)} trials, {result.samples} samples, "
             f"{', '.join(result.noise)}",
-            fit_common.summary_rows(fit_common.brief(file)),
+            rows(fit_common.brief(file)),
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
@@ -224,7 +224,7 @@ def fit_graybox(
             *_next(checks, trials_file, output),
         ]
     )
-    return Outcome("fit-graybox", summary, file.model_dump(mode="json"), outputs)
+    return Fitted("fit-graybox", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | None) -> list[str]:

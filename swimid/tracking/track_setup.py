@@ -13,7 +13,7 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic
 from swimid.notices import warn
 from swimid.progress import Progress, silent
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.tracking import camera, census, motion, pick, propose, track_setup_text
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
@@ -60,7 +60,7 @@ def track_setup(
     fps: float | None = None,
     force: bool = False,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Propose markers, draw them and write a setup that ``track video`` takes as it is.
 
     Parameters
@@ -130,7 +130,7 @@ def track_setup(
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in draft.passed],
     }
-    return Outcome("track setup", "\n".join(lines), result, [output, sheet])
+    return Result("track setup", "\n".join(lines), result, [output, sheet])
 
 
 def _scale(

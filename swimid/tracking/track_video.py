@@ -14,7 +14,7 @@ from swimid.logs import log
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence
-from swimid.results.outcome import Outcome
+from swimid.results.result import Result
 from swimid.tracking import checks, overlay, pictures, plane, pose, stills, track_video_figures
 from swimid.tracking import setup as setup_format
 from swimid.tracking.census import describe_colours
@@ -39,7 +39,7 @@ def track_video(
     window_s: tuple[float | None, float | None] = (None, None),
     metadata: dict[str, Any] | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> Result:
     """Track the markers of a video and write the log.
 
     Parameters
@@ -103,7 +103,7 @@ def _track(
     metadata: dict[str, Any],
     progress: Progress,
     notices: list[Notice],
-) -> Outcome:
+) -> Result:
     with progress(f"tracking {video.name}") as step:
         run = follow(video, rules, step=step)
     track, info, rules = run.track, run.info, run.setup
@@ -190,7 +190,7 @@ def _track(
         "checks": [check.model_dump() for check in found_checks],
     }
     swim_lines = track_video_figures.lines(swum, rules, ground.unit)
-    return Outcome("track video", _summary(machine, found_checks, swim_lines, remark), machine, outputs)
+    return Result("track video", _summary(machine, found_checks, swim_lines, remark), machine, outputs)
 
 
 def _reference(rules: Setup, ground: plane.Plane) -> dict[str, Any]:

@@ -1,0 +1,65 @@
+"""The result of ``diagnose``: where the gap is, which effect causes it, and how far it shrinks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swimid.diagnosis import gap_file
+from swimid.diagnosis.gap_file import GapFile
+from swimid.results.result import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(Result):
+    """The gap between trials and a model, and its causes."""
+
+    format = gap_file.FORMAT
+
+    @property
+    def file(self) -> GapFile:
+        """What :meth:`save` writes."""
+        assert isinstance(self.document, GapFile)
+        return self.document
+
+    @property
+    def answer(self) -> str:
+        """``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
+        return self.file.verdict
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """A row for each parameter of each cause, the likeliest cause first."""
+        import pandas as pd
+
+        rows = [
+            (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
+            for c in self.file.causes
+            for name, v in c.parameters.items()
+        ]
+        return pd.DataFrame(
+            rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
+        )
+
+    @property
+    def shrinkage(self) -> pd.DataFrame:
+        """How far each cause shrinks the gap of each channel on held-out trials."""
+        import pandas as pd
+
+        rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
+        return pd.DataFrame(rows)
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """The gap of each channel against its noise floor."""
+        import pandas as pd
+
+        return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
+
+    def _write(self, path: Path) -> list[Path]:
+        gap_file.write(path, self.file)
+        return [path]

@@ -1,0 +1,128 @@
+"""The result of a fit: its parameters with their uncertainty, and what they rest on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from swimid.results import evidence as ev
+from swimid.results import numbers, parameters
+from swimid.results.parameters import Estimate, ParameterFile
+from swimid.results.result import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted(Result):
+    """Parameters of a model, as ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls`` give them.
+
+    ``fitted["added_mass"]`` is one estimate, with ``value``, ``stderr``, ``unit``, ``bounds`` and ``status``.
+    """
+
+    format = parameters.FORMAT
+
+    @property
+    def file(self) -> ParameterFile:
+        """What :meth:`save` writes."""
+        assert isinstance(self.document, ParameterFile)
+        return self.document
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """A row for each parameter: value, standard error, 95 % interval, unit, status."""
+        return _frame(self.file.parameters)
+
+    @property
+    def derived(self) -> pd.DataFrame:
+        """Quantities that follow from the parameters, in the same columns."""
+        return _frame(self.file.derived)
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Correlations of the estimates; empty where fewer than two have an error."""
+        import pandas as pd
+
+        found = self.file.correlation
+        return pd.DataFrame(
+            found.matrix if found else [],
+            index=found.names if found else [],
+            columns=found.names if found else [],
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended at a minimum."""
+        return self.file.fit is not None and self.file.fit.converged
+
+    def __getitem__(self, name: str) -> Estimate:
+        return (self.file.parameters | self.file.derived)[name]
+
+    def _write(self, path: Path) -> list[Path]:
+        parameters.write(path, self.file)
+        return [path]
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a parameter file, with its evidence where that lies beside it.
+
+        Raises
+        ------
+        InputError
+            When either is broken.
+        """
+        file = parameters.read(path)
+        sidecar = ev.sidecar(path)
+        proof = ev.read(sidecar) if sidecar.exists() else None
+        lines = [f"{file.model}" + (f" of {file.robot}" if file.robot else ""), rows(file)]
+        if proof is not None:
+            lines.append(f"{proof.verdict.level.upper()}: {proof.verdict.text}")
+        return cls(
+            proof.verb if proof else "parameters",
+            "\n".join(lines),
+            file.model_dump(mode="json"),
+            [Path(path)],
+            proof,
+            file,
+        )
+
+
+def rows(file: ParameterFile) -> str:
+    """The parameters as lines of plain text."""
+    found = []
+    for name, e in {**file.parameters, **file.derived}.items():
+        if e.status == "unidentifiable":
+            text = "not identifiable from these trials"
+        elif e.status == "fixed":
+            if e.value == 0:
+                continue
+            text = f"{numbers.measured(e.value, None, e.unit)}  (fixed)"
+        elif e.status == "at-bound":
+            text = f"{numbers.measured(e.value, None, e.unit)}  (at its bound)"
+        else:
+            ends = interval95(e)
+            band = f"   95 %: {numbers.interval(ends[0], ends[1], e.stderr)}" if ends else ""
+            text = f"{numbers.measured(e.value, e.stderr, e.unit)}{band}"
+        found.append((name, text))
+    width = max((len(name) for name, _ in found), default=0)
+    return "\n".join(f"  {name:<{width}}  {text}" for name, text in found)
+
+
+def interval95(estimate: Estimate) -> tuple[float, float] | None:
+    """95 % interval: by profile likelihood where that was asked for, else by the standard error."""
+    if estimate.ci95 and estimate.ci95[0] is not None and estimate.ci95[1] is not None:
+        return estimate.ci95[0], estimate.ci95[1]
+    return numbers.confidence95(estimate.value, estimate.stderr)
+
+
+def _frame(estimates: dict[str, Estimate]) -> pd.DataFrame:
+    import pandas as pd
+
+    nothing = (float("nan"), float("nan"))
+    return pd.DataFrame(
+        [(e.value, e.stderr, *(interval95(e) or nothing), e.unit, e.status) for e in estimates.values()],
+        columns=["value", "stderr", "low95", "high95", "unit", "status"],
+        index=pd.Index(list(estimates), name="parameter"),
+    )

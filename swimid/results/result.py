@@ -1,0 +1,192 @@
+"""What every function of swimid returns: an answer with the evidence it rests on."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from swimid.errors import UsageError
+from swimid.files import atomic
+from swimid.results.evidence import Check, Evidence, Table, write_beside
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+    from swimid.results.evidence import Figure
+    from swimid.results.sections import Section
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """An answer, the evidence it rests on, and the files it was written to.
+
+    Nothing is written unless :meth:`save` is called, or an ``output`` was given to the function that made it.
+
+    Attributes
+    ----------
+    verb : str
+        The command that gives the same, ``"fit-drag"``.
+    text : str
+        What the command prints: the answer first.
+    data : dict
+        The same for machines (``--json``), at full precision.
+    outputs : sequence of Path
+        The files written so far.
+    evidence : Evidence or None
+        Verdict, checks, tables and figures as data; None for what has none (a report, a schema).
+    document : object
+        What is in the result file: a parameter file, a gap file, a log.
+    """
+
+    verb: str
+    text: str
+    data: dict[str, Any] = field(default_factory=dict)
+    outputs: Sequence[Path] = ()
+    evidence: Evidence | None = None
+    document: Any = None
+
+    #: The ``format:`` of the file it is written to, and that file's usual ending.
+    format: ClassVar[str] = ""
+    ending: ClassVar[str] = ".yaml"
+
+    def summary(self) -> str:
+        """The answer in plain text, as the command prints it."""
+        return self.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer as plain data at full precision, as ``--json`` prints it."""
+        return self.data
+
+    @property
+    def verdict(self) -> str:
+        """``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
+        return self.evidence.verdict.level if self.evidence else ""
+
+    @property
+    def warnings(self) -> pd.DataFrame:
+        """The warnings raised on the way: ``code``, ``text`` (``docs/warnings.md``)."""
+        notices = self.evidence.notices if self.evidence else []
+        return _frame(["code", "text"], [[n.code, n.text] for n in notices])
+
+    def checks(self) -> pd.DataFrame:
+        """Every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        found: Sequence[Check] = self.evidence.checks if self.evidence else []
+        names = list(Check.model_fields)
+        return _frame(names, [[getattr(check, name) for name in names] for check in found])
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables of the report by their id."""
+        found: Sequence[Table] = self.evidence.tables if self.evidence else []
+        return {table.id: _frame(table.columns, table.rows) for table in found}
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The ids of the figures :meth:`plot` draws."""
+        return [figure.id for figure in self.evidence.figures] if self.evidence else []
+
+    def figures(self) -> dict[str, Canvas]:
+        """Every figure of the report, drawn by matplotlib, by its id."""
+        return {name: self._canvas(name) for name in self.figure_names}
+
+    def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
+        """Draw one figure of the report.
+
+        Parameters
+        ----------
+        name : str
+            One of :attr:`figure_names`.
+        axes : matplotlib Axes or sequence of Axes, optional
+            Where to draw, one a panel; by default on a figure of its own.
+
+        Returns
+        -------
+        Axes or list of Axes
+            The list where the figure has several panels.
+
+        Raises
+        ------
+        UsageError
+            When there is no such figure, or not as many axes as panels.
+        """
+        from swimid.results import sheet
+
+        figure = self._figure(name)
+        if axes is None:
+            drawn = list(self._canvas(name).axes)
+        else:
+            given = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
+            if len(given) != len(figure.panels):
+                raise UsageError(f"'{name}' has {len(figure.panels)} panels: give as many axes")
+            sheet.paint(figure, given)
+            drawn = given
+        return drawn[0] if len(drawn) == 1 else drawn
+
+    def save(self, path: str | Path) -> Self:
+        """Write the result and its evidence beside it, each whole or not at all.
+
+        Returns
+        -------
+        Result
+            The same, with the files in :attr:`outputs`.
+
+        Raises
+        ------
+        InputError
+            When the folder does not exist or cannot be written.
+        UsageError
+            For a result that is no file.
+        """
+        target = atomic.check_writable(Path(path))
+        written = self._write(target)
+        if self.evidence is not None:
+            written = [*written, *write_beside(target, self.evidence)[1:]]
+        return replace(self, outputs=(*self.outputs, *written))
+
+    def section(self) -> Section:
+        """The result as a section of a report."""
+        from swimid.results import reader
+
+        if self.evidence is None:
+            raise UsageError(f"the result of {self.verb} has nothing a report could show")
+        written = [path for path in self.outputs if path.suffix == self.ending]
+        name = written[0] if written else Path(self.verb.replace(" ", "-") + self.ending)
+        return reader.of_document(name, self.document, self.format, self.evidence)
+
+    def _write(self, path: Path) -> list[Path]:
+        raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
+
+    def _figure(self, name: str) -> Figure:
+        for figure in self.evidence.figures if self.evidence else []:
+            if figure.id == name:
+                return figure
+        known = ", ".join(self.figure_names) or "none"
+        raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
+
+    def _canvas(self, name: str) -> Canvas:
+        from swimid.results import sheet
+
+        return sheet.canvas([self._figure(name)])
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary, and the checks folded below it."""
+        shown = f"<pre>{html.escape(self.summary())}</pre>"
+        if self.evidence is not None and self.evidence.checks:
+            table = self.checks().to_html(index=False, border=0)
+            shown += f"<details><summary>checks</summary>{table}</details>"
+        return f"<div>{shown}</div>"
+
+
+def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame([list(row) for row in rows], columns=list(columns))
