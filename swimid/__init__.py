@@ -23,3 +23,21 @@ Rooms
 """
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name.startswith("__"):
+        raise AttributeError(name)
+    from importlib import import_module
+
+    from swimid.api import NAMES
+
+    if name not in NAMES:
+        raise AttributeError(f"swimid has no '{name}'; it has: {', '.join(sorted(NAMES))}")
+    return getattr(import_module(NAMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    from swimid.api import NAMES
+
+    return sorted([*NAMES, "__version__"])

@@ -52,7 +52,7 @@ def command(
     """
     with running("export", shared) as run:
         from swimid.export.export import export
-        from swimid.results.result import Result
+        from dataclasses import replace
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         protect(output, shared, inputs=(params,))
@@ -67,5 +67,5 @@ def command(
         if output is None and not shared.as_json:
             # The document is the result: --quiet must not swallow it.
             click.echo(outcome.text)
-            outcome = Result(outcome.verb, "", outcome.data, outcome.outputs)
+            outcome = replace(outcome, text="")
         run.finish(outcome)

@@ -138,7 +138,7 @@ def compare(
         comparison_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
     return Comparison(
-        "compare", _summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
+        "compare", summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
     )
 
 
@@ -268,7 +268,8 @@ def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> 
     return said
 
 
-def _summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+    """Plain text for the terminal."""
     lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
     width = max(len(n) for n in file.channels)
     lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
