@@ -18,9 +18,11 @@ Missing data
 Rooms
     A folder is named for what it is about: ``logs``, ``tracking``, ``inertial``; ``rig``, ``propulsion``,
     ``swimmer`` and ``blackbox``, one for each family of experiment; ``fitting`` under them; ``simulation``,
-    ``effects``, ``diagnosis``, ``sensitivity``, ``export``; ``results``, ``robots`` and ``files`` below all;
-    ``cli`` on top. Imports run one way (``docs/architecture.md``).
+    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots`` and ``files``
+    below all; ``cli`` on top. Imports run one way (``docs/architecture.md``).
 """
+
+from typing import Any
 
 __version__ = "0.1.0"
 

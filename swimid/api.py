@@ -23,7 +23,7 @@ NAMES = {
     "load_result": "swimid.api",
     "read_log": "swimid.api",
     "read_robot": "swimid.api",
-    "robots": "swimid.api",
+    "built_in_robots": "swimid.api",
     "Log": "swimid.logs.log",
     "TrialSet": "swimid.logs.trials",
     "Robot": "swimid.robots.file",
@@ -41,8 +41,8 @@ NAMES = {
     "simulate": "swimid.simulation.simulate",
     "compare": "swimid.simulation.compare",
     "diagnose": "swimid.diagnosis.diagnose",
-    "sensitivity": "swimid.sensitivity.sensitivity",
-    "export": "swimid.export.export",
+    "sensitivity": "swimid.sensitivity_analysis.sensitivity",
+    "export": "swimid.exporters.export",
     "report": "swimid.results.report",
     "plot": "swimid.logs.plot",
     # what comes of it
@@ -52,7 +52,7 @@ NAMES = {
     "Simulation": "swimid.simulation.simulated",
     "Comparison": "swimid.simulation.compared",
     "Diagnosis": "swimid.diagnosis.diagnosed",
-    "Sensitivity": "swimid.sensitivity.studied",
+    "Sensitivity": "swimid.sensitivity_analysis.studied",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",
@@ -149,9 +149,10 @@ def load(
         return trials if isinstance(trials, TrialSet) else TrialSet.read(trials)
     if experiment is None or robot is None:
         raise UsageError("name the experiment and the robot of these trials")
-    if not isinstance(trials, Sequence):
+    if not isinstance(trials, Sequence) or isinstance(trials, str):  # the table of a cruise
         return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
-    return TrialSet.of(trials, experiment=experiment, robot=str(robot), **keys)
+    given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
+    return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)
 
 
 def load_result(path: str | Path) -> Result:
@@ -210,19 +211,19 @@ def read_robot(name: str | Path) -> Robot:
     Examples
     --------
     >>> read_robot("boxfish").body.inertial_mass_kg
-    3.1
+    1.196
     """
     from swimid.robots import file
 
     return file.read(str(name))
 
 
-def robots() -> list[str]:
+def built_in_robots() -> list[str]:
     """The built-in robots.
 
     Examples
     --------
-    >>> robots()
+    >>> built_in_robots()
     ['boxfish', 'dolphin', 'long-fin', 'sealion', 'tfish']
     """
     from swimid.robots import file

@@ -51,8 +51,9 @@ def command(
       swimid export tfish.yaml --to json -o tfish.json
     """
     with running("export", shared) as run:
-        from swimid.export.export import export
         from dataclasses import replace
+
+        from swimid.exporters.export import export
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         protect(output, shared, inputs=(params,))

@@ -32,9 +32,10 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
       swimid report drag.yaml --format md
     """
     with running("report", shared) as run:
+        from dataclasses import replace
+
         from swimid.errors import UsageError
         from swimid.results.report import report
-        from dataclasses import replace
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         if output is None and shared.output is None and kind in (None, "html") and not shared.as_json:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import swimid
 from swimid.errors import InputError, UsageError, nearest
-from swimid.export import targets
-from swimid.export.base import AddedMass, Options
-from swimid.export.source import Source
+from swimid.exporters import targets
+from swimid.exporters.base import AddedMass, Options
+from swimid.exporters.source import Source
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Held, sha256
 from swimid.notices import warn
@@ -44,7 +44,7 @@ def export(
         Built-in name or path of a robot file in place of the one the parameter file names, which is
         looked for beside that file.
     added_mass : {"native", "fold", "plugin", "none"}
-        See :data:`swimid.export.base.AddedMass`.
+        See :data:`swimid.exporters.base.AddedMass`.
     servo_hz : float
         Natural frequency of servos the robot file does not describe.
 
@@ -131,7 +131,12 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
     found = robot.read(name, folder, readings=readings)
     place = robot.locate(name, folder)
-    origin = {"file": path.name, "sha256": given.digest if isinstance(given, Held) else sha256(given), "version": swimid.__version__, "robot": name}
+    origin = {
+        "file": path.name,
+        "sha256": given.digest if isinstance(given, Held) else sha256(given),
+        "version": swimid.__version__,
+        "robot": name,
+    }
     source = Source(file, found, origin, readings)
     if source.multilink:
         if found.multilink is None:

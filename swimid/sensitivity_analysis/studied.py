@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from swimid.results.evidence import Evidence
 from swimid.results.result import Result
-from swimid.sensitivity import file as sensitivity_file
-from swimid.sensitivity.file import SensitivityFile
+from swimid.sensitivity_analysis import file as sensitivity_file
+from swimid.sensitivity_analysis.file import SensitivityFile
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +47,7 @@ class Sensitivity(Result):
 
     @classmethod
     def _told(cls, document: SensitivityFile, evidence: Evidence | None) -> str:
-        from swimid.sensitivity.evidence import summary
+        from swimid.sensitivity_analysis.evidence import summary
 
         return summary(document, evidence) if evidence else super()._told(document, evidence)
 

@@ -23,11 +23,11 @@ from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.sensitivity import evidence as sensitivity_evidence
-from swimid.sensitivity import file as sensitivity_format
-from swimid.sensitivity import indices
-from swimid.sensitivity import outputs as sensitivity_outputs
-from swimid.sensitivity.file import (
+from swimid.sensitivity_analysis import evidence as sensitivity_evidence
+from swimid.sensitivity_analysis import file as sensitivity_format
+from swimid.sensitivity_analysis import indices
+from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis.file import (
     Axis,
     Effects,
     Index,
@@ -41,9 +41,9 @@ from swimid.sensitivity.file import (
     Sweep,
     SweptOutput,
 )
-from swimid.sensitivity.indices import Morris, Sobol
-from swimid.sensitivity.outputs import Run
-from swimid.sensitivity.studied import Sensitivity
+from swimid.sensitivity_analysis.indices import Morris, Sobol
+from swimid.sensitivity_analysis.outputs import Run
+from swimid.sensitivity_analysis.studied import Sensitivity
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
