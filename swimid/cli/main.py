@@ -10,7 +10,6 @@ from swimid.cli import (
     diagnose,
     doctor,
     export,
-    fit_drag,
     fit_graybox,
     fit_propulsion,
     import_log,
@@ -22,6 +21,7 @@ from swimid.cli import (
     simulate,
     track,
 )
+from swimid.cli.verbs import VERBS
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
@@ -65,7 +65,6 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    fit_drag.command,
     fit_propulsion.command,
     rwls.command,
     fit_graybox.command,
@@ -80,6 +79,8 @@ for command in (
     doctor.command,
 ):
     main.add_command(command)
+for verb in VERBS:
+    main.add_command(verb.command())
 
 
 def entry() -> None:
