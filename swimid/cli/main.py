@@ -6,16 +6,13 @@ import click
 
 import swimid
 from swimid.cli import (
-    compare,
     diagnose,
     doctor,
     export,
     fit_graybox,
-    fit_propulsion,
     import_log,
     plot,
     report,
-    rwls,
     schema,
     sensitivity,
     simulate,
@@ -65,11 +62,8 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    fit_propulsion.command,
-    rwls.command,
     fit_graybox.command,
     simulate.command,
-    compare.command,
     diagnose.command,
     sensitivity.command,
     plot.command,
