@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import swimid
 from swimid.errors import InputError
@@ -27,9 +27,32 @@ def sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def digests_of(inputs: Iterable[str | Path]) -> dict[str, str]:
-    """SHA-256 of each file, by its name relative to the working folder."""
-    return {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+class InMemory(Protocol):
+    """An input that is no file."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    def digest(self) -> str:
+        """SHA-256 of what it holds, as hexadecimal digits."""
+        ...
+
+
+#: An input of a result.
+Input = str | Path | InMemory
+
+
+def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
+    """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own."""
+    found = {}
+    for given in inputs:
+        if not isinstance(given, str | Path):
+            found[given.name] = given.digest()
+        elif (name := os.path.relpath(given)) not in found:
+            found[name] = sha256(given)
+    return found
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -44,7 +67,7 @@ def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, 
 
 
 def collect(
-    inputs: Iterable[str | Path],
+    inputs: Iterable[Input],
     *,
     settings: dict[str, Any] | None = None,
     digests: dict[str, str] | None = None,
@@ -53,8 +76,8 @@ def collect(
 
     Parameters
     ----------
-    inputs : iterable of paths
-        Every file that was read. Each is named relative to the working folder.
+    inputs : iterable of paths and objects
+        Every file that was read, named relative to the working folder, and what was handed over in memory.
     settings : dict, optional
         The options the result was made with, defaults included.
     digests : dict, optional
