@@ -20,8 +20,8 @@ LEVELS = (
     {"logs"},
     {"tracking", "inertial", "fitting"},
     {"rig", "propulsion", "swimmer", "blackbox"},
-    {"simulation", "effects", "export"},
-    {"diagnosis", "sensitivity"},
+    {"simulation", "effects", "exporters"},
+    {"diagnosis", "sensitivity_analysis"},
     {"cli"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}

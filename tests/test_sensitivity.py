@@ -13,10 +13,10 @@ import pytest
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.results import evidence
-from swimid.sensitivity import file as sensitivity_format
-from swimid.sensitivity import indices
-from swimid.sensitivity import outputs as sensitivity_outputs
-from swimid.sensitivity.file import SensitivityFile
+from swimid.sensitivity_analysis import file as sensitivity_format
+from swimid.sensitivity_analysis import indices
+from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis.file import SensitivityFile
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]

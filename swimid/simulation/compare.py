@@ -18,6 +18,7 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.results import parameters as parameters_format
 from swimid.simulation import (
     catalogue,
     compare_evidence,
@@ -91,7 +92,7 @@ def compare(
         )
         experiment = loaded.experiment
         if output is not None:
-            atomic.check_writable(output, inputs=tuple(experiment.inputs))
+            atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
         done = []
         with progress("comparing", total=len(experiment.trials)) as step:
             for trial in experiment.trials:
@@ -137,7 +138,7 @@ def compare(
         comparison_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
     return Comparison(
-        "compare", _summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
+        "compare", summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
     )
 
 
@@ -166,7 +167,7 @@ def _file(
         model=experiment.model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params=params.name,
+        params=parameters_format.place(params).name,
         channels=pooled,
         trials=trials,
         mean_speed_rmse_m_s=_speed_rmse(trials),
@@ -247,9 +248,10 @@ def _answer(file: ComparisonFile) -> str:
 
 
 def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> list[str]:
+    source = parameters_format.place(params).name
     said = [
         f"{len(done)} {experiment.name} trials were compared with simulations under the parameters of "
-        f"{params.name}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
+        f"{source}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
         "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
     ]
     if any(p.source == "pose" for d in done for p in d.pairs.values()):
@@ -266,7 +268,8 @@ def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> 
     return said
 
 
-def _summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+    """Plain text for the terminal."""
     lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
     width = max(len(n) for n in file.channels)
     lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")

@@ -22,11 +22,12 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
-from swimid.sensitivity import evidence as sensitivity_evidence
-from swimid.sensitivity import file as sensitivity_format
-from swimid.sensitivity import indices
-from swimid.sensitivity import outputs as sensitivity_outputs
-from swimid.sensitivity.file import (
+from swimid.results import parameters as parameters_format
+from swimid.sensitivity_analysis import evidence as sensitivity_evidence
+from swimid.sensitivity_analysis import file as sensitivity_format
+from swimid.sensitivity_analysis import indices
+from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis.file import (
     Axis,
     Effects,
     Index,
@@ -40,9 +41,9 @@ from swimid.sensitivity.file import (
     Sweep,
     SweptOutput,
 )
-from swimid.sensitivity.indices import Morris, Sobol
-from swimid.sensitivity.outputs import Run
-from swimid.sensitivity.studied import Sensitivity
+from swimid.sensitivity_analysis.indices import Morris, Sobol
+from swimid.sensitivity_analysis.outputs import Run
+from swimid.sensitivity_analysis.studied import Sensitivity
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
@@ -160,7 +161,7 @@ def sensitivity(
         model = experiment.model
         assert isinstance(model, MultilinkModel | MultibodyModel)
         if output is not None:
-            atomic.check_writable(output, inputs=tuple(experiment.inputs))
+            atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
         over = _ranges(applied, ranges, coefficients) if method != "none" else {}
         swept = _swept(experiment, sweep, trial)
         prepare(progress)
@@ -186,7 +187,7 @@ def sensitivity(
             model=model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=params.name if params is not None else None,
+            params=parameters_format.place(params).name if params is not None else None,
             method=method,
             samples=count,
             trials=[t.id for t in experiment.trials],
