@@ -14,7 +14,7 @@ from swimid import notices
 PACKAGE = Path(notices.__file__).parent
 #: The rooms from the ground up: each imports from itself and from those of the rows before its own.
 LEVELS = (
-    {"errors", "notices", "progress"},
+    {"errors", "notices", "progress", "options"},
     {"files"},
     {"results", "robots"},
     {"logs"},
