@@ -19,14 +19,14 @@ PACKAGE = Path(notices.__file__).parent
 PICTURE = ROOT / "docs" / "architecture.md"
 #: The rooms from the ground up: each imports from itself and from those of the rows before its own.
 LEVELS = (
-    {"errors", "notices", "progress"},
+    {"errors", "notices", "progress", "options"},
     {"files"},
     {"results", "robots"},
     {"logs"},
     {"tracking", "inertial", "fitting"},
     {"rig", "propulsion", "swimmer", "blackbox"},
-    {"simulation", "effects", "export"},
-    {"diagnosis", "sensitivity"},
+    {"simulation", "effects", "exporters"},
+    {"diagnosis", "sensitivity_analysis"},
     {"cli"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}

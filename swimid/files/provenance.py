@@ -7,12 +7,28 @@ import os
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import swimid
 from swimid.errors import InputError
+
+
+@dataclass(frozen=True)
+class Held:
+    """An input that was in memory and is no file.
+
+    Attributes
+    ----------
+    name : str
+    digest : str
+        SHA-256 of what it held.
+    """
+
+    name: str
+    digest: str
 
 
 def sha256(path: str | Path) -> str:
@@ -27,9 +43,20 @@ def sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def digests_of(inputs: Iterable[str | Path]) -> dict[str, str]:
-    """SHA-256 of each file, by its name relative to the working folder."""
-    return {os.path.relpath(path): sha256(path) for path in dict.fromkeys(map(str, inputs))}
+def digests_of(inputs: Iterable[str | Path | Held]) -> dict[str, str]:
+    """SHA-256 of each input: files by their name relative to the working folder, the rest by its own."""
+    found = {}
+    for item in inputs:
+        if isinstance(item, Held):
+            found[item.name] = item.digest
+        elif (name := os.path.relpath(item)) not in found:
+            found[name] = sha256(item)
+    return found
+
+
+def files(inputs: Iterable[Path | Held]) -> tuple[Path, ...]:
+    """Those inputs that are files."""
+    return tuple(item for item in inputs if isinstance(item, Path))
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -44,7 +71,7 @@ def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, 
 
 
 def collect(
-    inputs: Iterable[str | Path],
+    inputs: Iterable[str | Path | Held],
     *,
     settings: dict[str, Any] | None = None,
     digests: dict[str, str] | None = None,
@@ -53,8 +80,8 @@ def collect(
 
     Parameters
     ----------
-    inputs : iterable of paths
-        Every file that was read. Each is named relative to the working folder.
+    inputs : iterable of paths or Held
+        Every file that was read, and what was given in memory. Each is named relative to the working folder.
     settings : dict, optional
         The options the result was made with, defaults included.
     digests : dict, optional

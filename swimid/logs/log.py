@@ -6,8 +6,9 @@ before the header hold YAML ``key: value`` metadata. Columns carry their unit as
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.delimited import MISSING, column_names, head, missing_column, number, number_hint
+from swimid.files.provenance import Held
 from swimid.logs import plausible
 from swimid.notices import warn
 
@@ -42,12 +44,74 @@ class Log:
         Numbers, NaN where missing; ``t_s`` is among them.
     first_line : int
         Line of the file that holds the first sample (0 for Parquet).
+    in_memory : bool
+        Made by :meth:`from_frame`: ``path`` is a name then.
     """
 
     path: Path
     metadata: dict[str, Any]
     columns: dict[str, NDArray[np.float64]]
     first_line: int = 0
+    in_memory: bool = False
+
+    @property
+    def source(self) -> Path | Held:
+        """The file it was read from, or what stands for it in the provenance."""
+        return Held(self.path.name, self.digest()) if self.in_memory else self.path
+
+    def digest(self) -> str:
+        """SHA-256 of the columns' names and samples."""
+        made = hashlib.sha256()
+        for name, values in self.columns.items():
+            made.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
+        return made.hexdigest()
+
+    def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
+        """The same log with the columns asked for, after the checks that :func:`read` makes."""
+        _check_columns(list(self.columns), required, self.path, None)
+        wanted = [n for n in self.columns if optional is None or n in {TIME, *required, *optional}]
+        log = replace(self, columns={name: self.columns[name] for name in wanted})
+        _check(log, required, 2)
+        _warn_missing(log)
+        warn_units(log)
+        return log
+
+    @classmethod
+    def from_frame(
+        cls, frame: pd.DataFrame, *, name: str = "log", metadata: Mapping[str, Any] | None = None
+    ) -> Log:
+        """A log of a table in memory.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            One row a sample; ``t_s`` in s, strictly increasing, as a column or as the index; NaN where a
+            sample is missing. Columns carry their unit as a suffix; those of text are left out.
+        name : str
+            What messages and provenance call it.
+        metadata : mapping, optional
+
+        Raises
+        ------
+        InputError
+            Naming the column: time missing or not increasing, an infinite sample.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> len(Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.02]})))
+        2
+        """
+        path = Path(name)
+        if frame.index.name == TIME:
+            frame = frame.reset_index()
+        numbers = frame.select_dtypes(["number", "bool"])
+        columns = {str(c): numbers[c].to_numpy(dtype=float, na_value=np.nan) for c in numbers.columns}
+        columns = {name: columns[name] for name in sorted(columns, key=lambda c: c != TIME)}
+        log = cls(path, dict(metadata or {}), columns, in_memory=True)
+        _check_columns(list(columns), [], path, None)
+        _check(log, [], 2)
+        return log
 
     @property
     def time_s(self) -> NDArray[np.float64]:

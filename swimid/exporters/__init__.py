@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from swimid.export.base import AddedMass, Exported, Options
-from swimid.export.source import Source
+from swimid.exporters.base import AddedMass, Exported, Options
+from swimid.exporters.source import Source
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Target:
 
 def targets() -> dict[str, Target]:
     """The targets by the name ``--to`` takes."""
-    from swimid.export import gazebo, mjcf, plain, stonefish
+    from swimid.exporters import gazebo, mjcf, plain, stonefish
 
     return {
         "mjcf": Target("MuJoCo MJCF", mjcf.export, ("native", "fold", "none"), rigid=False),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -15,6 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.progress import Progress, silent
+from swimid.sensitivity.threads import in_threads
 
 #: Share of the evaluations that may break down.
 BROKEN = 0.01
@@ -297,26 +297,23 @@ class _Runs:
     def of(self, labels: Sequence[str], points: Array) -> Array:
         """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
         found = []
+        work = list(zip(labels, points, strict=True))
         with (
             self.progress("sensitivity", total=len(points)) as step,
-            ThreadPoolExecutor(max(self.jobs, 1)) as pool,
+            in_threads(self._one, work, self.jobs) as results,
         ):
-            waiting = [pool.submit(self._one, *item) for item in zip(labels, points, strict=True)]
-            try:
-                for future, point in zip(waiting, points, strict=True):
-                    outputs = future.result()
-                    whole = bool(np.isfinite(outputs).all())
-                    (self._fine if whole else self.broken).append(point)
-                    found.append(outputs if whole else np.full(len(outputs), np.nan))
-                    self.done += 1
-                    if len(self.broken) > BROKEN * self.planned:
-                        self.refuse()
-                    step()
-            finally:
-                pool.shutdown(cancel_futures=True)
+            for outputs, point in zip(results, points, strict=True):
+                whole = bool(np.isfinite(outputs).all())
+                (self._fine if whole else self.broken).append(point)
+                found.append(outputs if whole else np.full(len(outputs), np.nan))
+                self.done += 1
+                if len(self.broken) > BROKEN * self.planned:
+                    self.refuse()
+                step()
         return np.array(found)
 
-    def _one(self, label: str, point: Array) -> NDArray[np.float64]:
+    def _one(self, work: tuple[str, Array]) -> NDArray[np.float64]:
+        label, point = work
         known = self.checkpoint.get(label)
         if known is not None:
             return known

@@ -8,7 +8,7 @@ import numpy as np
 
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.sensitivity.file import Output, SensitivityFile, Sweep, SweptOutput
+from swimid.sensitivity_analysis.file import Output, SensitivityFile, Sweep, SweptOutput
 
 #: Width of a 95 % interval of a total index (or of mu* over the largest one) up to which it is narrow.
 NARROW = 0.3
