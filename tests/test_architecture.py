@@ -119,7 +119,7 @@ def test_the_picture_names_every_room() -> None:
 
 def test_the_picture_names_what_is_there() -> None:
     """Every ``room/module.py`` of the documents for developers, and every ``room/folder/``."""
-    place = re.compile(r"`(?:swimid/)?([a-z_]+/[a-z_/]*(?:\w+\.(?:py|yaml|md))?)`")
+    place = re.compile(r"`(?:swimid/)?([a-z_]+/[a-z_/]*(?:\w+\.(?:py|yaml|md))?)`(?!:$)", re.M)
     for page in (PICTURE, ROOT / "CONTRIBUTING.md"):
         for name in place.findall(page.read_text(encoding="utf-8")):
             inside = PACKAGE if name.split("/")[0] in LEVEL else ROOT
