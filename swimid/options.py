@@ -24,6 +24,8 @@ from swimid.errors import SwimidError, UsageError, suggestion
 
 Returned = TypeVar("Returned")
 
+#: Characters of a refused value that a message quotes.
+LONGEST = 60
 #: A file, or in its place what would be in it; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
@@ -296,5 +298,6 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     if problem["type"] == "missing":
         return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
     message = problem["msg"]
-    value = problem.get("input")
-    return UsageError(f"{name}: {value!r} is not allowed: {message[0].lower()}{message[1:]}")
+    value = repr(problem.get("input"))
+    value = value if len(value) < LONGEST else f"{value[:LONGEST]}..."
+    return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")
