@@ -285,7 +285,11 @@ def _plain(value: Any) -> Any:
         return {str(name): _plain(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
-    return str(value) if isinstance(value, Path) else value
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, str | int | float):
+        return value
+    return str(getattr(value, "name", type(value).__name__))
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
