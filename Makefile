@@ -5,6 +5,8 @@ OUT ?= demo_out
 BLIND_CASES ?= 160
 BIN := $(VENV)/bin
 SAMPLES := sample_logs
+# Files of tests stay whole: what their tests share is made once.
+SPREAD := -n 2 --dist loadfile
 
 .PHONY: demo test check-all lint types bench blind samples reproduction clean
 
@@ -25,12 +27,12 @@ demo: $(VENV)/.ready
 	@echo "open $(OUT)/report.html"
 
 test: $(VENV)/.ready-dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest $(SPREAD)
 
 # Everything: long checks, lint, types, kernels with bounds checking.
 check-all: $(VENV)/.ready-dev lint types
-	$(BIN)/python -m pytest -n 2 -m ""
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest -n 2 -m "kernels"
+	$(BIN)/python -m pytest $(SPREAD) -m ""
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest $(SPREAD) -m "kernels"
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
