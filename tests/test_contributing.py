@@ -22,7 +22,7 @@ TOUCHED = {
     "Add an effect": ["swimid/effects/sensing/encoder_ripple.py"],
     "Add a model": ["swimid/rig/glide.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
-    "Add a verb": ["swimid/rig/fit_glide.py", "swimid/cli/glide.py", "swimid/cli/main.py"],
+    "Add a verb": ["swimid/rig/fit_glide.py", "swimid/rig/options.py", "swimid/cli/verbs.py"],
 }
 #: Runs the commands of the manual in the copy.
 RUNNER = """
