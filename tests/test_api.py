@@ -140,8 +140,8 @@ def test_black_box_models_of_tables(empty: Path) -> None:
     logs = [SAMPLES / "longfin" / f"longfin_{name}.csv" for name in ("marching", "validation")]
     tables = [pd.read_csv(path, comment="#") for path in logs]
     options: dict[str, Any] = {"input_column": "cmd1_rad", "output_column": "u_m_s", "na": 4, "nb": 3}
-    mine = swimid.rwls([tables[0]], validate=[swimid.Log.from_frame(tables[1], name="other")], **options)
-    theirs = swimid.rwls([logs[0]], validate=[logs[1]], **options)
+    mine = swimid.rwls([tables[0]], held_out=[swimid.Log.from_frame(tables[1], name="other")], **options)
+    theirs = swimid.rwls([logs[0]], held_out=[logs[1]], **options)
     assert mine.parameters.equals(theirs.parameters)
 
 
