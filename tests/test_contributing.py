@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from swimid import __version__
 from tests.conftest import ROOT, SAMPLES
 
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -120,3 +121,12 @@ def test_its_targets_are_in_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"(?:`|^)make ([a-z-]+)", TEXT, re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_every_place_names_the_same_version() -> None:
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.search(r"^## \[(.+)\] - (unreleased|\d{4}-\d\d-\d\d)$", changes, re.M)
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.M)
+    assert newest is not None
+    assert cited is not None
+    assert newest.group(1) == cited.group(1) == __version__
