@@ -154,7 +154,7 @@ def read(
         if name not in fitted:
             held[name] = _records(read[name], name, columns, step, slice(None))
     files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
-    files += dict.fromkeys(part.origin for part in parts)
+    files += {part.path: part.origin for part in parts}.values()
     return Data(columns, step, fit, held, fitted, files, robot)
 
 

@@ -152,6 +152,12 @@ class Log:
     def __contains__(self, column: str) -> bool:
         return column in self.columns
 
+    def __repr__(self) -> str:
+        return f"<log {self.name}: {len(self)} samples of {', '.join(self.columns)}>"
+
+    def __str__(self) -> str:
+        return self.name
+
     def __len__(self) -> int:
         return len(self.time_s)
 
