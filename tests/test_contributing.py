@@ -8,9 +8,11 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from swimid import __version__
 from tests.conftest import ROOT, SAMPLES
@@ -130,3 +132,21 @@ def test_every_place_names_the_same_version() -> None:
     assert newest is not None
     assert cited is not None
     assert newest.group(1) == cited.group(1) == __version__
+
+
+def test_the_matrix_is_what_the_package_claims() -> None:
+    """Every Python and system of the metadata is tried, by the commands of the README."""
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
+    job = workflow["jobs"]["tests"]
+    claimed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
+    pythons = [c.rpartition(" ")[2] for c in claimed if re.search(r"Python :: 3\.\d", c)]
+    assert job["strategy"]["matrix"]["python"] == pythons
+    systems = {name.partition("-")[0] for name in job["strategy"]["matrix"]["os"]}
+    assert systems == {"ubuntu", "macos", "windows"}
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make demo", "make test"]
+
+
+def test_the_hooks_are_lint_format_and_types() -> None:
+    found = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    hooks = [hook["id"] for repository in found["repos"] for hook in repository["hooks"]]
+    assert hooks[:3] == ["ruff", "ruff-format", "mypy"]
