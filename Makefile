@@ -1,12 +1,20 @@
 # Two commands for users: make demo, make test. The rest is for developers.
+# On Windows run them from Git Bash: the recipes use its mkdir, touch and rm.
+ifeq ($(OS),Windows_NT)
+PYTHON ?= python
+BIN = $(VENV)/Scripts
+else
 PYTHON ?= python3
+BIN = $(VENV)/bin
+endif
 VENV ?= .venv
 OUT ?= demo_out
 BLIND_CASES ?= 160
-BIN := $(VENV)/bin
 SAMPLES := sample_logs
+# One encoding everywhere, whatever the system's own is.
+export PYTHONUTF8 := 1
 
-.PHONY: demo test check-all lint types bench blind samples reproduction clean
+.PHONY: demo test check-all lint types bench blind samples reproduction hooks clean
 
 demo: $(VENV)/.ready
 	mkdir -p $(OUT)
@@ -38,6 +46,10 @@ lint: $(VENV)/.ready-dev
 
 types: $(VENV)/.ready-dev
 	$(BIN)/mypy
+
+# Lint, format and types before every commit.
+hooks: $(VENV)/.ready-dev
+	$(BIN)/pre-commit install
 
 bench: $(VENV)/.ready-bench
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(BIN)/python $$script || exit 1; done

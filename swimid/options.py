@@ -24,6 +24,8 @@ from swimid.errors import SwimidError, UsageError, suggestion
 
 Returned = TypeVar("Returned")
 
+#: Characters of a refused value that a message quotes.
+LONGEST = 60
 #: A file, or in its place what would be in it; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
@@ -283,7 +285,11 @@ def _plain(value: Any) -> Any:
         return {str(name): _plain(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
-    return str(value) if isinstance(value, Path) else value
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, str | int | float):
+        return value
+    return str(getattr(value, "name", type(value).__name__))
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
@@ -296,5 +302,6 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     if problem["type"] == "missing":
         return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
     message = problem["msg"]
-    value = problem.get("input")
-    return UsageError(f"{name}: {value!r} is not allowed: {message[0].lower()}{message[1:]}")
+    value = repr(problem.get("input"))
+    value = value if len(value) < LONGEST else f"{value[:LONGEST]}..."
+    return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")

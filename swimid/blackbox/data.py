@@ -15,7 +15,7 @@ from swimid.blackbox.difference import Record
 from swimid.blackbox.model import sine_input
 from swimid.blackbox.trials import USES
 from swimid.errors import InputError, UsageError
-from swimid.files.provenance import Held
+from swimid.files.provenance import Input
 from swimid.fitting.experiment import read_log
 from swimid.logs import log as log_format
 from swimid.logs import sampling, trials
@@ -68,7 +68,7 @@ class _Part:
         return self.folder / self.entry.log
 
     @property
-    def origin(self) -> Path | Held:
+    def origin(self) -> Input:
         """What stands for it in the provenance."""
         held = self.entry._held
         return self.path if held is None else held.source
@@ -83,7 +83,7 @@ class Data:
     fit: list[Record]
     held_out: dict[str, list[Record]]
     logs: list[str]
-    files: list[Path | Held]
+    files: list[Input]
     robot: str | None
 
 
@@ -153,8 +153,8 @@ def read(
     for name in names:
         if name not in fitted:
             held[name] = _records(read[name], name, columns, step, slice(None))
-    files: list[Path | Held] = [path for path, listed in listings.items() if not listed._in_memory]
-    files += dict.fromkeys(part.origin for part in parts)
+    files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
+    files += {part.path: part.origin for part in parts}.values()
     return Data(columns, step, fit, held, fitted, files, robot)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from swimid.options import Options, option
 
@@ -46,7 +46,7 @@ class RwlsOptions(Options):
     centre: Literal["auto", "none", "mean"] = option(
         "auto", help="Remove the means of the fit part: where a constant is needed, never, or always."
     )
-    held_out: tuple[float | Path | str, ...] = option(
+    held_out: tuple[float | Path | str | Any, ...] = option(
         (),
         flag="--validate",
         metavar="SHARE|LOG",

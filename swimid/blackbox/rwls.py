@@ -103,7 +103,7 @@ def rwls(
         settings = _settings(options, data, orders, point)
         _warn(data, found, point, poles, fit_scores, scores)
     block = provenance.collect(
-        data.files, settings={**settings, "validate": [str(v) for v in options.held_out]}
+        data.files, settings={**settings, "validate": [_name(v) for v in options.held_out]}
     )
     tests = rwls_scores.tests(fit, found)
     file = _parameter_file(
@@ -186,6 +186,12 @@ def _choose(
             "independently",
         )
     return replace(best, nc=orders.nc), candidates
+
+
+def _name(held_out: Any) -> str:
+    """What held-out data are called: a share, a file, or a log in memory."""
+    plain = isinstance(held_out, str | int | float | Path)
+    return str(held_out if plain else getattr(held_out, "name", "log"))
 
 
 def _settings(

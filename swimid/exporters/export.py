@@ -133,7 +133,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
     place = robot.locate(name, folder)
     origin = {
         "file": path.name,
-        "sha256": given.digest if isinstance(given, Held) else sha256(given),
+        "sha256": given.digest() if isinstance(given, Held) else sha256(given),
         "version": swimid.__version__,
         "robot": name,
     }

@@ -14,7 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.progress import Progress, silent
-from swimid.sensitivity.threads import in_threads
+from swimid.sensitivity_analysis.threads import in_threads
 
 #: Share of the evaluations that may break down.
 BROKEN = 0.01

@@ -116,9 +116,8 @@ def compare(
     if output is not None:
         comparison_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
-    return Comparison(
-        "compare", summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
-    )
+    text = compare_evidence.summary(file, evidence)
+    return Comparison("compare", text, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
@@ -245,29 +244,3 @@ def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> 
             "with all shared parameters held."
         )
     return said
-
-
-def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
-    """Plain text for the terminal."""
-    lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
-    width = max(len(n) for n in file.channels)
-    lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
-    for name, s in file.channels.items():
-        lines.append(
-            f"  {name:<{width}}  {numbers.number(s.rmse, 3, s.unit):>14}  {numbers.percent(s.nrmse):>8}  "
-            f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
-            f"{numbers.number(compare_evidence.settled(s), 3, s.unit):>14}"
-        )
-    speeds = [(t.id, t.mean_speed) for t in file.trials if t.mean_speed is not None]
-    if speeds:
-        wide = max(len(i) for i, _ in speeds)
-        lines += ["", "  mean speed of the last beats, measured and simulated"]
-        for name, speed in speeds:
-            pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
-            lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
-    lines += compare_strokes_evidence.summary(file.profiles)
-    estimated = sum(t.start == "estimated" for t in file.trials)
-    if estimated:
-        lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
-    lines += ["", f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}"]
-    return "\n".join(lines)
