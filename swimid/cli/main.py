@@ -9,7 +9,6 @@ from swimid.cli import (
     diagnose,
     doctor,
     export,
-    fit_graybox,
     import_log,
     plot,
     report,
@@ -52,7 +51,6 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    fit_graybox.command,
     simulate.command,
     diagnose.command,
     sensitivity.command,

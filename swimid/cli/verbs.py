@@ -86,4 +86,24 @@ VERBS = (
           swimid report comparison.yaml -o comparison.html
         """,
     ),
+    Verb(
+        "fit-graybox",
+        function="swimid.swimmer.fit_graybox:fit_graybox",
+        options="swimid.swimmer.options:FitGrayboxOptions",
+        output="Parameter file to write (YAML).",
+        help="""Identify the coefficients of a multi-link swimmer.
+
+        TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
+        dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far, and the generations
+        of a front.
+
+        \b
+        Examples:
+          swimid fit-graybox trials.yaml -o tfish.yaml
+          swimid fit-graybox trials.yaml --share c_f --starts 8 -o tfish.yaml
+          swimid fit-graybox trials.yaml --channels u_m_s,yaw_rate_rad_s --free d_p -o tfish.yaml
+          swimid fit-graybox strokes.yaml --method hybrid -o sealion.yaml
+          swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
+        """,
+    ),
 )
