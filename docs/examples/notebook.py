@@ -54,7 +54,7 @@ ideal.checks()
 
 # %%
 gap = swimid.diagnose(
-    trials, parameters=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"]
+    trials, params=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"]
 )
 print(gap)
 gap.causes

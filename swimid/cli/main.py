@@ -6,15 +6,12 @@ import click
 
 import swimid
 from swimid.cli import (
-    diagnose,
     doctor,
     export,
     import_log,
     plot,
     report,
     schema,
-    sensitivity,
-    simulate,
     track,
 )
 from swimid.cli.verbs import SECTIONS, VERBS
@@ -51,9 +48,6 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    simulate.command,
-    diagnose.command,
-    sensitivity.command,
     plot.command,
     report.command,
     export.command,

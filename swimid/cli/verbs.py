@@ -106,4 +106,70 @@ VERBS = (
           swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
         """,
     ),
+    Verb(
+        "simulate",
+        function="swimid.simulation.simulate:simulate",
+        options="swimid.simulation.options:SimulateOptions",
+        output="Log to write (.csv or .parquet).",
+        argument="",
+        help="""Simulate any robot from any parameter file.
+
+        A robot with links swims as its beat says; a falling weight, a cruise and a discrete-time model
+        have options of their own. Printed with the uncertainty the parameter file gives.
+
+        \b
+        Examples:
+          swimid simulate --params tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o sim.csv
+          swimid simulate --robot dolphin --frequency-hz 2.5 --amplitude-deg 27 --animate swim.mp4
+          swimid simulate --robot sealion --stroke characteristic --cycles 3 -o stroke.csv
+          swimid simulate --params tfish.yaml --trials trials.yaml -o simulated
+          swimid simulate --params drag.yaml --pulling-mass-kg 0.02 --duration-s 8 -o drop.csv
+          swimid simulate --params arma.yaml --input run.csv -o free_run.csv
+        """,
+    ),
+    Verb(
+        "sensitivity",
+        function="swimid.sensitivity_analysis.sensitivity:sensitivity",
+        options="swimid.sensitivity_analysis.options:SensitivityOptions",
+        output="Sensitivity file to write (YAML).",
+        short="Which coefficient each output hangs on; sweeps of the drive.",
+        help="""Vary the coefficients of a robot with links, and its drive.
+
+        TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
+        of each measured channel) is told which coefficients it hangs on, over ranges of all of them at once.
+        A run that was stopped goes on where it was when it is started again.
+
+        \b
+        Examples:
+          swimid sensitivity trials.yaml -o sens.yaml
+          swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
+          swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
+          swimid sensitivity strokes.yaml --method morris -o screening.yaml
+          swimid sensitivity strokes.yaml --params sealion.yaml --method none \\
+              --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
+        """,
+    ),
+    Verb(
+        "diagnose",
+        function="swimid.diagnosis.diagnose:diagnose",
+        options="swimid.diagnosis.options:DiagnoseOptions",
+        output="Gap file to write (YAML).",
+        short="The unmodelled effect behind a gap between trials and simulation.",
+        help="""Name the effect that a model lacks.
+
+        TRIALS is a trials file of any experiment; the parameter file says which model is to describe it, and
+        without one the robot file does. The model is refitted alone and with every effect that applies to it;
+        an effect counts by what it gains on trials left out of the fit, against what noise alone would gain.
+        The answer is one effect, a combination, several that the trials cannot tell apart, or none. Every
+        answer is a result: exit status 0.
+
+        \b
+        Examples:
+          swimid diagnose trials.yaml -o gap.yaml
+          swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
+          swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
+          swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+          swimid report gap.yaml -o gap.html
+        """,
+    ),
 )
