@@ -7,10 +7,7 @@ import click
 import swimid
 from swimid.cli import (
     doctor,
-    export,
     import_log,
-    plot,
-    report,
     schema,
     track,
 )
@@ -48,9 +45,6 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    plot.command,
-    report.command,
-    export.command,
     schema.command,
     doctor.command,
 ):

@@ -2,7 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 from swimid.cli.builder import Verb
+from swimid.cli.common import Shared
+from swimid.errors import UsageError
+
+
+def _a_page_needs_a_file(output: Path | None, options: dict[str, Any], shared: Shared) -> None:
+    """Refuse to print HTML by default; under ``--json`` the document is JSON."""
+    if (
+        output is None
+        and shared.output is None
+        and options["format"] in (None, "html")
+        and not shared.as_json
+    ):
+        raise UsageError("an HTML page needs a file", hint="add -o report.html")
+    if output is None and shared.as_json:
+        options["format"] = "json"
+
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
@@ -170,6 +189,63 @@ VERBS = (
           swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
           swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
           swimid report gap.yaml -o gap.html
+        """,
+    ),
+    Verb(
+        "export",
+        function="swimid.exporters.export:export",
+        options="swimid.exporters.options:ExportOptions",
+        output="The file to write. Without it, or with -o -, it goes to stdout.",
+        argument="PARAMS",
+        prints=True,
+        short="Identified coefficients for MuJoCo, Gazebo, Stonefish, or as JSON.",
+        help="""Write identified coefficients as a simulator reads them.
+
+        PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
+        and JSON). Each thing the simulator cannot carry is named in a warning.
+
+        \b
+        Examples:
+          swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
+          swimid export drag.yaml --to gazebo -o boxfish.sdf
+          swimid export tfish.yaml --to json -o tfish.json
+        """,
+    ),
+    Verb(
+        "report",
+        function="swimid.results.report:report",
+        options="swimid.results.options:ReportOptions",
+        output="The report. Without it, or with -o -, md and json go to stdout.",
+        argument="RESULT...",
+        prints=True,
+        check=_a_page_needs_a_file,
+        short="One page from result files: figures, checks, methods, provenance.",
+        help="""Make one self-contained page from any mixture of results.
+
+        RESULT is a parameter file, a gap file or a log. The evidence that swimid wrote beside it
+        (drag.yaml: drag.evidence.json) brings its figures, checks and methods. Nothing is
+        computed again.
+
+        \b
+        Examples:
+          swimid report drag.yaml propulsion.yaml -o report.html
+          swimid report drag.yaml --format md
+        """,
+    ),
+    Verb(
+        "plot",
+        function="swimid.logs.plot:plot",
+        options="swimid.logs.options:PlotOptions",
+        output="The picture: .html, .svg or .png.",
+        argument="LOG...",
+        required=True,
+        short="Logs as figures: channels, track from above, spectra, two sensors over each other.",
+        help="""Draw logs. Several are drawn over each other: one trial seen by two sensors.
+
+        \b
+        Examples:
+          swimid plot run.csv -o run.png
+          swimid plot imu.csv camera.csv -o both.html
         """,
     ),
 )
