@@ -12,15 +12,12 @@ from swimid.errors import UsageError
 
 def _a_page_needs_a_file(output: Path | None, options: dict[str, Any], shared: Shared) -> None:
     """Refuse to print HTML by default; under ``--json`` the document is JSON."""
-    if (
-        output is None
-        and shared.output is None
-        and options["format"] in (None, "html")
-        and not shared.as_json
-    ):
-        raise UsageError("an HTML page needs a file", hint="add -o report.html")
-    if output is None and shared.as_json:
+    if output is not None:
+        return
+    if shared.as_json:
         options["format"] = "json"
+    elif shared.output is None and options["format"] in (None, "html"):
+        raise UsageError("an HTML page needs a file", hint="add -o report.html")
 
 
 #: Commands by purpose, in the order one uses them.
