@@ -101,6 +101,8 @@ def plot(
         ``.html``, ``.svg`` or ``.png``; without it nothing is written.
     title : str, optional
         Default: the names of the logs.
+    progress : Progress
+        Shows the drawing.
 
     Returns
     -------
