@@ -18,8 +18,28 @@ Missing data
 Rooms
     A folder is named for what it is about: ``logs``, ``tracking``, ``inertial``; ``rig``, ``propulsion``,
     ``swimmer`` and ``blackbox``, one for each family of experiment; ``fitting`` under them; ``simulation``,
-    ``effects``, ``diagnosis``, ``sensitivity``, ``export``; ``results``, ``robots`` and ``files`` below all;
-    ``cli`` on top. Imports run one way (``docs/architecture.md``).
+    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots`` and ``files``
+    below all; ``cli`` on top. Imports run one way (``docs/architecture.md``).
 """
 
+from typing import Any
+
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name.startswith("__"):
+        raise AttributeError(name)
+    from importlib import import_module
+
+    from swimid.api import NAMES
+
+    if name not in NAMES:
+        raise AttributeError(f"swimid has no '{name}'; it has: {', '.join(sorted(NAMES))}")
+    return getattr(import_module(NAMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    from swimid.api import NAMES
+
+    return sorted([*NAMES, "__version__"])

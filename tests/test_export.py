@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.export.export import load
-from swimid.export.source import Source, about, central
+from swimid.exporters.export import load
+from swimid.exporters.source import Source, about, central
 from swimid.files import yamlio
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
@@ -162,7 +162,7 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 def _residual(mujoco: Any, source: Source, text: str, rng: np.random.Generator, *, water: bool) -> float:
     """Largest generalised force MuJoCo still needs for the engine's accelerations, against its own forces."""
-    from swimid.export import mjcf
+    from swimid.exporters import mjcf
 
     mujoco.set_mjcb_passive(None)  # MuJoCo compiles no model while a Python callback is set
     model = mujoco.MjModel.from_xml_string(text)
@@ -248,7 +248,7 @@ def test_mujoco_moves_the_tfish_as_the_engine_does(
 
 def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -> None:
     """Servos of the exported gains track a beat, and the fish then swims as swimid says it should."""
-    from swimid.export import mjcf
+    from swimid.exporters import mjcf
     from swimid.fitting.model import Trial
     from swimid.swimmer.planar import drive
     from swimid.swimmer.planar.model import MultilinkModel

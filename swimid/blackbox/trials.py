@@ -10,6 +10,7 @@ from swimid.fitting.experiment import Experiment, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import Arma as ArmaTrials
+from swimid.logs.trials import TrialSet
 from swimid.results.parameters import ParameterFile
 
 #: The keys of a trials file that are used, by experiment.
@@ -30,7 +31,7 @@ def model_of(file: ParameterFile, path: Path) -> Arma:
         raise InputError(error.reason, file=path, column=error.column, hint=error.hint) from error
 
 
-def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experiment:
+def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
     """Read trials of the experiment ``arma`` for the model of a parameter file.
 
     Input and output are the columns the model was fitted with; a trials file that names others is refused.
@@ -40,8 +41,8 @@ def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experi
     InputError
         For anything wrong in the trials file, the parameter file or a log.
     """
-    path = Path(path)
-    entries = trials_format.read(path, ArmaTrials, uses=USES)
+    path = trials_format.place(source)
+    entries = trials_format.read(source, ArmaTrials, uses=USES)
     robot = trials_format.robot_of(entries, path)
     model = model_of(file, parameters_path)
     for key, mine in (("input", None if model.sine else model.source), ("output", model.output)):
@@ -53,10 +54,11 @@ def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experi
                 column=key,
             )
     wanted = [model.output] if model.sine else [model.source, model.output]
+    listing = [] if entries._in_memory else [path]
     trials, logs = [], []
     for entry in entries.trials:
         log = read_log(entry, path.parent, required=tuple(wanted))
-        logs.append(log.path)
+        logs.append(log.source)
         trials.append(
             Trial(
                 entry.id,
@@ -66,4 +68,4 @@ def load(path: str | Path, file: ParameterFile, parameters_path: Path) -> Experi
                 inputs={} if model.sine else {model.source: log[model.source]},
             )
         )
-    return Experiment("arma", robot, model, trials, [path, *logs])
+    return Experiment("arma", robot, model, trials, [*listing, *logs])

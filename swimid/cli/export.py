@@ -51,8 +51,9 @@ def command(
       swimid export tfish.yaml --to json -o tfish.json
     """
     with running("export", shared) as run:
-        from swimid.export.export import export
-        from swimid.results.result import Result
+        from dataclasses import replace
+
+        from swimid.exporters.export import export
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         protect(output, shared, inputs=(params,))
@@ -67,5 +68,5 @@ def command(
         if output is None and not shared.as_json:
             # The document is the result: --quiet must not swallow it.
             click.echo(outcome.text)
-            outcome = Result(outcome.verb, "", outcome.data, outcome.outputs)
+            outcome = replace(outcome, text="")
         run.finish(outcome)

@@ -32,9 +32,10 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
       swimid report drag.yaml --format md
     """
     with running("report", shared) as run:
+        from dataclasses import replace
+
         from swimid.errors import UsageError
         from swimid.results.report import report
-        from swimid.results.result import Result
 
         output = None if shared.output is None or str(shared.output) == "-" else shared.output
         if output is None and shared.output is None and kind in (None, "html") and not shared.as_json:
@@ -46,5 +47,5 @@ def command(results: tuple[Path, ...], kind: str | None, title: str | None, shar
         if output is None and not shared.as_json:
             # The document is the result: --quiet must not swallow it.
             click.echo(outcome.text)
-            outcome = Result(outcome.verb, "", outcome.data, outcome.outputs)
+            outcome = replace(outcome, text="")
         run.finish(outcome)

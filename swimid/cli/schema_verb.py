@@ -15,7 +15,7 @@ from swimid.logs import mapping, trials
 from swimid.results import evidence, parameters
 from swimid.results.result import Result
 from swimid.robots import file as robot
-from swimid.sensitivity import file as sensitivity
+from swimid.sensitivity_analysis import file as sensitivity
 from swimid.simulation import comparison_file as comparison
 from swimid.tracking import setup
 

@@ -85,7 +85,7 @@ def command(
     """
     with running("sensitivity", shared) as run:
         protect(shared.output, shared, inputs=(trials, *([params] if params else [])))
-        from swimid.sensitivity.sensitivity import sensitivity
+        from swimid.sensitivity_analysis.sensitivity import sensitivity
 
         run.finish(
             sensitivity(

@@ -19,14 +19,18 @@ from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.files.provenance import sha256
+from swimid.files.provenance import digests_of
 from swimid.fitting import fit_common
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
+from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
 from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel, prepare
+
+#: Endings of logs among the inputs.
+LOGS = (".csv", ".parquet")
 
 
 def diagnose(
@@ -129,7 +133,7 @@ def diagnose(
         model=model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params="the robot file" if parameters is None else str(parameters),
+        params="the robot file" if parameters is None else str(parameters_format.place(parameters)),
         trials=[t.id for t in experiment.trials],
         settings={
             "prior": "none but the bounds"
@@ -169,5 +173,5 @@ def _own_data(loaded: Loaded) -> bool:
     if file is None:
         return False
     known = set((file.provenance.get("inputs") or {}).values())
-    logs = [p for p in loaded.experiment.inputs if p.suffix.lower() in (".csv", ".parquet")]
-    return any(sha256(p) in known for p in logs)
+    logs = [p for p in loaded.experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
+    return any(digest in known for digest in digests_of(logs).values())

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swimid.diagnosis import gap_file
+from swimid.diagnosis import gap_file, summary
 from swimid.diagnosis.gap_file import GapFile
+from swimid.results.evidence import Evidence
 from swimid.results.result import Result
 
 if TYPE_CHECKING:
@@ -59,6 +60,14 @@ class Diagnosis(Result):
         import pandas as pd
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
+
+    @classmethod
+    def _read(cls, path: str | Path) -> GapFile:
+        return gap_file.read(path)
+
+    @classmethod
+    def _told(cls, document: GapFile, evidence: Evidence | None) -> str:
+        return summary.summary(document)
 
     def _write(self, path: Path) -> list[Path]:
         gap_file.write(path, self.file)

@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,6 +41,18 @@ class InMemory(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Held:
+    """What stands for an input that was in memory and is no longer needed."""
+
+    name: str
+    sha256: str
+
+    def digest(self) -> str:
+        """SHA-256 of what it held."""
+        return self.sha256
+
+
 #: An input of a result.
 Input = str | Path | InMemory
 
@@ -57,6 +70,11 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
         if name not in found:
             found[name] = digest_of(given)
     return found
+
+
+def files(inputs: Iterable[Input]) -> tuple[Path, ...]:
+    """Those inputs that are files."""
+    return tuple(Path(given) for given in inputs if isinstance(given, str | Path))
 
 
 def digest_of(given: Input) -> str:

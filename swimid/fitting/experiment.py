@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.files.provenance import Input
 from swimid.fitting.model import Model, Trial
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.logs.trials import Trial as TrialEntry
+from swimid.logs.trials import Trials
 from swimid.notices import warn
 from swimid.robots.file import Robot, locate
 
@@ -29,34 +31,41 @@ class Experiment:
     robot : Robot
     model : Model
     trials : list of Trial
-    inputs : list of Path
-        Every file read: trials file, robot file, logs.
+    inputs : list of Input
+        Every file read: trials file, robot file, logs; and what was in memory.
     variants : dict of str to list of Trial
         Other readings of the same logs, between which the data decide (how an encoder
         rounds, say); empty where there is only one.
     facts : dict
         What was found while reading, for the report.
+    robot_path : Path or None
+        The robot file, where a result refers to it.
     """
 
     name: str
     robot: Robot
     model: Model
     trials: list[Trial]
-    inputs: list[Path]
+    inputs: list[Input]
     variants: Mapping[str, list[Trial]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
+    robot_path: Path | None = None
 
 
-def input_files(path: Path, robot: str, logs: list[Path]) -> list[Path]:
+def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
     """Trials file, robot file and logs, for the provenance."""
-    return [path, locate(robot, path.parent), *logs]
+    listing = [] if entries._in_memory else [path]
+    return [*listing, locate(entries.robot, path.parent), *logs]
 
 
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
     """A trial's log, cut to the stretch its entry asks for."""
-    log = log_format.read(folder / entry.log, required=required, optional=optional)
+    if entry._held is not None:
+        log = entry._held.chosen(required, optional)
+    else:
+        log = log_format.read(folder / entry.log, required=required, optional=optional)
     if entry.start_s is None and entry.end_s is None:
         return log
     low = -np.inf if entry.start_s is None else entry.start_s
@@ -68,7 +77,7 @@ def read_log(
             f"{log.time_s[-1]:g} s",
             file=log.path,
         )
-    return Log(log.path, log.metadata, {k: v[keep] for k, v in log.columns.items()}, log.first_line)
+    return replace(log, columns={k: v[keep] for k, v in log.columns.items()})
 
 
 def warn_mass(name: str, value: float, against: float, file: Path) -> None:

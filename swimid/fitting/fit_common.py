@@ -11,6 +11,7 @@ import numpy as np
 
 from swimid.errors import Interrupted
 from swimid.files import atomic
+from swimid.files import provenance as provenance_format
 from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.identifiability import combinations, sentences
@@ -232,7 +233,7 @@ def prepare(
     InputError, UsageError
     """
     if output is not None:
-        atomic.check_writable(output, inputs=(*experiment.inputs, *also))
+        atomic.check_writable(output, inputs=(*provenance_format.files(experiment.inputs), *also))
     return chosen(
         tuple(parameters or experiment.model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
@@ -105,6 +105,21 @@ class Log:
         return log
 
     @property
+    def source(self) -> Path | Log:
+        """What it is to the provenance: the file it was read from, or itself."""
+        return self if self.first_line is None else self.path
+
+    def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
+        """The same log with the columns asked for, after the checks that :func:`read` makes."""
+        _check_columns(list(self.columns), required, self.path, None)
+        wanted = [n for n in self.columns if optional is None or n in {TIME, *required, *optional}]
+        log = replace(self, columns={name: self.columns[name] for name in wanted})
+        _check(log, required, 2)
+        _warn_missing(log)
+        warn_units(log)
+        return log
+
+    @property
     def name(self) -> str:
         """The file's name, or that of a log in memory."""
         return self.path.name
@@ -136,6 +151,12 @@ class Log:
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
+
+    def __repr__(self) -> str:
+        return f"<log {self.name}: {len(self)} samples of {', '.join(self.columns)}>"
+
+    def __str__(self) -> str:
+        return self.name
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from swimid.logs import log
 from swimid.logs.log import Log
-from swimid.results import evidence as ev
+from swimid.results.evidence import Evidence
 from swimid.results.result import Result
 
 if TYPE_CHECKING:
@@ -48,19 +48,11 @@ class Logged(Result):
         return [path]
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a log, with its evidence where that lies beside it.
+    def _read(cls, path: str | Path) -> Log:
+        return log.read(path)
 
-        Raises
-        ------
-        InputError
-            When either is broken.
-        """
-        record = log.read(path)
-        sidecar = ev.sidecar(path)
-        proof = ev.read(sidecar) if sidecar.exists() else None
-        span = record.time_s[-1] - record.time_s[0]
-        text = f"{record.path.name}: {len(record)} samples over {span:.4g} s"
-        if proof is not None:
-            text += f"\n{proof.verdict.level.upper()}: {proof.verdict.text}"
-        return cls(proof.verb if proof else "log", text, {}, [Path(path)], proof, record)
+    @classmethod
+    def _told(cls, document: Log, evidence: Evidence | None) -> str:
+        span = document.time_s[-1] - document.time_s[0]
+        text = f"{document.path.name}: {len(document)} samples over {span:.4g} s"
+        return f"{text}\n{super()._told(document, evidence)}".rstrip()

@@ -6,14 +6,16 @@ import filecmp
 import itertools
 import math
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Discriminator, Field, PositiveFloat, Tag, model_validator
+from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, UsageError, nearest
 from swimid.files import yamlio
+from swimid.logs.log import Log
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 
@@ -60,6 +62,9 @@ def _kind_of_drive(value: Any) -> str:
 
 class Trial(yamlio.Document):
     """Keys every trial has."""
+
+    #: The log itself, where it is in memory; ``log`` is its name then.
+    _held: Log | None = PrivateAttr(default=None)
 
     id: str = ""
     log: str
@@ -111,55 +116,62 @@ class FreeSwimTrial(Trial):
     coefficients: dict[str, float] = {}
 
 
-class _Trials(yamlio.Document):
+class Trials(yamlio.Document):
+    """Keys every trials file has."""
+
+    _in_memory: bool = PrivateAttr(default=False)
+
     format: Literal["swimid-trials/1"]
     robot: str
 
 
-class FallingWeight(_Trials):
+class FallingWeight(Trials):
     """Falling-weight trials."""
 
     experiment: Literal["falling-weight"]
     trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
 
 
-class Towed(_Trials):
+class Towed(Trials):
     """Trials under a measured force."""
 
     experiment: Literal["towed"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
 
-class FreeDecay(_Trials):
+class FreeDecay(Trials):
     """Trials of a displaced body left to itself."""
 
     experiment: Literal["free-decay"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
 
-class Cruise(_Trials):
+class Cruise(Trials):
     """A table of cruising speeds."""
+
+    #: The table itself, where it is in memory; ``table`` is its name then.
+    _held: Any = PrivateAttr(default=None)
 
     experiment: Literal["cruise"]
     table: str
     drag: str | None = None
 
 
-class FreeSwim(_Trials):
+class FreeSwim(Trials):
     """Free-swimming trials."""
 
     experiment: Literal["free-swim"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
-class Multibody(_Trials):
+class Multibody(Trials):
     """Trials of a robot with links whose logs hold joint angles, pose, or both."""
 
     experiment: Literal["multibody"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
-class Arma(_Trials):
+class Arma(Trials):
     """Trials for a black-box model from one input column to one output column."""
 
     experiment: Literal["arma"]
@@ -168,7 +180,7 @@ class Arma(_Trials):
     trials: Annotated[list[Trial], Field(min_length=1)]
 
 
-EXPERIMENTS: dict[str, type[_Trials]] = {
+EXPERIMENTS: dict[str, type[Trials]] = {
     "falling-weight": FallingWeight,
     "towed": Towed,
     "free-decay": FreeDecay,
@@ -177,7 +189,7 @@ EXPERIMENTS: dict[str, type[_Trials]] = {
     "multibody": Multibody,
     "arma": Arma,
 }
-T = TypeVar("T", bound=_Trials)
+T = TypeVar("T", bound=Trials)
 
 
 #: Keys that every reader of trials uses; those of a trial and of its drive with their path.
@@ -187,11 +199,117 @@ EVERYWHERE = frozenset(
 )
 
 
-def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[str]] | None = None) -> T:
-    """Read a trials file of one of the given experiments.
+@dataclass(frozen=True, eq=False)
+class TrialSet:
+    """Trials of one experiment with one robot: a trials file, or logs in memory.
+
+    Attributes
+    ----------
+    entries : pydantic model
+        What a trials file holds, one of :data:`EXPERIMENTS`.
+    path : Path
+        The trials file; a name where there is none.
+    """
+
+    entries: Any
+    path: Path
+
+    @property
+    def experiment(self) -> str:
+        """``"falling-weight"``, ``"free-swim"``, ..."""
+        return str(self.entries.experiment)
+
+    @property
+    def ids(self) -> list[str]:
+        """The trials by name; empty for a cruise, which is one table."""
+        return [trial.id for trial in getattr(self.entries, "trials", [])]
+
+    @classmethod
+    def of(
+        cls,
+        trials: Sequence[Mapping[str, Any]],
+        *,
+        experiment: str,
+        robot: str,
+        name: str = "trials",
+        **keys: Any,
+    ) -> TrialSet:
+        """Trials of logs in memory.
+
+        Parameters
+        ----------
+        trials : sequence of mappings
+            The keys of a trial in a trials file; ``log`` is a DataFrame or a :class:`~swimid.logs.log.Log`.
+        experiment, robot : str
+            As in a trials file; a robot file's path is relative to the working folder.
+        name : str
+            What messages call it.
+        **keys
+            Further keys of the trials file; the ``table`` of a cruise is a DataFrame or a path.
+
+        Raises
+        ------
+        InputError
+            For keys that no trial of the experiment has, or a log that is none.
+        UsageError
+            For an experiment there is none of.
+        """
+        if experiment not in EXPERIMENTS:
+            close = nearest(experiment, list(EXPERIMENTS))
+            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(EXPERIMENTS)}"
+            raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
+        path = Path(name)
+        logs, plain = [], []
+        for number, trial in enumerate(trials, start=1):
+            held = trial.get("log")
+            called = str(trial.get("id", f"trial {number}"))
+            if held is not None and not isinstance(held, Log | str | Path):
+                held = Log.from_frame(held, name=called)
+            logs.append(held if isinstance(held, Log) else None)
+            log = {} if held is None else {"log": called if isinstance(held, Log) else str(held)}
+            plain.append({"id": called, **trial, **log})
+        given = {"format": FORMAT, "experiment": experiment, "robot": robot, **keys}
+        if plain:
+            given["trials"] = plain
+        table = given.get("table")
+        if table is not None and not isinstance(table, str | Path):
+            given["table"] = "table"
+        elif table is not None:
+            given["table"], table = str(table), None
+        entries: Any = yamlio.validate(given, EXPERIMENTS[experiment], path)
+        entries._in_memory = True
+        if experiment == "cruise":
+            entries._held = table
+        for entry, held in zip(getattr(entries, "trials", []), logs, strict=False):
+            entry._held = held
+        return cls(entries, path)
+
+    @classmethod
+    def read(cls, path: str | Path) -> TrialSet:
+        """The trials of a trials file.
+
+        Raises
+        ------
+        InputError
+        """
+        return cls(read(path), Path(path))
+
+
+def place(source: str | Path | TrialSet) -> Path:
+    """What a trials file is called in messages, and what its logs are relative to."""
+    return source.path if isinstance(source, TrialSet) else Path(source)
+
+
+def read(
+    source: str | Path | TrialSet,
+    *experiments: type[T],
+    uses: Mapping[str, Collection[str]] | None = None,
+) -> T:
+    """Read a trials file, or take trials in memory, of one of the given experiments.
 
     Parameters
     ----------
+    source : path or TrialSet
     uses : mapping, optional
         By experiment, the keys that the caller uses (``trials.drive.ramp_s``): any other that the file
         sets is an error. Who computes anything from the trials gives it.
@@ -202,12 +320,15 @@ def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[
         For broken YAML, unknown or unused keys, another experiment than those, repeated trial ids, rows
         of a log that are both fitted and held out.
     """
-    path = Path(path)
-    data = yamlio.of_format(path, FORMAT, "trials file")
+    path = place(source)
+    if isinstance(source, TrialSet) and source.entries._in_memory:
+        data: Any = {"experiment": source.experiment}
+    else:
+        data = yamlio.of_format(path, FORMAT, "trials file")
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
     experiment = data.get("experiment")
     if experiment not in names:
-        line = data.lc.key("experiment")[0] + 1 if "experiment" in data else None
+        line = _key_line(data, "experiment")
         close = nearest(str(experiment), names)
         what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
         raise InputError(
@@ -217,9 +338,15 @@ def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[
             column="experiment",
             hint=f"did you mean '{close}'?" if close else None,
         )
+    if isinstance(source, TrialSet) and source.entries._in_memory:
+        return _checked(source.entries, path, uses, data)
     trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path)  # type: ignore[assignment]
+    return _checked(trials, path, uses, data)
+
+
+def _checked(trials: T, path: Path, uses: Mapping[str, Collection[str]] | None, data: Any) -> T:
     if uses is not None:
-        _refuse_unused(trials, path, uses[experiment], data)
+        _refuse_unused(trials, path, uses[str(getattr(trials, "experiment", ""))], data)
     listed: list[Trial] = getattr(trials, "trials", [])
     seen: set[str] = set()
     for index, trial in enumerate(listed):
@@ -229,7 +356,11 @@ def read(path: str | Path, *experiments: type[T], uses: Mapping[str, Collection[
             )
         seen.add(trial.id)
     for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
-        if _same_recording(path.parent / one.log, path.parent / other.log):
+        if one._held is not None or other._held is not None:
+            same = one._held is other._held
+        else:
+            same = _same_recording(path.parent / one.log, path.parent / other.log)
+        if same:
             check_apart(one, other, path, _line(data, index))
     return trials
 
@@ -243,8 +374,14 @@ def _same_recording(one: Path, other: Path) -> bool:
     return filecmp.cmp(one, other, shallow=False)
 
 
-def _line(data: Any, trial: int) -> int:
-    return int(data["trials"].lc.item(trial)[0]) + 1
+def _line(data: Any, trial: int) -> int | None:
+    trials = data.get("trials")
+    return None if trials is None else int(trials.lc.item(trial)[0]) + 1
+
+
+def _key_line(data: Any, key: str) -> int | None:
+    positions = getattr(data, "lc", None)
+    return None if positions is None or key not in data else int(positions.key(key)[0]) + 1
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -259,7 +396,7 @@ def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, An
                 yield from given(part, f"{prefix}{name}.")
 
 
-def _refuse_unused(trials: _Trials, path: Path, uses: Collection[str], data: Any) -> None:
+def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any) -> None:
     unused = [key for key, _ in given(trials) if key not in uses]
     if not unused:
         return
@@ -269,7 +406,7 @@ def _refuse_unused(trials: _Trials, path: Path, uses: Collection[str], data: Any
             where, line = f"the trial '{trial.id}' sets", _line(data, index)
             break
     else:
-        where, line = "sets", data.lc.key(key)[0] + 1
+        where, line = "sets", _key_line(data, key)
     raise InputError(
         f"{where} '{key}', which has no effect here",
         file=path,
@@ -315,9 +452,9 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
         warn("SWM074", f"{file.name}: {text}, which count twice: standard errors come out too small")
 
 
-def robot_of(trials: _Trials, path: str | Path) -> robot_format.Robot:
+def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
     """The robot a trials file names, by built-in name or path relative to the file."""
-    return robot_format.read(trials.robot, Path(path).parent)
+    return robot_format.read(trials.robot, path.parent)
 
 
 #: Any trials file, for the JSON Schema.

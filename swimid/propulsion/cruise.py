@@ -76,6 +76,7 @@ def fit(
         derived=derived | exponents,
         settings={"wake": wake, "drag_file": str(experiment.facts["drag_path"])},
     )
+    file._drag = experiment.facts["drag"]
     assert file.fit is not None
     assert file.fit.model_extra is not None
     file.fit.model_extra["departures"] = departures

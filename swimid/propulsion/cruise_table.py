@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files import delimited
+from swimid.files.provenance import Held
 from swimid.notices import warn
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 REQUIRED = ("fin", "frequency_hz", "amplitude_deg", "distance_m")
@@ -26,12 +32,15 @@ class CruiseTable:
     Attributes
     ----------
     path : Path
+    source : Path or Held
+        What stands for it in the provenance.
     fin : list of str, length n
     frequency_hz, amplitude_deg, distance_m, mean_speed_m_s : ndarray, shape (n,)
         Speed NaN where the run has none.
     """
 
     path: Path
+    source: Path | Held
     fin: list[str]
     frequency_hz: Array
     amplitude_deg: Array
@@ -39,18 +48,22 @@ class CruiseTable:
     mean_speed_m_s: Array
 
 
-def read(path: str | Path) -> CruiseTable:
-    """Read the table.
+def read(source: str | Path | pd.DataFrame) -> CruiseTable:
+    """Read the table, or take one in memory with the same columns.
 
     Raises
     ------
     InputError
         Naming line and column: missing columns, cells that are no positive number, no rows.
     """
-    path = Path(path)
+    path, header_line = Path("table"), None
     try:
-        _, header, header_line = delimited.head(path)
-        names = delimited.column_names(header, path, header_line)
+        if isinstance(source, str | Path):
+            path = Path(source)
+            _, header, header_line = delimited.head(path)
+            names = delimited.column_names(header, path, header_line)
+        else:
+            names = [str(name) for name in source.columns]
         speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
         for column in (*REQUIRED, speed):
             if column not in names:
@@ -58,7 +71,7 @@ def read(path: str | Path) -> CruiseTable:
                 raise delimited.missing_column(
                     column, names, path, header_line, what or "this column is missing"
                 )
-        rows = _rows(path, header_line, names)
+        rows = _cells(source) if header_line is None else _rows(path, header_line, names)
     except OSError as error:
         hint = "check the path" if isinstance(error, FileNotFoundError) else None
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
@@ -93,6 +106,7 @@ def read(path: str | Path) -> CruiseTable:
         warn("SWM002", f"{path.name}, 'amplitude_deg': looks like radians (a factor of 57.3)")
     return CruiseTable(
         path,
+        path if isinstance(source, str | Path) else Held("table", _digest(source)),
         [cells["fin"] for _, cells in rows],
         columns["frequency_hz"],
         columns["amplitude_deg"],
@@ -101,9 +115,22 @@ def read(path: str | Path) -> CruiseTable:
     )
 
 
-def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int, dict[str, str]]]:
+def _digest(frame: pd.DataFrame) -> str:
+    return hashlib.sha256(frame.to_csv(index=False).encode()).hexdigest()
+
+
+def _cells(frame: pd.DataFrame) -> list[tuple[int | None, dict[str, str]]]:
+    """The rows of a table in memory as those of a file, which have no line."""
+    blank = frame.isna()
+    return [
+        (None, {str(n): "" if blank.iloc[k][n] else str(frame.iloc[k][n]) for n in frame.columns})
+        for k in range(len(frame))
+    ]
+
+
+def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int | None, dict[str, str]]]:
     """Line and cells by column name of every row that is not blank or a comment."""
-    rows = []
+    rows: list[tuple[int | None, dict[str, str]]] = []
     with path.open(encoding="utf-8-sig", newline="") as stream:
         try:
             for _ in range(header_line):
@@ -129,7 +156,7 @@ def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int, dic
     return rows
 
 
-def _numbers(rows: list[tuple[int, dict[str, str]]], name: str, path: Path) -> Array:
+def _numbers(rows: list[tuple[int | None, dict[str, str]]], name: str, path: Path) -> Array:
     """A column of positive numbers; only a measurement may be missing, then it is NaN."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
-from swimid.fitting.experiment import Experiment, input_files, read_log
+from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import TOLERANCE, find_beat
 from swimid.logs.log import Log
-from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive
+from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import cruise_table as cruise_format
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, plate_inertia
@@ -37,34 +37,35 @@ USES = {
 }
 
 
-def load(path: str | Path, *, drag: str | Path | None = None) -> Experiment:
+def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
     """Read a cruise or free-swim trials file.
 
     Parameters
     ----------
-    drag : path, optional
-        Parameter file of the falling-weight rig, in place of the trials file's ``drag``.
+    drag : path, ParameterFile or result of fit_drag, optional
+        Parameters of the falling-weight rig, in place of the trials file's ``drag``.
 
     Raises
     ------
     InputError
         For anything wrong in one of the files.
     """
-    path = Path(path)
-    entries = trials_format.read(path, Cruise, FreeSwim, uses=USES)
+    path = trials_format.place(source)
+    entries = trials_format.read(source, Cruise, FreeSwim, uses=USES)
     robot = trials_format.robot_of(entries, path)
     if isinstance(entries, FreeSwim):
         return _free_swim(path, entries, robot)
     assert isinstance(entries, Cruise)
-    drag_path = Path(drag) if drag is not None else path.parent / entries.drag if entries.drag else None
-    if drag_path is None:
+    if drag is None and entries.drag:
+        drag = path.parent / entries.drag
+    if drag is None:
         raise InputError(
             "no drag file is given",
             file=path,
             column="drag",
             hint="run fit-drag first, then give --drag drag.yaml",
         )
-    return _cruise(path, entries, robot, drag_path)
+    return _cruise(path, entries, robot, drag)
 
 
 # ------------------------------------------------------------ cruise
@@ -110,10 +111,11 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
     return found
 
 
-def _cruise(path: Path, entries: Cruise, robot: Robot, drag_path: Path) -> Experiment:
-    drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
+def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
+    drag_path = parameters_format.place(source)
+    drag = parameters_format.read(source, model=("falling-weight", "towed", "free-decay"))
     area, mass = drag_numbers(drag, drag_path, robot)
-    table = cruise_format.read(path.parent / entries.table)
+    table = cruise_format.read(path.parent / entries.table if entries._held is None else entries._held)
     inertias = fin_inertias(robot, table.fin, table.path)
     model = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=inertias)
     middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
@@ -144,8 +146,9 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, drag_path: Path) -> Exper
                 },
             )
         )
-    inputs = [*input_files(path, entries.robot, [table.path]), drag_path]
-    return Experiment("cruise", robot, model, trials, inputs, facts={"drag": drag, "drag_path": drag_path})
+    inputs = [*inputs_of(path, entries, [table.source]), parameters_format.origin(source)]
+    facts = {"drag": drag, "drag_path": drag_path}
+    return Experiment("cruise", robot, model, trials, inputs, facts=facts)
 
 
 # ------------------------------------------------------------ straight free swimming
@@ -168,7 +171,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         log = read_log(
             entry, path.parent, required=("x_m", "y_m", "yaw_rad"), optional=("u_m_s", "yaw_rate_rad_s")
         )
-        logs.append(log.path)
+        logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
         found[entry.id] = beats.facts(entry, beat, used="measured")
@@ -231,7 +234,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         robot,
         model,
         trials,
-        input_files(path, entries.robot, logs),
+        inputs_of(path, entries, logs),
         facts={"beats": found, "waveform": waveform, "asymmetry": asymmetry},
     )
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
-from swimid.results import evidence as ev
 from swimid.results import numbers, parameters
+from swimid.results.evidence import Evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.results.result import Result
 
@@ -65,28 +65,13 @@ class Fitted(Result):
         return [path]
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a parameter file, with its evidence where that lies beside it.
+    def _read(cls, path: str | Path) -> ParameterFile:
+        return parameters.read(path)
 
-        Raises
-        ------
-        InputError
-            When either is broken.
-        """
-        file = parameters.read(path)
-        sidecar = ev.sidecar(path)
-        proof = ev.read(sidecar) if sidecar.exists() else None
-        lines = [f"{file.model}" + (f" of {file.robot}" if file.robot else ""), rows(file)]
-        if proof is not None:
-            lines.append(f"{proof.verdict.level.upper()}: {proof.verdict.text}")
-        return cls(
-            proof.verb if proof else "parameters",
-            "\n".join(lines),
-            file.model_dump(mode="json"),
-            [Path(path)],
-            proof,
-            file,
-        )
+    @classmethod
+    def _told(cls, document: ParameterFile, evidence: Evidence | None) -> str:
+        name = document.model + (f" of {document.robot}" if document.robot else "")
+        return "\n".join([name, rows(document), super()._told(document, evidence)]).rstrip()
 
 
 def rows(file: ParameterFile) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from swimid.errors import InputError
 from swimid.files import yamlio
+from swimid.files.provenance import Held
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
@@ -78,6 +80,8 @@ class ParameterFile(yamlio.Document):
     settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
+    #: The drag file that the recoil law was estimated with, where that was in memory.
+    _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def value(self, name: str) -> float:
         """Value of one parameter, by name."""
@@ -100,11 +104,38 @@ def write(path: str | Path, parameters: ParameterFile) -> None:
     yamlio.write(path, data)
 
 
-def read(path: str | Path, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
-    """Read a parameter file.
+class HasFile(Protocol):
+    """The result of a fit."""
+
+    @property
+    def file(self) -> ParameterFile:
+        """What it writes."""
+
+
+#: Parameters: a file, or what a fit gave.
+Source = str | Path | ParameterFile | HasFile
+
+
+def place(source: Source) -> Path:
+    """What parameters are called in messages, and what the paths in them are relative to."""
+    return Path(source) if isinstance(source, str | Path) else Path("parameters")
+
+
+def origin(source: Source) -> Path | Held:
+    """What stands for parameters in the provenance."""
+    if isinstance(source, str | Path):
+        return Path(source)
+    file = source if isinstance(source, ParameterFile) else source.file
+    made = hashlib.sha256(file.model_dump_json(exclude={"provenance"}).encode())
+    return Held(f"parameters of {file.model}", made.hexdigest())
+
+
+def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
+    """Read a parameter file, or take the parameters of a fit in memory.
 
     Parameters
     ----------
+    source : path, ParameterFile or result of a fit
     model : str or tuple of str, optional
         Accept files of these models only.
 
@@ -113,9 +144,11 @@ def read(path: str | Path, *, model: str | tuple[str, ...] | None = None) -> Par
     InputError
         When it is no parameter file, or of another model.
     """
-    path = Path(path)
-    data = yamlio.of_format(path, FORMAT, "parameter file")
-    parameters = yamlio.validate(data, ParameterFile, path)
+    path = place(source)
+    if isinstance(source, str | Path):
+        parameters = yamlio.validate(yamlio.of_format(path, FORMAT, "parameter file"), ParameterFile, path)
+    else:
+        parameters = source if isinstance(source, ParameterFile) else source.file
     models = (model,) if isinstance(model, str) else model
     if models and parameters.model not in models:
         raise InputError(

@@ -14,27 +14,28 @@ from swimid.progress import Progress, silent
 from swimid.results import documents, page
 from swimid.results import reader as results
 from swimid.results.result import Result
+from swimid.results.text import Text
 
 Kind = Literal["html", "md", "json"]
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
 
 
 def report(
+    inputs: Sequence[str | Path | Result],
     *,
-    inputs: Sequence[str | Path],
     output: str | Path | None = None,
     format: Kind | None = None,
     title: str | None = None,
     progress: Progress = silent,
-) -> Result:
+) -> Text:
     """Write one document about any number of result files. Nothing is computed again.
 
     Parameters
     ----------
-    inputs : sequence of paths
-        Parameter files, gap files, logs; each with its ``.evidence.json`` beside it.
+    inputs : sequence of paths and results
+        Parameter files, gap files, logs, each with its ``.evidence.json`` beside it; or results in memory.
     output : path, optional
-        The file to write. None or ``-`` returns the document as the outcome's summary.
+        The file to write. None or ``-`` gives the document only.
     format : {"html", "md", "json"}, optional
         Default: by the ending of ``output``, else HTML.
     title : str, optional
@@ -51,19 +52,21 @@ def report(
     """
     if not inputs:
         raise UsageError("name at least one result file")
-    paths = list(dict.fromkeys(Path(path) for path in inputs))
+    sources = list(dict.fromkeys(i if isinstance(i, Result) else Path(i) for i in inputs))
+    paths = [source for source in sources if isinstance(source, Path)]
     target = None if output is None or str(output) == "-" else Path(output)
     kind = format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
     if target is not None:
         atomic.check_writable(target, inputs=tuple(paths))
     sections = []
-    with progress("reading", total=len(paths)) as step:
-        for path in paths:
-            sections.append(results.load(path))
+    with progress("reading", total=len(sources)) as step:
+        for source in sources:
+            sections.append(results.load(source) if isinstance(source, Path) else source.section())
             step()
     heading = title or (sections[0].title if len(sections) == 1 else "Identification report")
     created = datetime.now(UTC)
-    digests = {str(path): sha256(path) for path in paths}
+    digests = {str(section.path): "of nothing: it was in memory" for section in sections}
+    digests |= {str(path): sha256(path) for path in paths}
     document = documents.as_json(sections, title=heading, created=created, digests=digests)
     if kind == "html":
         text = page.render(sections, title=heading, created=created, digests=digests, progress=progress)
@@ -72,11 +75,11 @@ def report(
     else:
         text = documents.json_text(document)
     if target is None:
-        return Result("report", text.rstrip("\n"), document)
+        return Text("report", text.rstrip("\n"), document, document=text)
     atomic.write_text(target, text)
     whole = page.overall(sections)
     lines = [f"{page.verdict_badge(whole)[1]}: {whole.text}"]
     for section in sections:
         word = page.verdict_badge(section.verdict)[1].lower()
         lines.append(f"  {section.path.name}: {word}. {section.verdict.text}")
-    return Result("report", "\n".join(lines), document, [target])
+    return Text("report", "\n".join(lines), document, [target], document=text)

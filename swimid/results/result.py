@@ -12,7 +12,8 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.files import atomic
-from swimid.results.evidence import Check, Evidence, Table, write_beside
+from swimid.results.evidence import Check, Evidence, Table, sidecar, write_beside
+from swimid.results.evidence import read as read_evidence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,6 +150,22 @@ class Result:
             written[1:1] = write_beside(target, self.evidence)[1:]
         return replace(self, outputs=(*self.outputs, *written))
 
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a result that was written, with its evidence.
+
+        Raises
+        ------
+        InputError
+            When the file or its evidence is broken or not there.
+        """
+        document = cls._read(path)
+        place = sidecar(path)
+        evidence = read_evidence(place) if place.exists() else None
+        text = cls._told(document, evidence)
+        data = document.model_dump(mode="json") if hasattr(document, "model_dump") else {}
+        return cls(evidence.verb if evidence else "", text, data, [Path(path)], evidence, document)
+
     def section(self) -> Section:
         """The result as a section of a report."""
         from swimid.results import reader
@@ -158,6 +175,15 @@ class Result:
         written = [path for path in self.outputs if path.suffix == self.ending]
         name = written[0] if written else Path(self.verb.replace(" ", "-") + self.ending)
         return reader.of_document(name, self.document, self.format, self.evidence)
+
+    @classmethod
+    def _read(cls, path: str | Path) -> Any:
+        raise UsageError(f"{path} cannot be read as {cls.__name__}")
+
+    @classmethod
+    def _told(cls, document: Any, evidence: Evidence | None) -> str:
+        """The summary of a result that was read."""
+        return f"{evidence.verdict.level.upper()}: {evidence.verdict.text}" if evidence else ""
 
     def _write(self, path: Path) -> list[Path]:
         raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")

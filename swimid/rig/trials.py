@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.fitting.experiment import Experiment, input_files, read_log, warn_mass
+from swimid.fitting.experiment import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
-from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed
+from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
 from swimid.rig import encoder
 from swimid.rig import model as rig
@@ -31,7 +31,7 @@ USES = {
 }
 
 
-def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
+def load(source: str | Path | TrialSet, *, coordinate: str | None = None) -> Experiment:
     """Read a trials file of one of the rig experiments.
 
     Parameters
@@ -44,8 +44,8 @@ def load(path: str | Path, *, coordinate: str | None = None) -> Experiment:
     InputError
         For anything wrong in the trials file, the robot file or a log.
     """
-    path = Path(path)
-    entries = trials_format.read(path, FallingWeight, Towed, FreeDecay, uses=USES)
+    path = trials_format.place(source)
+    entries = trials_format.read(source, FallingWeight, Towed, FreeDecay, uses=USES)
     robot = trials_format.robot_of(entries, path)
     if coordinate is not None and not isinstance(entries, FreeDecay):
         warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
@@ -109,7 +109,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     records, settings, logs = [], [], []
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("x_m",))
-        logs.append(log.path)
+        logs.append(log.source)
         time, position = _samples(log, "x_m")
         if len(time) < 5:
             raise InputError(
@@ -167,7 +167,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         robot=robot,
         model=model,
         trials=trials("floor"),
-        inputs=input_files(path, entries.robot, logs),
+        inputs=inputs_of(path, entries, logs),
         variants={name: trials(name) for name in encoder.ROUNDINGS} if sampled else {},
         facts={
             "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
@@ -255,7 +255,7 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
     trials, logs, forces = [], [], []
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
-        logs.append(log.path)
+        logs.append(log.source)
         if "x_m" not in log and "u_m_s" not in log:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
@@ -294,7 +294,7 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         model.parameters = tuple(
             replace(p, free=False) if p.name == "start_offset" else p for p in model.parameters
         )
-    return Experiment("towed", robot, model, trials, input_files(path, entries.robot, logs))
+    return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
 
 
 # ------------------------------------------------------------ free decay
@@ -344,7 +344,7 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         robot,
         model,
         trials,
-        input_files(path, entries.robot, [log.path for log in logs]),
+        inputs_of(path, entries, [log.source for log in logs]),
         facts=facts,
     )
 

@@ -47,7 +47,7 @@ STEEPEST_DEG = 90.0
 class Request:
     """What is to be simulated; see :func:`swimid.simulation.simulate.simulate`."""
 
-    params: Path | None = None
+    params: parameters_format.Source | None = None
     robot: str | None = None
     waveform: str = "sine"
     frequency_hz: float | None = None
@@ -68,11 +68,16 @@ class Request:
     cycles: float | None = None
     scale: float = 1.0
 
+    @property
+    def place(self) -> Path | None:
+        """What the parameters are called in messages and logs."""
+        return None if self.params is None else parameters_format.place(self.params)
+
     def metadata(self, robot: str, **more: Any) -> dict[str, Any]:
         """Comment lines every log of this request has."""
         found: dict[str, Any] = {"robot": robot}
         if self.params is not None:
-            found["params"] = self.params.name
+            found["params"] = parameters_format.place(self.params).name
         if self.chosen:
             found["set"] = dict(self.chosen)
         if self.readings:
@@ -114,7 +119,9 @@ def of_options(request: Request) -> Case:
         return _swim(request, None, request.robot, None)
     file = catalogue.read_parameters(request.params)
     if file.model in ("multilink", "multibody"):
-        name, folder = catalogue.robot_of_parameters(file, request.params, request.robot)
+        name, folder = catalogue.robot_of_parameters(
+            file, parameters_format.place(request.params), request.robot
+        )
         return _swim(request, file, name, folder)
     if request.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
@@ -194,14 +201,14 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
 def _swim(request: Request, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
     readings = {**(file.settings.get("readings", {}) if file else {}), **request.readings}
     robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=request.dt)
-    applied = Applied(model, file, request.params, request.chosen)
+    applied = Applied(model, file, request.place, request.chosen)
     values = applied.values()
     try:
         model.check(values)
     except InputError as error:
         raise InputError(
             f"with these parameters, {error.reason}",
-            file=request.params or robot_format.locate(name, folder),
+            file=request.place or robot_format.locate(name, folder),
             column=error.column,
         ) from error
     experiment = "free-swim" if isinstance(model, MultilinkModel) and model.free_base else "multibody"
@@ -410,7 +417,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
 
 def _robot(request: Request, file: ParameterFile) -> Robot:
     assert request.params is not None
-    name, folder = catalogue.robot_of_parameters(file, request.params, request.robot)
+    name, folder = catalogue.robot_of_parameters(file, parameters_format.place(request.params), request.robot)
     return robot_format.read(name, folder)
 
 
@@ -438,7 +445,7 @@ def _falling_weight(request: Request, file: ParameterFile) -> Case:
     force = request.pulling_mass_kg * robot.fluid.gravity_m_s2
     inertia = _body_inertia(robot) + request.pulling_mass_kg + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
-    applied = Applied(model, file, request.params, request.chosen)
+    applied = Applied(model, file, request.place, request.chosen)
     settings = {
         "inertia": inertia,
         "force": force,
@@ -481,7 +488,7 @@ def _towed(request: Request, file: ParameterFile) -> Case:
         force_N=max(float(np.abs(log["force_N"]).max()), 1e-9),
         area_known=known,
     )
-    applied = Applied(model, file, request.params, request.chosen)
+    applied = Applied(model, file, request.place, request.chosen)
     settings = {
         "inertia": _body_inertia(robot),
         "area_factor": factor,
@@ -496,8 +503,8 @@ def _towed(request: Request, file: ParameterFile) -> Case:
 
 def _arma(request: Request, file: ParameterFile) -> Case:
     assert request.params is not None
-    model = arma.model_of(file, request.params)
-    applied = Applied(model, file, request.params, request.chosen)
+    model = arma.model_of(file, parameters_format.place(request.params))
+    applied = Applied(model, file, request.place, request.chosen)
     robot = request.robot or file.robot or "unknown"
     if request.input is None:
         if model.sine is None:
@@ -526,9 +533,9 @@ def _cruise(request: Request, file: ParameterFile) -> Case:
     assert request.params is not None
     assert request.fin is not None
     robot = _robot(request, file)
-    drag_path = catalogue.drag_file(file, request.params)
+    drag_path = catalogue.drag_file(file, parameters_format.place(request.params))
     drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
-    area, mass = propulsion.drag_numbers(drag, drag_path, robot)
+    area, mass = propulsion.drag_numbers(drag, parameters_format.place(drag_path), robot)
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
     inertias = propulsion.fin_inertias(robot, [request.fin, *unknown], robot_format.locate(robot.name))
     model = RecoilModel(
@@ -536,7 +543,7 @@ def _cruise(request: Request, file: ParameterFile) -> Case:
         moving_mass_kg=mass,
         fins={fin: None if fin in unknown else i for fin, i in inertias.items()},
     )
-    applied = Applied(model, file, request.params, request.chosen)
+    applied = Applied(model, file, request.place, request.chosen)
     values = applied.values()
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
         if values[model.index(name)] != law:
@@ -580,8 +587,8 @@ def _surge(request: Request, file: ParameterFile) -> Case:
     assert request.amplitude_deg is not None
     robot = _robot(request, file)
     model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
-    catalogue.set_references(model, file, request.params)
-    applied = Applied(model, file, request.params, request.chosen)
+    catalogue.set_references(model, file, parameters_format.place(request.params))
+    applied = Applied(model, file, request.place, request.chosen)
     settings = {
         "amplitude_rad": math.radians(request.amplitude_deg),
         "frequency_hz": request.frequency_hz,

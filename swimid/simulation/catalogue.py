@@ -10,6 +10,7 @@ from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError
 from swimid.fitting.experiment import Experiment
 from swimid.logs import trials as trials_format
+from swimid.logs.trials import TrialSet
 from swimid.propulsion import trials as propulsion
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.results import parameters as parameters_format
@@ -41,20 +42,20 @@ class Loaded:
     applied: Applied
 
 
-def read_parameters(path: str | Path) -> ParameterFile:
-    """A parameter file of any model that can be simulated.
+def read_parameters(source: parameters_format.Source) -> ParameterFile:
+    """Parameters of any model that can be simulated.
 
     Raises
     ------
     InputError
         When it is none, or of a model that is not known.
     """
-    return parameters_format.read(path, model=tuple(EXPERIMENTS))
+    return parameters_format.read(source, model=tuple(EXPERIMENTS))
 
 
 def load(
-    trials_file: str | Path,
-    parameters: str | Path | None,
+    trials: str | Path | TrialSet,
+    parameters: parameters_format.Source | None,
     *,
     robot: str | None = None,
     chosen: dict[str, float] | None = None,
@@ -65,9 +66,9 @@ def load(
 
     Parameters
     ----------
-    trials_file : path
-    parameters : path or None
-        Without a file, the values of the robot file, or the model's start values where it has none.
+    trials : path or TrialSet
+    parameters : path, ParameterFile, result of a fit, or None
+        Without any, the values of the robot file, or the model's start values where it has none.
     robot : str, optional
         Accept the parameters for this robot although the file names another one.
     chosen : dict of str to float, optional
@@ -83,13 +84,12 @@ def load(
         For anything wrong in one of the files: another experiment than the parameters' model
         describes, another robot, missing columns.
     """
-    trials_path = Path(trials_file)
     if parameters is None:
-        experiment = _of_trials(trials_path, readings, max_step)
+        experiment = _of_trials(trials, readings, max_step)
         return Loaded(experiment, Applied(experiment.model, chosen=chosen or {}))
-    path = Path(parameters)
-    file = read_parameters(path)
-    entries: Any = trials_format.read(trials_path)
+    trials_path, path = trials_format.place(trials), parameters_format.place(parameters)
+    file = read_parameters(parameters)
+    entries: Any = trials_format.read(trials)
     if entries.experiment not in EXPERIMENTS[file.model]:
         raise InputError(
             f"holds trials of the experiment '{entries.experiment}'; parameters of the model "
@@ -100,33 +100,33 @@ def load(
     _check_robot(entries.robot, trials_path, file, path, robot)
     if file.model in ("multilink", "multibody"):
         options = {**dict(file.settings.get("readings", {})), **(readings or {})}
-        experiment = swimmer.load(trials_path, readings=options, max_step=max_step)
+        experiment = swimmer.load(trials, readings=options, max_step=max_step)
     elif file.model in ("falling-weight", "towed", "free-decay"):
-        experiment = _rig(trials_path, file)
+        experiment = _rig(trials, file)
     elif file.model == "arma":
-        experiment = arma.load(trials_path, file, path)
+        experiment = arma.load(trials, file, path)
     else:
-        experiment = _propulsion(trials_path, file, path)
-    experiment = replace(experiment, inputs=[*experiment.inputs, path])
+        experiment = _propulsion(trials, file, path)
+    experiment = replace(experiment, inputs=[*experiment.inputs, parameters_format.origin(parameters)])
     return Loaded(experiment, Applied(experiment.model, file, path, chosen or {}))
 
 
-def _of_trials(path: Path, readings: dict[str, str] | None, max_step: float) -> Experiment:
+def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str] | None, max_step: float) -> Experiment:
     """The model that a trials file and its robot suggest: of links where the robot has any."""
-    entries: Any = trials_format.read(path)
+    entries: Any = trials_format.read(trials)
     if entries.experiment == "arma":
         raise UsageError(
             "a black-box model has no values but those of a fit: give them with --params",
             hint="swimid rwls makes them",
         )
-    robot = trials_format.robot_of(entries, path)
+    robot = trials_format.robot_of(entries, trials_format.place(trials))
     if entries.experiment == "multibody" or (
         entries.experiment == "free-swim" and (robot.multilink is not None or robot.multibody is not None)
     ):
-        return swimmer.load(path, readings=readings, max_step=max_step)
+        return swimmer.load(trials, readings=readings, max_step=max_step)
     if entries.experiment in ("cruise", "free-swim"):
-        return propulsion.load(path)
-    return rig.load(path)
+        return propulsion.load(trials)
+    return rig.load(trials)
 
 
 def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
@@ -164,25 +164,27 @@ def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path, 
         )
 
 
-def _rig(trials_path: Path, file: ParameterFile) -> Experiment:
+def _rig(trials: str | Path | TrialSet, file: ParameterFile) -> Experiment:
     coordinate = None
     if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
         coordinate = next(iter(file.fit.channels))
-    experiment = rig.load(trials_path, coordinate=coordinate)
+    experiment = rig.load(trials, coordinate=coordinate)
     rounding = file.settings.get("encoder_rounding")
     if rounding in experiment.variants:
         experiment = replace(experiment, trials=experiment.variants[str(rounding)])
     return experiment
 
 
-def drag_file(file: ParameterFile, path: Path) -> Path:
-    """The drag file that the parameters of the recoil law were estimated with.
+def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
+    """The drag parameters that the parameters of the recoil law were estimated with.
 
     Raises
     ------
     InputError
         When it is not there: neither where the fit named it nor beside the parameter file.
     """
+    if file._drag is not None:
+        return file._drag
     named = file.settings.get("drag_file")
     if named is None:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
@@ -207,12 +209,12 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
         setattr(model, key, float(file.settings[key]))
 
 
-def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experiment:
+def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
     if file.model == RecoilModel.name:
         # a file that does not say which drag it goes with takes the trials file's
         named = file.settings.get("drag_file") is not None
-        return propulsion.load(trials_path, drag=drag_file(file, path) if named else None)
-    experiment = propulsion.load(trials_path)
+        return propulsion.load(trials, drag=drag_file(file, path) if named else None)
+    experiment = propulsion.load(trials)
     assert isinstance(experiment.model, SurgeModel)
     set_references(experiment.model, file, path)
     for key in ("waveform", "asymmetry"):
@@ -221,7 +223,7 @@ def _propulsion(trials_path: Path, file: ParameterFile, path: Path) -> Experimen
             raise InputError(
                 f"these trials were driven with the {key} {here}, those of the parameters with {fitted}: "
                 "each has a thrust of its own",
-                file=trials_path,
+                file=trials_format.place(trials),
                 column=f"drive.{key}",
             )
     return experiment

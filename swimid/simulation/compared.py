@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swimid.results.evidence import Evidence
 from swimid.results.result import Result
 from swimid.simulation import comparison_file
 from swimid.simulation.comparison_file import ComparisonFile
@@ -38,6 +39,16 @@ class Comparison(Result):
                 for channel, score in trial.channels.items()
             ]
         )
+
+    @classmethod
+    def _read(cls, path: str | Path) -> ComparisonFile:
+        return comparison_file.read(path)
+
+    @classmethod
+    def _told(cls, document: ComparisonFile, evidence: Evidence | None) -> str:
+        from swimid.simulation.compare_evidence import summary
+
+        return summary(document, evidence) if evidence else super()._told(document, evidence)
 
     def _write(self, path: Path) -> list[Path]:
         comparison_file.write(path, self.file)

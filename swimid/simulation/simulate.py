@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,22 +11,19 @@ import numpy as np
 
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic
-from swimid.logs.log import PARQUET_ENDINGS
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 from swimid.results import numbers
-from swimid.results.result import Result
 from swimid.simulation import animation
 from swimid.simulation import cases as simulate_cases
 from swimid.simulation import run as simulation
 from swimid.simulation.cases import Request
 from swimid.simulation.run import Simulated
+from swimid.simulation.simulated import Simulation
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer.planar import geometry
 from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
 
-#: Endings of a log.
-LOG_ENDINGS = (".csv", *PARQUET_ENDINGS)
 #: A change of speed from beat to beat above this share is told.
 UNSTEADY = 0.005
 #: What a trial of many says in its line, where it has it.
@@ -63,7 +59,7 @@ def simulate(
     view: str = "auto",
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
-) -> Result:
+) -> Simulation:
     """Simulate a robot.
 
     Parameters
@@ -143,7 +139,7 @@ def simulate(
     else:
         _insist_on_trials_alone(request)
         cases = simulate_cases.of_trials(trials, request, trial)
-    places = _places(output, [c.id for c in cases])
+    targets = simulation.places(output, [c.id for c in cases])
     if animate is not None:
         if len(cases) > 1:
             raise UsageError("an animation shows one trial: name it with --trial")
@@ -155,10 +151,10 @@ def simulate(
                 hint=f"let it end in {' or '.join(animation.ENDINGS)}",
             )
         allow(animate)
-    folder = output if output is not None and places != [output] else None
+    folder = output if output is not None and targets != [output] else None
     if folder is not None and not folder.parent.is_dir():
         raise InputError(f"the folder {folder.parent} does not exist", file=folder)
-    for place in places:
+    for place in targets:
         if folder is None or folder.is_dir():
             allow(place)
     done = []
@@ -167,7 +163,7 @@ def simulate(
             done.append(simulation.run(case))
             step()
     outputs = []
-    for place, one in zip(places, done, strict=False):
+    for place, one in zip(targets, done, strict=False):
         if folder is not None:
             folder.mkdir(exist_ok=True)
         simulation.write(place, one)
@@ -177,7 +173,8 @@ def simulate(
         remark = animation.write(animate, _film(done[0]), view=view, progress=progress)
         outputs.append(animate)
     _warn_unknown(done)
-    return Result("simulate", _summary(done, request, remark), _result(done, request), outputs)
+    text = _summary(done, request, remark)
+    return Simulation("simulate", text, _result(done, request), outputs, document=done)
 
 
 def _insist_on_trials_alone(request: Request) -> None:
@@ -204,26 +201,6 @@ def _insist_on_trials_alone(request: Request) -> None:
             raise UsageError(
                 f"--{name.replace('_', '-')} has no place beside --trials: the trials bring their own drive"
             )
-
-
-def _places(output: Path | None, ids: Sequence[str]) -> list[Path]:
-    """The file of each run: one log, or a folder of logs named after the trials."""
-    if output is None:
-        return []
-    if output.suffix.lower() in LOG_ENDINGS and not output.is_dir():
-        if len(ids) > 1:
-            raise UsageError(
-                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
-            )
-        return [output]
-    if len(ids) == 1 and not output.is_dir() and output.suffix:
-        raise UsageError(f"'{output.name}' can be no log", hint=f"let it end in {' or '.join(LOG_ENDINGS)}")
-    if len(ids) == 1 and not output.is_dir():
-        raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
-    if output.exists() and not output.is_dir():
-        raise UsageError(f"{output} is a file; several trials need a folder")
-    stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
-    return [output / f"{stem}.csv" for stem in stems]
 
 
 def _film(done: Simulated) -> animation.Film:
@@ -325,7 +302,7 @@ def _brief(done: Simulated) -> list[str]:
 
 def _one(done: Simulated, request: Request) -> list[str]:
     case = done.case
-    source = request.params.name if request.params else "the robot file's values"
+    source = request.place.name if request.place else "the robot file's values"
     lines = [f"{case.metadata['robot']}, {source}"]
     drive = case.metadata.get("drive")
     if isinstance(drive, dict) and "stroke" in drive:
@@ -368,7 +345,7 @@ def _result(done: Sequence[Simulated], request: Request) -> dict[str, Any]:
     return {
         "model": model.name,
         "robot": done[0].case.metadata["robot"],
-        "params": None if request.params is None else str(request.params),
+        "params": None if request.place is None else str(request.place),
         "parameters": {
             p.name: float(v) for p, v in zip(model.parameters, values, strict=True) if not p.per_trial
         },

@@ -18,6 +18,7 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.tied import Tied, groups_by_prefix
+from swimid.logs import trials as trials_format
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
@@ -111,10 +112,13 @@ def fit_graybox(
             fixed=fixed,
             freed=freed,
             bounds=bounds,
-            also=[begin] if begin else [],
+            also=[begin] if isinstance(begin, Path) else [],
         )
         origin = provenance.collect(
-            [*experiment.inputs, *(p for p in (begin, options.front) if p is not None)],
+            [
+                *experiment.inputs,
+                *(parameters_format.origin(p) for p in (begin, options.front) if p is not None),
+            ],
             settings={
                 "fixed": dict(fixed or {}),
                 "freed": list(freed),
@@ -201,10 +205,11 @@ def fit_graybox(
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
+        place = trials_format.place(trials_file)
         raise NoTrustworthyResult(
             f"the fit did not converge: {result.message}{kept}",
             hint="the model may lack an effect, which its coefficients cannot stand in for: "
-            f"swimid diagnose {trials_file}{params} -o gap.yaml; if not, check units and trial settings",
+            f"swimid diagnose {place}{params} -o gap.yaml; if not, check units and trial settings",
         )
     shared = [label for label in result.labels if "[" not in label]
     if shared and all(result.status[label] == "unidentifiable" for label in shared) and not file.derived:
@@ -234,7 +239,8 @@ def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | No
     ):
         return []
     params = f" --params {output}" if output else ""
-    return [f"next: swimid diagnose {trials_file}{params} says whether the model lacks an effect, and which"]
+    listing = trials_format.place(trials_file)
+    return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
 
 
 def _least_squares(
@@ -316,9 +322,11 @@ def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
     return replace(result, parameters=tuple(moved(p) for p in result.parameters))
 
 
-def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) -> tuple[Parameter, ...]:
+def _begun(
+    parameters: tuple[Parameter, ...], source: parameters_format.Source, share: Sequence[str]
+) -> tuple[Parameter, ...]:
     """The parameters starting from a file's values; a shared one from its members' mean."""
-    file = parameters_format.read(path, model=("multilink", "multibody"))
+    file = parameters_format.read(source, model=("multilink", "multibody"))
     found = []
     for parameter in parameters:
         members = [parameter.name]
@@ -330,7 +338,7 @@ def _begun(parameters: tuple[Parameter, ...], path: Path, share: Sequence[str]) 
             parameter = replace(parameter, start=value)
         found.append(parameter)
     if not any(p.name in file.parameters for p in parameters):
-        raise InputError("holds none of this robot's coefficients", file=path)
+        raise InputError("holds none of this robot's coefficients", file=parameters_format.place(source))
     return tuple(found)
 
 
@@ -368,8 +376,9 @@ def _file(
 
 def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Path | None) -> str:
     """The robot as the parameter file names it: built in, or a path relative to that file."""
-    name, path = experiment.robot.name, experiment.inputs[1].resolve()
+    assert experiment.robot_path is not None
+    name, path = experiment.robot.name, experiment.robot_path.resolve()
     if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
         return name
-    folder = output.parent if output else Path(trials_file).parent
+    folder = output.parent if output else trials_format.place(trials_file).parent
     return Path(os.path.relpath(path, folder.resolve())).as_posix()

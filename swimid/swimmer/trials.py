@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, nearest, suggestion
-from swimid.fitting.experiment import Experiment, input_files, read_log
+from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, Trial
 from swimid.logs import course
 from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
 from swimid.logs.log import Log
-from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive
+from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -82,7 +82,7 @@ def robot_model(
 
 
 def load(
-    path: str | Path,
+    source: str | Path | TrialSet,
     *,
     readings: Mapping[str, str] | None = None,
     channels: Sequence[str] = (),
@@ -108,8 +108,8 @@ def load(
     UsageError
         For a channel the robot does not have.
     """
-    path = Path(path)
-    entries = trials_format.read(path, FreeSwim, Multibody, uses=USES)
+    path = trials_format.place(source)
+    entries = trials_format.read(source, FreeSwim, Multibody, uses=USES)
     assert isinstance(entries, FreeSwim | Multibody)
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
     _check_channels(model, channels)
@@ -147,8 +147,9 @@ def load(
         robot,
         model,
         trials,
-        input_files(path, entries.robot, [log.path for log in read]),
+        inputs_of(path, entries, [log.source for log in read]),
         facts=facts,
+        robot_path=robot_format.locate(entries.robot, path.parent),
     )
 
 

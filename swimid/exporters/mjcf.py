@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.export import common
-from swimid.export.base import Exported, Options
-from swimid.export.source import Law, Link, Source, behind_joint, central
+from swimid.exporters import common
+from swimid.exporters.base import Exported, Options
+from swimid.exporters.source import Law, Link, Source, behind_joint, central
 from swimid.swimmer.planar import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
@@ -26,7 +26,7 @@ PREFIX = "water:"
 
 
 def export(source: Source, options: Options) -> Exported:
-    """MJCF of a multi-link robot; see :class:`swimid.export.Target`."""
+    """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
     root = ET.Element("mujoco", model=source.robot.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -185,7 +185,7 @@ def _limits(source: Source, options: Options) -> list[str]:
         what = ", ".join(words[k] for k in KINDS if k in kinds)
         limits.append(
             f"{what}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
-            "swimid.export.mjcf.water is installed as passive callback"
+            "swimid.exporters.mjcf.water is installed as passive callback"
         )
     limits += common.friction_limits(source)
     limits += common.drive_limits(source, options.servo_hz)

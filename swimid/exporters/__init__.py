@@ -1,7 +1,9 @@
-"""Identified coefficients in the formats of simulators: one module per target.
+"""Identified coefficients in the formats of simulators: ``swimid export``.
 
-A target turns a :class:`~swimid.export.source.Source` into text and names everything it
-cannot carry. A new one is a module with ``export(source, options)`` and a line in :func:`targets`.
+``source`` is what is exported, with every quantity evaluated; one module per target turns it into text and
+names everything it cannot carry: ``mjcf``, ``gazebo``, ``stonefish``, ``plain`` (JSON), on ``base`` and
+``common``. ``export`` is the verb. A new target is a module with ``export(source, options)`` and a line in
+:func:`targets`.
 """
 
 from __future__ import annotations
@@ -9,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from swimid.export.base import AddedMass, Exported, Options
-from swimid.export.source import Source
+from swimid.exporters.base import AddedMass, Exported, Options
+from swimid.exporters.source import Source
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Target:
 
 def targets() -> dict[str, Target]:
     """The targets by the name ``--to`` takes."""
-    from swimid.export import gazebo, mjcf, plain, stonefish
+    from swimid.exporters import gazebo, mjcf, plain, stonefish
 
     return {
         "mjcf": Target("MuJoCo MJCF", mjcf.export, ("native", "fold", "none"), rigid=False),

@@ -12,9 +12,9 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from swimid.export import common
-from swimid.export.base import Exported, Options
-from swimid.export.source import Link, Source, central
+from swimid.exporters import common
+from swimid.exporters.base import Exported, Options
+from swimid.exporters.source import Link, Source, central
 from swimid.fitting.model import Array
 from swimid.robots.planar import Drag, SlenderBody
 from swimid.swimmer.polynomial import Polynomial
@@ -24,7 +24,7 @@ SLENDER = 0.3
 
 
 def export(source: Source, options: Options) -> Exported:
-    """Scenario of a multi-link robot; see :class:`swimid.export.Target`."""
+    """Scenario of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
     root = ET.Element("scenario")
     environment = ET.SubElement(root, "environment")

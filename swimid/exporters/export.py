@@ -6,14 +6,14 @@ from pathlib import Path
 
 import swimid
 from swimid.errors import InputError, UsageError, nearest
-from swimid.export import targets
-from swimid.export.base import AddedMass, Options
-from swimid.export.source import Source
-from swimid.files import atomic
-from swimid.files.provenance import sha256
+from swimid.exporters import targets
+from swimid.exporters.base import AddedMass, Options
+from swimid.exporters.source import Source
+from swimid.files import atomic, provenance
+from swimid.files.provenance import digest_of
 from swimid.notices import warn
 from swimid.results import parameters
-from swimid.results.result import Result
+from swimid.results.text import Text
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -24,19 +24,19 @@ MODELS = ("multilink", *RIGID)
 
 def export(
     *,
-    params: str | Path,
+    params: parameters.Source,
     to: str,
     output: str | Path | None = None,
     robot_name: str | None = None,
     added_mass: AddedMass = "native",
     servo_hz: float = 20.0,
-) -> Result:
+) -> Text:
     """Write a parameter file's coefficients as a simulator reads them.
 
     Parameters
     ----------
-    params : path
-        A parameter file of a multi-link robot, a falling weight or a towed body.
+    params : path, ParameterFile or result of a fit
+        Parameters of a multi-link robot, a falling weight or a towed body.
     to : {"mjcf", "gazebo", "stonefish", "json"}
     output : path, optional
         None or ``-`` returns the text as the outcome's summary.
@@ -44,7 +44,7 @@ def export(
         Built-in name or path of a robot file in place of the one the parameter file names, which is
         looked for beside that file.
     added_mass : {"native", "fold", "plugin", "none"}
-        See :data:`swimid.export.base.AddedMass`.
+        See :data:`swimid.exporters.base.AddedMass`.
     servo_hz : float
         Natural frequency of servos the robot file does not describe.
 
@@ -75,8 +75,7 @@ def export(
         )
     if not servo_hz > 0:
         raise UsageError(f"a servo's frequency must be positive, not {servo_hz:g} Hz")
-    path = Path(params)
-    source = load(path, robot_name)
+    source = load(params, robot_name)
     if not source.multilink and not target.rigid:
         able = ", ".join(name for name, t in known.items() if t.rigid)
         raise UsageError(
@@ -85,7 +84,7 @@ def export(
         )
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
-        atomic.check_writable(out, inputs=(path,))
+        atomic.check_writable(out, inputs=provenance.files([parameters.origin(params)]))
     done = target.export(source, Options(added_mass, servo_hz))
     _warn_unknown(source)
     for limit in done.limits:
@@ -101,23 +100,25 @@ def export(
         "dangers": list(done.dangers),
     }
     if out is None:
-        return Result("export", done.text.rstrip("\n"), result | {"text": done.text})
+        return Text("export", done.text.rstrip("\n"), result | {"text": done.text}, document=done.text)
     atomic.write_text(out, done.text)
     count = len(done.limits)
     carried = (
         "everything" if not count else f"all but {count} thing{'s' if count > 1 else ''}, see the warnings"
     )
-    return Result("export", f"{source.robot.name} as {target.title}: {carried}", result, [out])
+    told = f"{source.robot.name} as {target.title}: {carried}"
+    return Text("export", told, result, [out], document=done.text)
 
 
-def load(path: Path, robot_name: str | None = None) -> Source:
-    """A parameter file with its robot.
+def load(params: parameters.Source, robot_name: str | None = None) -> Source:
+    """Parameters with their robot.
 
     Raises
     ------
     InputError
     """
-    file = parameters.read(path, model=MODELS)
+    path, given = parameters.place(params), parameters.origin(params)
+    file = parameters.read(params, model=MODELS)
     name = robot_name or file.robot
     if name is None:
         raise InputError("names no robot", file=path, column="robot", hint="give one with --robot")
@@ -130,7 +131,12 @@ def load(path: Path, robot_name: str | None = None) -> Source:
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
     found = robot.read(name, folder, readings=readings)
     place = robot.locate(name, folder)
-    origin = {"file": path.name, "sha256": sha256(path), "version": swimid.__version__, "robot": name}
+    origin = {
+        "file": path.name,
+        "sha256": digest_of(given),
+        "version": swimid.__version__,
+        "robot": name,
+    }
     source = Source(file, found, origin, readings)
     if source.multilink:
         if found.multilink is None:

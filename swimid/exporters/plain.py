@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from swimid.export.base import Exported, Options
-from swimid.export.source import Link, Source, central, surge
+from swimid.exporters.base import Exported, Options
+from swimid.exporters.source import Link, Source, central, surge
 from swimid.fitting.model import Array
 
 FORMAT = "swimid-export/1"
@@ -22,7 +22,7 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: Options) -> Exported:
-    """The JSON document; see :class:`swimid.export.Target`."""
+    """The JSON document; see :class:`swimid.exporters.Target`."""
     file = source.parameters
     data: dict[str, Any] = {
         "format": FORMAT,

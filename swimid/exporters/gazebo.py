@@ -15,9 +15,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.export import common
-from swimid.export.base import Exported, Options
-from swimid.export.source import Element, Source, about, behind_joint, central, surge
+from swimid.exporters import common
+from swimid.exporters.base import Exported, Options
+from swimid.exporters.source import Element, Source, about, behind_joint, central, surge
 from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
@@ -31,7 +31,7 @@ HELPER = 1e-6
 
 
 def export(source: Source, options: Options) -> Exported:
-    """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.export.Target`."""
+    """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.exporters.Target`."""
     root = ET.Element("sdf", version="1.10")
     model = ET.SubElement(root, "model", name=source.robot.name)
     if not source.multilink:

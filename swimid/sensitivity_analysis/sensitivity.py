@@ -6,7 +6,6 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,11 +21,12 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
-from swimid.sensitivity import evidence as sensitivity_evidence
-from swimid.sensitivity import file as sensitivity_format
-from swimid.sensitivity import indices
-from swimid.sensitivity import outputs as sensitivity_outputs
-from swimid.sensitivity.file import (
+from swimid.results import parameters as parameters_format
+from swimid.sensitivity_analysis import evidence as sensitivity_evidence
+from swimid.sensitivity_analysis import file as sensitivity_format
+from swimid.sensitivity_analysis import indices
+from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis.file import (
     Axis,
     Effects,
     Index,
@@ -40,9 +40,10 @@ from swimid.sensitivity.file import (
     Sweep,
     SweptOutput,
 )
-from swimid.sensitivity.indices import Morris, Sobol
-from swimid.sensitivity.outputs import Run
-from swimid.sensitivity.studied import Sensitivity
+from swimid.sensitivity_analysis.indices import Morris, Sobol
+from swimid.sensitivity_analysis.outputs import Run
+from swimid.sensitivity_analysis.studied import Sensitivity
+from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
@@ -160,7 +161,7 @@ def sensitivity(
         model = experiment.model
         assert isinstance(model, MultilinkModel | MultibodyModel)
         if output is not None:
-            atomic.check_writable(output, inputs=tuple(experiment.inputs))
+            atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
         over = _ranges(applied, ranges, coefficients) if method != "none" else {}
         swept = _swept(experiment, sweep, trial)
         prepare(progress)
@@ -186,7 +187,7 @@ def sensitivity(
             model=model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
-            params=params.name if params is not None else None,
+            params=parameters_format.place(params).name if params is not None else None,
             method=method,
             samples=count,
             trials=[t.id for t in experiment.trials],
@@ -575,14 +576,10 @@ def _sweep(
         return row
 
     found = []
-    with progress("sweep", total=len(grid)) as step, ThreadPoolExecutor(max(jobs, 1)) as pool:
-        waiting = [pool.submit(one, k) for k in range(len(grid))]
-        try:
-            for future in waiting:
-                found.append(future.result())
-                step()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with progress("sweep", total=len(grid)) as step, in_threads(one, range(len(grid)), jobs) as rows:
+        for row in rows:
+            found.append(row)
+            step()
     table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
     lost = ~np.isfinite(table[..., 0]).all(axis=-1)
     table[lost] = np.nan

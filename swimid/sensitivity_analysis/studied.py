@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swimid.results.evidence import Evidence
 from swimid.results.result import Result
-from swimid.sensitivity import file as sensitivity_file
-from swimid.sensitivity.file import SensitivityFile
+from swimid.sensitivity_analysis import file as sensitivity_file
+from swimid.sensitivity_analysis.file import SensitivityFile
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,6 +40,16 @@ class Sensitivity(Result):
                 for name, index in found.items()
             ]
         return pd.DataFrame(rows)
+
+    @classmethod
+    def _read(cls, path: str | Path) -> SensitivityFile:
+        return sensitivity_file.read(path)
+
+    @classmethod
+    def _told(cls, document: SensitivityFile, evidence: Evidence | None) -> str:
+        from swimid.sensitivity_analysis.evidence import summary
+
+        return summary(document, evidence) if evidence else super()._told(document, evidence)
 
     def _write(self, path: Path) -> list[Path]:
         sensitivity_file.write(path, self.file)

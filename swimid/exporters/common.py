@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from swimid.export.source import Element, Link, Source, about, central, isotropic
+from swimid.exporters.source import Element, Link, Source, about, central, isotropic
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate
 

@@ -8,8 +8,8 @@ from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader
 from swimid.results.sections import LONG_TABLE, Block, Cell, Grid, Section, Tone
-from swimid.sensitivity import file as sensitivity
-from swimid.sensitivity.file import Index, Output, SensitivityFile
+from swimid.sensitivity_analysis import file as sensitivity
+from swimid.sensitivity_analysis.file import Index, Output, SensitivityFile
 
 _SOURCES = {"bounds": "bounds", "stderr": "± 2 std. errors", "share": "share of the value", "given": "given"}
 

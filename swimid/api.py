@@ -1,0 +1,232 @@
+"""The public names, and the functions that belong to no room of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swimid.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from swimid.logs.log import Log
+    from swimid.logs.trials import TrialSet
+    from swimid.results.result import Result
+    from swimid.robots.file import Robot
+
+#: Where each public name is found; imported when it is first used, so that ``import swimid`` costs nothing.
+NAMES = {
+    # what is read
+    "load": "swimid.api",
+    "load_result": "swimid.api",
+    "read_log": "swimid.api",
+    "read_robot": "swimid.api",
+    "built_in_robots": "swimid.api",
+    "Log": "swimid.logs.log",
+    "TrialSet": "swimid.logs.trials",
+    "Robot": "swimid.robots.file",
+    # what is made of films and recordings
+    "track_video": "swimid.tracking.track_video",
+    "track_setup": "swimid.tracking.track_setup",
+    "track_imu": "swimid.inertial.track_imu",
+    "import_log": "swimid.logs.import_log",
+    # what is identified
+    "fit_drag": "swimid.rig.fit_drag",
+    "fit_propulsion": "swimid.propulsion.fit_propulsion",
+    "fit_graybox": "swimid.swimmer.fit_graybox",
+    "rwls": "swimid.blackbox.rwls",
+    "fit_model": "swimid.fitting.fit_model",
+    # what follows from it
+    "simulate": "swimid.simulation.simulate",
+    "compare": "swimid.simulation.compare",
+    "diagnose": "swimid.diagnosis.diagnose",
+    "sensitivity": "swimid.sensitivity_analysis.sensitivity",
+    "export": "swimid.exporters.export",
+    "report": "swimid.results.report",
+    "plot": "swimid.logs.plot",
+    # what comes of it
+    "Result": "swimid.results.result",
+    "Fitted": "swimid.results.fitted",
+    "Logged": "swimid.logs.logged",
+    "Simulation": "swimid.simulation.simulated",
+    "Comparison": "swimid.simulation.compared",
+    "Diagnosis": "swimid.diagnosis.diagnosed",
+    "Sensitivity": "swimid.sensitivity_analysis.studied",
+    # what a model or an effect of one's own is made of
+    "Model": "swimid.fitting.model",
+    "Parameter": "swimid.fitting.model",
+    "Channel": "swimid.fitting.model",
+    "Trial": "swimid.fitting.model",
+    "Effect": "swimid.effects.base",
+    # what is raised
+    "SwimidError": "swimid.errors",
+    "InputError": "swimid.errors",
+    "UsageError": "swimid.errors",
+    "NoTrustworthyResult": "swimid.errors",
+    "SwimidWarning": "swimid.notices",
+}
+
+
+def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
+    """Read the log of one trial, CSV or Parquet.
+
+    Parameters
+    ----------
+    path : path
+        ``t_s`` in s first; columns carry their unit as a suffix (``docs/formats.md``).
+    required : sequence of str
+        Columns that must be there.
+
+    Returns
+    -------
+    Log
+        Columns as arrays of shape (n,), NaN where a sample is missing; ``.frame()`` is a DataFrame.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column.
+
+    Examples
+    --------
+    >>> log = read_log("sample_logs/rig/w10.csv")
+    >>> list(log.columns)
+    ['t_s', 'x_m']
+    """
+    from swimid.logs import log
+
+    return log.read(path, required=required)
+
+
+def load(
+    trials: str | Path | Sequence[Mapping[str, Any]] | pd.DataFrame | TrialSet,
+    *,
+    experiment: str | None = None,
+    robot: str | Path | None = None,
+    **keys: Any,
+) -> TrialSet:
+    """Trials of one experiment with one robot, from a trials file or from tables in memory.
+
+    Parameters
+    ----------
+    trials : path, sequence of mappings, or DataFrame
+        A trials file; or for each trial its keys as in a trials file, with a DataFrame (or a
+        :class:`~swimid.logs.log.Log`) as ``log``; or the table of a cruise.
+    experiment : str, optional
+        ``"falling-weight"``, ``"towed"``, ``"free-decay"``, ``"cruise"``, ``"free-swim"``, ``"multibody"`` or
+        ``"arma"``; a trials file says it itself.
+    robot : str or path, optional
+        Built-in name or robot file; a trials file says it itself.
+    **keys
+        Further keys of the trials file (``docs/formats.md``).
+
+    Returns
+    -------
+    TrialSet
+        To be given to the fits, to ``compare`` and to ``diagnose``.
+
+    Raises
+    ------
+    InputError
+        For a broken file, unknown keys, tables that are no logs.
+    UsageError
+        When experiment or robot are missing, or given beside a file that names them.
+
+    Examples
+    --------
+    >>> load("sample_logs/rig/trials.yaml").ids[:2]
+    ['w10', 'w15']
+    >>> drop = {"id": "w10", "log": read_log("sample_logs/rig/w10.csv").frame(), "pulling_mass_kg": 0.01}
+    >>> load([drop], experiment="falling-weight", robot="boxfish").experiment
+    'falling-weight'
+    """
+    from swimid.logs.trials import TrialSet
+
+    if isinstance(trials, str | Path | TrialSet):
+        if experiment is not None or robot is not None or keys:
+            raise UsageError("a trials file names its experiment, robot and keys itself")
+        return trials if isinstance(trials, TrialSet) else TrialSet.read(trials)
+    if experiment is None or robot is None:
+        raise UsageError("name the experiment and the robot of these trials")
+    if not isinstance(trials, Sequence) or isinstance(trials, str):  # the table of a cruise
+        return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
+    given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
+    return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)
+
+
+def load_result(path: str | Path) -> Result:
+    """Read any result that swimid wrote, with the evidence beside it.
+
+    Parameters
+    ----------
+    path : path
+        A parameter, comparison, gap or sensitivity file, or a log.
+
+    Returns
+    -------
+    Result
+        Of the class the function that made it returned.
+
+    Raises
+    ------
+    InputError
+        When it is none of these, or broken.
+
+    Examples
+    --------
+    >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
+    '1'
+    """
+    from importlib import import_module
+
+    from swimid.files import yamlio
+    from swimid.logs.log import PARQUET_ENDINGS
+
+    kinds = [getattr(import_module(NAMES[name]), name) for name in RESULTS]
+    if Path(path).suffix.lower() in (".csv", *PARQUET_ENDINGS):
+        found = "log"
+    else:
+        found = str(yamlio.load(path).get("format"))
+    for kind in kinds:
+        if (kind.format or "log") == found:
+            loaded: Result = kind.load(path)
+            return loaded
+    known = ", ".join(kind.format for kind in kinds if kind.format)
+    raise InputError(f"its format '{found}' is that of no result", file=path, hint=f"known: {known}")
+
+
+#: Results that can be read back.
+RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "Logged")
+
+
+def read_robot(name: str | Path) -> Robot:
+    """A built-in robot, or one of a robot file.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, and for anything wrong in the file, with its line.
+
+    Examples
+    --------
+    >>> read_robot("boxfish").body.inertial_mass_kg
+    1.196
+    """
+    from swimid.robots import file
+
+    return file.read(str(name))
+
+
+def built_in_robots() -> list[str]:
+    """The built-in robots.
+
+    Examples
+    --------
+    >>> built_in_robots()
+    ['boxfish', 'dolphin', 'long-fin', 'sealion', 'tfish']
+    """
+    from swimid.robots import file
+
+    return file.built_in()
