@@ -104,6 +104,8 @@ def plot(
         shape (n, k), SI units.
     output : path, optional
         ``.html``, ``.svg`` or ``.png``; without it nothing is written.
+    progress : Progress
+        Shows the drawing.
 
     Returns
     -------
