@@ -5,6 +5,7 @@ Also the models the long-fin paper published (Tables II and III), ready to run.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +79,7 @@ class Arma(Model):
 
     name = NAME
     offers = frozenset({"command", "output", "clock"})
+    has_gaps = True
 
     def __init__(
         self,
@@ -145,6 +147,25 @@ class Arma(Model):
             unit=str(settings.get("output_unit", "1")),
             gain_unit=parameters.parameters["b1"].unit,
         )
+
+    def commanded(self, trial: Trial) -> bool:
+        """Whether the input column is a command, not a measured joint angle."""
+        return not self.source.startswith("joint")
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """The input where it is there; its rate is not known beyond its samples."""
+        time = np.asarray(trial.time_s, dtype=float)
+        signal = self.input_of(trial, time)
+        there = np.isfinite(signal)
+        yield time[there], signal[there], 0.0
+
+    def onset(self, trial: Trial) -> float:
+        """Always: the input moves no body that would start from rest."""
+        return -np.inf
+
+    def beats(self, trials: Sequence[Trial]) -> list[float]:
+        """The frequency of the sine, Hz, where no column holds the input."""
+        return [] if self.sine is None else [self.sine[1]]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Free run of one trial.

@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from swimid.fitting.body import Moving
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
-from swimid.progress import Progress
+from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly, Axis
+from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Moving, coefficients
+from swimid.swimmer.tree import coefficients
 
 #: Largest integration step, s.
 DEFAULT_STEP = 0.005
@@ -27,6 +29,8 @@ DEFAULT_STEP = 0.005
 KEPT = 4
 #: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
 TABLES = 12
+#: Grid on which the command of a drive is read, s.
+READ_S = 0.0025
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,42 @@ class MultilinkModel(Model):
         self._lock = threading.Lock()
 
     # -------------------------------------------------------- what it offers
+
+    @property
+    def body(self) -> PlanarBody:
+        """Its links."""
+        return PlanarBody(self)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the plane of motion; none where the base is held."""
+        return tuple(name.removesuffix("_m") for name in self.pose[:2]) if self.free_base else ()
+
+    def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
+        """Typical sizes of trials."""
+        return SwimmerScales(self, trials)
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Pose at the first sample."""
+        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        return dict(zip(self.pose, (float(p) for p in pose), strict=True))
+
+    def commanded(self, trial: Trial) -> bool:
+        """Whether a drive or a recorded command moves the joints, not their measured angles."""
+        if trial.settings.get("joints") is None:
+            return "beat" in trial.settings
+        return bool(trial.settings.get("commanded"))
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """What each driven joint is told to do."""
+        time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
+        for number, axis in enumerate(self.assembly.driven):
+            angle, rate, _ = joint_motion(axis, number, trial.settings, time, 0.0)
+            yield time, angle, float(np.max(np.abs(rate)))
+
+    def prepare(self, progress: Progress = silent) -> None:
+        """Compile the kernels where that has not been done on this machine."""
+        prepare(progress)
 
     def _start(self) -> list[Parameter]:
         inf, found = math.inf, []

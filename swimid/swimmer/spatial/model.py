@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from swimid.fitting.body import Moving
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.logs.rotation import angles, from_angles
@@ -24,7 +25,7 @@ from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly, Axis
 from swimid.swimmer.spatial.planar import Lifted
 from swimid.swimmer.spatial.stroke import Cycle
-from swimid.swimmer.tree import Moving, coefficients
+from swimid.swimmer.tree import coefficients
 
 #: Pose and velocity of the reference point, as logs hold them.
 POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
