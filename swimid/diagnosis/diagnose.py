@@ -27,7 +27,7 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
-from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel, prepare
+from swimid.swimmer.planar.model import DEFAULT_STEP
 
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
@@ -90,8 +90,7 @@ def diagnose(
         )
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
-        if isinstance(model, MultilinkModel):
-            prepare(progress)
+        model.prepare(progress)
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
         given = _given(loaded)
