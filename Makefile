@@ -1,12 +1,22 @@
 # Two commands for users: make demo, make test. The rest is for developers.
+# On Windows run them from Git Bash: the recipes use its mkdir, touch and rm.
+ifeq ($(OS),Windows_NT)
+PYTHON ?= python
+BIN = $(VENV)/Scripts
+else
 PYTHON ?= python3
+BIN = $(VENV)/bin
+endif
 VENV ?= .venv
 OUT ?= demo_out
 BLIND_CASES ?= 160
-BIN := $(VENV)/bin
 SAMPLES := sample_logs
+# One encoding everywhere, whatever the system's own is.
+export PYTHONUTF8 := 1
+# Files of tests stay whole: what their tests share is made once.
+SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lint types bench blind samples reproduction clean
+.PHONY: demo test check-all lint types bench blind samples reproduction hooks clean
 
 demo: $(VENV)/.ready
 	mkdir -p $(OUT)
@@ -25,12 +35,12 @@ demo: $(VENV)/.ready
 	@echo "open $(OUT)/report.html"
 
 test: $(VENV)/.ready-dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest $(SPREAD)
 
 # Everything: long checks, lint, types, kernels with bounds checking.
 check-all: $(VENV)/.ready-dev lint types
-	$(BIN)/python -m pytest -n 2 -m ""
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest -n 2 -m "kernels"
+	$(BIN)/python -m pytest $(SPREAD) -m ""
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest $(SPREAD) -m "kernels"
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -38,6 +48,10 @@ lint: $(VENV)/.ready-dev
 
 types: $(VENV)/.ready-dev
 	$(BIN)/mypy
+
+# Lint, format and types before every commit.
+hooks: $(VENV)/.ready-dev
+	$(BIN)/pre-commit install
 
 bench: $(VENV)/.ready-bench
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(BIN)/python $$script || exit 1; done

@@ -31,10 +31,11 @@ from tests.generators import pool_video
 from tests.generators.pool_video import Scene
 
 #: Constant rate factors chosen for about 12 and 45 Mbit/s; the third film is easy to decode.
+FULL_HD = Scene(width=1920, height=1080, preset="veryfast", dropout_s=None, duration_s=8.0)
 FILMS = {
-    "1080p": (Scene(width=1920, height=1080, noise=4.0, crf=22.5, dropout_s=None, duration_s=8.0), 240),
-    "1080p easy": (Scene(width=1920, height=1080, noise=1.0, crf=22, dropout_s=None, duration_s=8.0), 240),
-    "4K": (Scene(width=3840, height=2160, noise=4.0, crf=24, dropout_s=None, duration_s=3.0), 90),
+    "1080p": (replace(FULL_HD, noise=4.0, crf=22.5), 240),
+    "1080p easy": (replace(FULL_HD, noise=1.0, crf=22), 240),
+    "4K": (replace(FULL_HD, width=3840, height=2160, noise=4.0, crf=24), 90),
 }
 
 

@@ -57,6 +57,8 @@ class InputError(SwimidError, ValueError):
         Line of a text file, counted from 1 as editors do.
     frame : int, optional
         Frame of a video, counted from 0.
+    row : int, optional
+        Row of a table in memory, counted from 0.
     column : str, optional
         Name of the column, or dotted path of the key.
     hint : str, optional
@@ -72,12 +74,14 @@ class InputError(SwimidError, ValueError):
         file: str | Path | None = None,
         line: int | None = None,
         frame: int | None = None,
+        row: int | None = None,
         column: str | None = None,
         hint: str | None = None,
     ) -> None:
         self.file = None if file is None else str(file)
         self.line = line
         self.frame = frame
+        self.row = row
         self.column = column
         self.reason = message
         place = [] if self.file is None else [self.file]
@@ -85,6 +89,8 @@ class InputError(SwimidError, ValueError):
             place.append(f"line {line}")
         if frame is not None:
             place.append(f"frame {frame}")
+        if row is not None:
+            place.append(f"row {row}")
         if column is not None:
             place.append(f"'{column}'")
         super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)

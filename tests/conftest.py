@@ -10,6 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+# Read when numpy and OpenCV are loaded, here and in the programs that tests start: threads within threads
+# of several workers take half as much again of the processors' time.
+for _library in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+    os.environ.setdefault(_library, "1")
+
 import numpy as np
 import pytest
 from click.testing import CliRunner

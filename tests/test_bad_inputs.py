@@ -21,6 +21,8 @@ from tests.conftest import SAMPLES, Ran
 Run = Callable[..., Ran]
 HEAD = "format: swimid-trials/1\nexperiment: falling-weight\nrobot: boxfish\ntrials:\n"
 CRUISE_HEAD = "fin,frequency_hz,amplitude_deg,distance_m,time_s\n"
+#: Modes of files hinder neither root nor Windows.
+UNHINDERED = os.name == "nt" or os.geteuid() == 0
 ARX = ["--input", "cmd1_rad", "--output", "u_m_s", "--na", "1", "--nb", "1"]
 
 
@@ -198,13 +200,13 @@ def test_bad_robot_file_names_its_own_line(swimid: Run, rig: Path) -> None:
     refused(ran, 3, ["own.yaml, line 4", "did you mean 'inertial_mass_kg'"])
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
+@pytest.mark.skipif(UNHINDERED, reason="root may read every file; Windows has no such modes")
 def test_unreadable_log(swimid: Run, rig: Path) -> None:
     (rig / "w20.csv").chmod(0)
     refused(swimid("fit-drag", rig / "trials.yaml"), 3, ["w20.csv: cannot be read: Permission denied"])
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(UNHINDERED, reason="root may write everywhere; Windows has no such modes")
 def test_unwritable_folder(swimid: Run, rig: Path, tmp_path: Path) -> None:
     folder = tmp_path / "locked"
     folder.mkdir()

@@ -14,6 +14,7 @@ import pytest
 
 from swimid.logs import log, mapping, units
 from swimid.logs.foreign import open_source, readers
+from swimid.logs.foreign.base import Options
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -48,6 +49,13 @@ def _mat(path: Path) -> None:
     savemat(path, {"t": TIME_MS, "run": {"pose": np.column_stack([X_MM, YAW_DEG]), "who": "us"}, "fs": 50.0})
 
 
+def _mark_as_73(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    raw[: len(head)] = head
+    path.write_bytes(raw)
+
+
 def _mat73(path: Path) -> None:
     """What MATLAB writes with -v7.3: HDF5 behind a text block, arrays transposed."""
     import h5py
@@ -56,10 +64,31 @@ def _mat73(path: Path) -> None:
         for name, values in (("t", TIME_MS[:, None]), ("pose", np.column_stack([X_MM, YAW_DEG]))):
             file[name] = values.T
             file[name].attrs["MATLAB_class"] = np.bytes_("double")
-    raw = bytearray(path.read_bytes())
-    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    raw[: len(head)] = head
-    path.write_bytes(raw)
+    _mark_as_73(path)
+
+
+def _mat_cells(path: Path) -> None:
+    from scipy.io import savemat
+
+    cells = np.empty(2, dtype=object)
+    cells[:] = [TIME_MS, YAW_DEG]
+    savemat(path, {"run": {"cells": cells, "who": "us"}})
+
+
+def _mat73_cells(path: Path) -> None:
+    """A cell array of version 7.3: references to arrays that lie in another group."""
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in (("a", TIME_MS), ("b", YAW_DEG)):
+            file[f"#refs#/{name}"] = values[None, :]
+            file[f"#refs#/{name}"].attrs["MATLAB_class"] = np.bytes_("double")
+        found = [[file["#refs#/a"].ref], [file["#refs#/b"].ref]]
+        file["run/cells"] = np.array(found, dtype=h5py.ref_dtype)
+        file["run/cells"].attrs["MATLAB_class"] = np.bytes_("cell")
+        file["run/who"] = np.array([[117], [115]], dtype=np.uint16)
+        file["run/who"].attrs["MATLAB_class"] = np.bytes_("char")
+    _mark_as_73(path)
 
 
 def _parquet(path: Path) -> None:
@@ -155,6 +184,22 @@ def test_every_format(kind: str, ending: str, swimid: Run, tmp_path: Path) -> No
     assert record.metadata["robot"] == "fish"
     assert ran.json["result"]["samples"] == N
     assert out.with_name("run.evidence.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "kind"),
+    [(_mat_cells, None), (_mat73_cells, None), (_mat73_cells, "mat"), (_mat73_cells, "hdf5")],
+)
+def test_cells_of_one_length_are_columns(
+    make: Callable[[Path], None], kind: str | None, tmp_path: Path
+) -> None:
+    make(tmp_path / "a.mat")
+    source = open_source(tmp_path / "a.mat", Options(kind=kind))
+    values = next(source.chunks(["run.cells{1}", "run.cells{2}"], lambda _: None))
+    assert [column.name for column in source.columns] == list(values)
+    assert np.array_equal(values["run.cells{1}"], TIME_MS)
+    assert np.array_equal(values["run.cells{2}"], YAW_DEG)
+    assert source.metadata == {"run.who": "us"}
 
 
 def test_every_reader_is_tried() -> None:

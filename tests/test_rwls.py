@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from scipy.signal import lfilter
 
 from swimid.blackbox import model as arma
-from swimid.cli.rwls import command
+from swimid.cli.main import main
 from swimid.fitting.model import Trial
 from swimid.results import evidence, parameters
 from tests.generators import longfin
@@ -35,7 +35,7 @@ def arx_columns(seed=1, *, n=1200, step=0.05, noise=0.05, a=A, b=B, source=None)
 
 def run(*args):
     """Run the command; gives exit status, the JSON document, and stderr."""
-    done = CliRunner().invoke(command, [*map(str, args), "--json"])
+    done = CliRunner().invoke(main, ["rwls", *map(str, args), "--json"])
     assert "Traceback" not in done.stderr
     return done.exit_code, json.loads(done.stdout) if done.stdout else {}, done.stderr
 

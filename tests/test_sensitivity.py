@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from swimid.sensitivity_analysis import file as sensitivity_format
 from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis import outputs as sensitivity_outputs
 from swimid.sensitivity_analysis.file import SensitivityFile
+from swimid.sensitivity_analysis.threads import in_threads
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]
@@ -132,6 +134,29 @@ class TestSobol:
         assert count == before + whole.evaluations - kept
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
+
+
+def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
+    """Also while whoever waits for the results is busy: here it fills the queue until the interrupt."""
+    interrupted, begun = threading.Event(), []
+
+    def work(k: int) -> int:
+        begun.append(k)
+        if k == 5:
+            interrupted.set()
+            raise KeyboardInterrupt
+        return k
+
+    def items() -> Iterator[int]:
+        yield from range(200)
+        assert interrupted.wait(60)
+        yield from range(200, 400)
+
+    got = []
+    with pytest.raises(KeyboardInterrupt), in_threads(work, items(), 1) as results:
+        got.extend(results)
+    assert begun == [0, 1, 2, 3, 4, 5]
+    assert got == [0, 1, 2, 3, 4]
 
 
 class TestMorris:

@@ -64,6 +64,26 @@ def test_filter_and_smoother_equal_filterpy(order):
     np.testing.assert_allclose(spread, back_cov, atol=1e-6)
 
 
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("missing", [(), (0, 1, 2), (1, 3, 4), (78, 79)])
+def test_the_final_pass_equals_the_compiled_loop(order, missing):
+    """Places and speeds, from a start as diffuse as that of a track, where digits are lost most easily."""
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.02, 0.04, 80))
+    values = np.sin(times) + rng.normal(0, 0.02, 80)
+    values[[*range(30, 42), *missing]] = np.nan
+    variances = rng.uniform(1, 4, 80) * 4e-4
+    start = module._start(order, 4e-4, 0.03)
+    means, covariances, innovations, expected = module.kalman(times, values, variances, 0.7, order, start)
+    means, covariances = module.rts(times, means, covariances, 0.7, order)
+    again = module.filter_and_smooth(times, values, variances, 0.7, order, start)
+    for k in range(2):
+        deviation, deviation_again = np.sqrt(covariances[:, k, k]), np.sqrt(again[1][:, k, k])
+        np.testing.assert_allclose(again[0][:, k] / deviation, means[:, k] / deviation, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(deviation_again / deviation, 1.0, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(again[2] / np.sqrt(again[3]), innovations / np.sqrt(expected), atol=1e-9)
+
+
 def test_noise_is_recovered_and_errors_fit_their_deviations():
     """Likelihood finds both noises (20 %); normalised errors have size one."""
     rng = np.random.default_rng(11)

@@ -15,6 +15,8 @@ from swimid.tracking import setup as setup_format
 from tests.generators import pool_video
 from tests.generators.pool_video import SEPARATION_M, Scene
 
+PLAIN = Scene(duration_s=2.0, dropout_s=None)
+
 
 def run(*arguments, status=0):
     result = CliRunner().invoke(track, [str(a) for a in arguments])
@@ -31,6 +33,21 @@ def pool(tmp_path_factory):
     log = folder / "run.csv"
     output = run("video", video, "--setup", setup, "-o", log, "--overlay", folder / "overlay.mp4")
     return scene, folder, pd.read_csv(log, comment="#"), pd.read_csv(truth, comment="#"), output
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A film of two seconds without a dropout: its path, and its truth."""
+    video, _, truth = pool_video.write_scene(tmp_path_factory.mktemp("plain"), PLAIN)
+    return video, pd.read_csv(truth, comment="#")
+
+
+@pytest.fixture
+def by_hand(tmp_path):
+    """The setup of the plain film, to be changed."""
+    path = tmp_path / "hand.yaml"
+    path.write_text(pool_video.setup_text(PLAIN))
+    return path
 
 
 def pixels_per_metre(scene, setup):
@@ -141,7 +158,7 @@ def test_overlay_is_a_video_of_the_same_length(pool):
 
 def test_variable_frame_rate_uses_the_stamps(tmp_path):
     """Uneven steps: times are the frames' own to a tick, speeds are right, and it is said."""
-    scene = Scene(duration_s=4.0, dropout_s=None, variable_rate=True)
+    scene = Scene(duration_s=2.5, dropout_s=None, variable_rate=True)
     video, setup, truth_path = pool_video.write_scene(tmp_path, scene)
     output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
     log, truth = pd.read_csv(tmp_path / "run.csv", comment="#"), pd.read_csv(truth_path, comment="#")
@@ -173,18 +190,16 @@ def test_equal_markers_keep_their_names_through_a_crossing(tmp_path):
             assert error.notna().mean() > 0.75
 
 
-def test_no_scale_gives_pixels_and_a_warning(tmp_path):
+def test_no_scale_gives_pixels_and_a_warning(tmp_path, plain, by_hand):
     """Without a calibration nothing is called metres, and y points up."""
-    scene = Scene(duration_s=1.0, dropout_s=None)
-    video, setup, _ = pool_video.write_scene(tmp_path, scene)
-    text = setup.read_text()
+    text = by_hand.read_text()
     start, end = text.index("scale:"), text.index("max_gap_s")
-    setup.write_text(text[:start] + text[end:])
-    output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    by_hand.write_text(text[:start] + text[end:])
+    output = run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
     assert "SWM041" in output.output
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert not [c for c in log.columns if c.endswith(("_m", "_m_s"))]
-    np.testing.assert_allclose(log.y_raw_px, scene.height - 1 - log.red_y_px)
+    np.testing.assert_allclose(log.y_raw_px, PLAIN.height - 1 - log.red_y_px)
 
 
 @pytest.mark.parametrize("kind", ["factor", "distance", "homography"])
@@ -233,53 +248,47 @@ def test_lens_and_height():
     np.testing.assert_allclose(y - y[2], -1.95 * rays[:, 1], atol=2e-4)
 
 
-def test_vertical_plane_has_z_and_pitch(tmp_path):
+def test_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
     """plane: vertical names the columns of the sagittal plane."""
-    scene = replace(Scene(), duration_s=1.0, dropout_s=None)
-    video, setup, _ = pool_video.write_scene(tmp_path, scene)
-    setup.write_text(setup.read_text().replace("plane: horizontal", "plane: vertical"))
-    run("video", video, "--setup", setup, "-o", tmp_path / "run.parquet")
+    by_hand.write_text(by_hand.read_text().replace("plane: horizontal", "plane: vertical"))
+    run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.parquet")
     names = pd.read_parquet(tmp_path / "run.parquet").columns
     assert list(names[:7]) == ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s"]
 
 
-def test_reference_offset_moves_the_path(tmp_path):
+def test_reference_offset_moves_the_path(tmp_path, plain, by_hand):
     """A reference point behind the nose lies where the body says."""
-    scene = Scene(duration_s=1.5, dropout_s=None)
-    video, setup, truth_path = pool_video.write_scene(tmp_path, scene)
-    setup.write_text(setup.read_text() + "reference_offset_m: [-0.08, 0.02]\n")
-    run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
-    log, truth = pd.read_csv(tmp_path / "run.csv", comment="#"), pd.read_csv(truth_path, comment="#")
+    video, truth = plain
+    by_hand.write_text(by_hand.read_text() + "reference_offset_m: [-0.08, 0.02]\n")
+    run("video", video, "--setup", by_hand, "-o", tmp_path / "run.csv")
+    log = pd.read_csv(tmp_path / "run.csv", comment="#")
     x = truth.x_m - 0.08 * np.cos(truth.yaw_rad) - 0.02 * np.sin(truth.yaw_rad)
     y = truth.y_m - 0.08 * np.sin(truth.yaw_rad) + 0.02 * np.cos(truth.yaw_rad)
     assert np.sqrt(np.mean((log.x_m - x) ** 2 + (log.y_m - y) ** 2)) < 0.001
 
 
-def test_setup_proposed_unattended_tracks_as_well(tmp_path):
+def test_setup_proposed_unattended_tracks_as_well(tmp_path, plain, by_hand):
     """From the film alone: both markers, the right head, and the same accuracy in pixels."""
-    scene = Scene(duration_s=5.0, dropout_s=None)
-    video, hand, _ = pool_video.write_scene(tmp_path, scene)
+    video, _ = plain
     proposed = tmp_path / "proposed.yaml"
     output = run("setup", video, "-o", proposed)
     assert "head red, tail yellow" in output.output
     assert (tmp_path / "proposed.markers.png").stat().st_size > 10_000
     run("video", video, "--setup", proposed, "-o", tmp_path / "a.csv")
-    run("video", video, "--setup", hand, "-o", tmp_path / "b.csv")
+    run("video", video, "--setup", by_hand, "-o", tmp_path / "b.csv")
     a, b = (pd.read_csv(tmp_path / f"{name}.csv", comment="#") for name in "ab")
     assert a.found.mean() == 1
     assert np.sqrt(np.mean((a.red_x_px - b.red_x_px) ** 2)) < 0.15
     run("setup", video, "-o", proposed, status=2)
-    run("setup", video, "-o", proposed, "--force", "--metres-per-pixel", "0.003")
+    small, _, _ = pool_video.write_scene(tmp_path, replace(PLAIN, width=320, height=240, duration_s=1.0))
+    run("setup", small, "-o", proposed, "--force", "--metres-per-pixel", "0.003")
     assert setup_format.read(proposed).scale.metres_per_pixel == 0.003
 
 
-def test_marker_picked_by_hand(tmp_path):
+def test_marker_picked_by_hand(tmp_path, plain):
     """--marker needs no display; a grey pixel is refused with its colour."""
-    scene = Scene(duration_s=2.0, dropout_s=None)
-    video, _, _ = pool_video.write_scene(tmp_path, scene)
-    x, y = pool_video._Canvas(scene).pixel(
-        *(getattr(pool_video.motion(scene.swims[0], scene.times()), c)[0] for c in ("x_m", "y_m"))
-    )
+    video, truth = plain
+    x, y = pool_video._Canvas(PLAIN).pixel(truth.x_m[0], truth.y_m[0])
     run("setup", video, "-o", tmp_path / "s.yaml", "--marker", f"nose@{x:.0f},{y:.0f}")
     rules = setup_format.read(tmp_path / "s.yaml")
     assert rules.marker_names == ["nose"]
@@ -290,9 +299,9 @@ def test_marker_picked_by_hand(tmp_path):
     assert not (tmp_path / "t.yaml").exists()
 
 
-def test_sample_is_small_and_tracks(tmp_path):
+def test_sample_is_small_and_tracks(tmp_path, samples):
     """The sample that ships with the source stays under 2.5 MB."""
-    video, setup, truth = pool_video.write_sample(tmp_path)
+    video, setup, truth = (samples / "pool" / f"pool{end}" for end in (".mp4", "_setup.yaml", "_truth.csv"))
     assert video.stat().st_size < 2_500_000
     run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
     log, exact = pd.read_csv(tmp_path / "run.csv", comment="#"), pd.read_csv(truth, comment="#")
@@ -301,14 +310,13 @@ def test_sample_is_small_and_tracks(tmp_path):
     assert np.sqrt(np.mean(error**2)) < 0.0007
 
 
-def test_a_scale_a_thousand_times_too_large_is_bad(tmp_path):
+def test_a_scale_a_thousand_times_too_large_is_bad(tmp_path, plain, by_hand):
     """Corners given in millimetres as metres: a fish of 200 m/s."""
-    video, setup, _ = pool_video.write_scene(tmp_path, Scene(duration_s=1.0, dropout_s=None))
-    text = setup.read_text()
+    text = by_hand.read_text()
     line = next(line for line in text.splitlines() if "points_m" in line)
     key, numbers = line.split(":", 1)
     points = [[1000 * float(x) for x in pair.split(",")] for pair in numbers.strip(" []").split("], [")]
-    setup.write_text(text.replace(line, f"{key}: {points}"))
-    output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
+    by_hand.write_text(text.replace(line, f"{key}: {points}"))
+    output = run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.csv")
     assert "SWM002" in output.output
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"

@@ -1,7 +1,8 @@
 # %% [markdown]
 # # From tables of one's own to a diagnosis, in memory
 #
-# Run it cell by cell in an editor that knows `# %%`, or turn it into a notebook with jupytext. Nothing is written.
+# Run it cell by cell in an editor that knows `# %%`, or turn it into a notebook with jupytext. Nothing is
+# written to disk.
 
 # %%
 import pandas as pd
@@ -10,8 +11,8 @@ import swimid
 
 # %% [markdown]
 # ## Trials
-# Seven drops of the boxfish: a weight over a pulley pulls it through the tank, an encoder tells how far. A table has
-# its time in `t_s` and carries its units in the names of its columns.
+# Seven drops of the boxfish: a weight over a pulley pulls it through the tank, an encoder tells how far. A
+# table has its time in `t_s` and carries its units in the names of its columns.
 
 # %%
 MASSES_KG = {"w10": 0.010, "w15": 0.015, "w20": 0.020, "w25": 0.025, "w30": 0.030, "w35": 0.035, "w40": 0.040}
@@ -48,10 +49,13 @@ ideal.checks()
 
 # %% [markdown]
 # ## Why
-# Which effect of the catalogue closes the gap between that model and the trials, and how far on trials left out?
+# Which effect of the catalogue closes the gap between that model and the trials, and how far on trials left
+# out?
 
 # %%
-gap = swimid.diagnose(trials, parameters=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"])
+gap = swimid.diagnose(
+    trials, parameters=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"]
+)
 print(gap)
 gap.causes
 
@@ -60,7 +64,8 @@ gap.shrinkage
 
 # %% [markdown]
 # ## One page of all of it
-# `page.save("report.html")` would write it; `drag.save("drag.yaml")` the parameters with their evidence beside them.
+# `page.save("report.html")` would write it; `drag.save("drag.yaml")` the parameters with their evidence
+# beside them.
 
 # %%
 page = swimid.report([drag, ideal, gap])

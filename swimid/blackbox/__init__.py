@@ -1,1 +1,8 @@
-"""Discrete-time ARX and ARMAX models: records, recursive least squares, orders, prediction, result."""
+"""Discrete-time ARX and ARMAX models from an input and an output column: ``swimid rwls``.
+
+``data`` and ``trials`` give records on one time grid, ``difference`` is the equation and its free run,
+``model`` the same behind the model interface. ``arx`` regresses, ``armax`` searches the noise polynomial,
+``recursive`` is recursive least squares, ``order`` chooses orders, ``working_point`` decides on means.
+``prediction`` and ``scores`` judge; ``rwls`` is the verb, with ``options``, ``material``, ``evidence`` and
+``figures``.
+"""

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -15,11 +15,16 @@ from swimid.blackbox.difference import Record
 from swimid.blackbox.model import sine_input
 from swimid.blackbox.trials import USES
 from swimid.errors import InputError, UsageError
+from swimid.files.provenance import Input
 from swimid.fitting.experiment import read_log
 from swimid.logs import log as log_format
 from swimid.logs import sampling, trials
+from swimid.logs.trials import TrialSet
 from swimid.notices import warn
 from swimid.results import numbers
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,12 @@ class _Part:
     def path(self) -> Path:
         return self.folder / self.entry.log
 
+    @property
+    def origin(self) -> Input:
+        """What stands for it in the provenance."""
+        held = self.entry._held
+        return self.path if held is None else held.source
+
 
 @dataclass(frozen=True)
 class Data:
@@ -72,13 +83,17 @@ class Data:
     fit: list[Record]
     held_out: dict[str, list[Record]]
     logs: list[str]
-    files: list[Path]
+    files: list[Input]
     robot: str | None
 
 
+#: A log: its file, or its samples in memory; or trials of the experiment ``arma``.
+Source = Any
+
+
 def read(
-    logs: Sequence[str | Path],
-    validate: Sequence[str | Path | float],
+    logs: Sequence[Source],
+    validate: Sequence[Source | float],
     input_column: str | None,
     output_column: str | None,
     input_model: str | None,
@@ -87,8 +102,8 @@ def read(
 
     Parameters
     ----------
-    logs : sequence of paths
-        Logs, or trials files of the experiment ``arma``.
+    logs : sequence of paths, Log, DataFrame or TrialSet
+        Logs, or trials of the experiment ``arma``.
     validate : sequence
         At most one share of every log, and any number of further logs.
     input_column, output_column, input_model : str or None
@@ -104,13 +119,15 @@ def read(
     share, other = _held_out(validate)
     parts: list[_Part] = []
     listings: dict[Path, trials.Arma] = {}
-    for path in map(Path, logs):
-        if path.suffix.lower() in (".yaml", ".yml"):
-            listings[path] = listed = trials.read(path, trials.Arma, uses=USES)
+    for source in logs:
+        named = isinstance(source, str | Path) and Path(source).suffix.lower() in (".yaml", ".yml")
+        if named or isinstance(source, TrialSet):
+            path = trials.place(source)
+            listings[path] = listed = trials.read(source, trials.Arma, uses=USES)
             parts += [_Part(trial, path.parent, path) for trial in listed.trials]
         else:
-            parts.append(_alone(path, "fit"))
-    parts += [_alone(path, "validate") for path in other]
+            parts.append(_alone(source, "fit"))
+    parts += [_alone(source, "validate") for source in other]
     robot = _agreed(listings, "robot")
     columns = _columns(
         input_column or _agreed(listings, "input"), output_column or _agreed(listings, "output"), input_model
@@ -136,13 +153,20 @@ def read(
     for name in names:
         if name not in fitted:
             held[name] = _records(read[name], name, columns, step, slice(None))
-    files = [*listings, *dict.fromkeys(part.path for part in parts)]
+    files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
+    files += {part.path: part.origin for part in parts}.values()
     return Data(columns, step, fit, held, fitted, files, robot)
 
 
-def _alone(path: Path, role: Literal["fit", "validate"]) -> _Part:
+def _alone(source: str | Path | log_format.Log | pd.DataFrame, role: Literal["fit", "validate"]) -> _Part:
     """A log that no trials file lists."""
-    return _Part(trials.Trial(id=path.name, log=path.name, role=role), path.parent)
+    held = None
+    if not isinstance(source, str | Path):
+        held = source if isinstance(source, log_format.Log) else log_format.Log.from_frame(source)
+    path = held.path if held is not None else Path(cast(str | Path, source))
+    part = _Part(trials.Trial(id=path.name, log=path.name, role=role), path.parent)
+    part.entry._held = held
+    return part
 
 
 def _agreed(listings: dict[Path, trials.Arma], key: str) -> str | None:
@@ -175,13 +199,16 @@ def _names(parts: list[_Part]) -> list[str]:
     return [n if names.count(n) == 1 else f"{n} ({k + 1})" for k, n in enumerate(names)]
 
 
-def _held_out(validate: Sequence[str | Path | float]) -> tuple[float, list[Path]]:
-    share, logs = 0.0, []
+def _held_out(
+    validate: Sequence[Source | float],
+) -> tuple[float, list[Any]]:
+    share: float = 0.0
+    logs: list[Any] = []
     for item in validate:
         try:
-            value = float(item)  # type: ignore[arg-type]
+            value = float(item)
         except (TypeError, ValueError):
-            logs.append(Path(item))  # type: ignore[arg-type]
+            logs.append(item)
             continue
         if not 0 < value < 1:
             raise UsageError(

@@ -19,11 +19,13 @@ from swimid.blackbox.arx import Estimate, estimate, regression
 from swimid.blackbox.difference import Orders, Record
 from swimid.blackbox.material import Material
 from swimid.blackbox.model import NAME
+from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.scores import Scores, Tests
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common
 from swimid.notices import recorded, warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import numbers, parameters
 from swimid.results.fitted import Fitted
@@ -36,59 +38,24 @@ ILL_CONDITIONED = 1e6
 WORSE = 2.0
 
 
+@takes(RwlsOptions)
 def rwls(
     logs: Sequence[str | Path],
     *,
-    input_column: str | None = None,
-    output_column: str | None = None,
-    input_model: str | None = None,
-    na: int | None = None,
-    nb: int | None = None,
-    nk: int = 1,
-    nc: int = 0,
-    order: str = "given",
-    max_na: int = 6,
-    max_nb: int = 6,
-    max_nk: int = 4,
-    criterion: str = "bic",
-    weight: float = 1.0,
-    forgetting: float = 1.0,
-    prior_scale: float = 1e6,
-    centre: str = "auto",
-    validate: Sequence[str | Path | float] = (),
-    horizon: int = 10,
-    stride: int | None = None,
+    options: RwlsOptions,
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
+    A trials file may name the columns instead. See :class:`swimid.blackbox.arx.Orders` for the orders,
+    :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
+    :func:`swimid.blackbox.working_point.centre` for the means.
+
     Parameters
     ----------
     logs : sequence of paths
         Logs, or trials files of the experiment ``arma``.
-    input_column, output_column : str
-        u and y. A trials file may name them instead.
-    input_model : str, optional
-        ``"sine:A,F"`` or ``"sine:A,F,PHASE"`` in place of an input column.
-    na, nb, nk, nc : int
-        Orders; see :class:`swimid.blackbox.arx.Orders`.
-    order : {"given", "auto"}
-        auto chooses na, nb, nk.
-    max_na, max_nb, max_nk : int
-        Grid of that choice, na and nk from 0, nb from 1.
-    criterion : {"bic", "aic", "free-run"}
-        What that choice minimises.
-    weight, forgetting, prior_scale : float
-        See :mod:`swimid.blackbox.recursive`.
-    centre : {"auto", "none", "mean"}
-        See :func:`swimid.blackbox.working_point.centre`.
-    validate : sequence
-        At most one share of every log (its end) and any number of other logs.
-    horizon : int
-        Steps of the k-step prediction.
-    stride : int, optional
-        Of the kept trajectory.
     output : Path, optional
         Parameter file; its evidence goes beside it.
     progress : Progress
@@ -102,84 +69,70 @@ def rwls(
     ------
     UsageError, InputError, NoTrustworthyResult
     """
-    if order not in ("given", "auto"):
-        raise UsageError(f"order '{order}' is not known; use 'given' or 'auto'")
-    if order == "given" and (na is None or nb is None):
+    if options.order == "given" and (options.na is None or options.nb is None):
         raise UsageError("give --na and --nb, or --order auto")
     with recorded(repeat=True) as notices:
-        data = rwls_data.read(logs, validate, input_column, output_column, input_model)
-        orders = Orders(na or 0, nb or 1, nk, nc)
+        data = rwls_data.read(
+            logs, options.held_out, options.input_column, options.output_column, options.input_model
+        )
+        orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
         table: list[order_search.Candidate] = []
-        if order == "auto":
-            orders, table = _choose(data, orders, (max_na, max_nb, max_nk), criterion, centre, progress)
-        point = working_point.centre(data.fit, orders, centre)
+        if options.order == "auto":
+            orders, table = _choose(data, orders, options, progress)
+        point = working_point.centre(data.fit, orders, options.centre)
         fit = working_point.shifted(data.fit, point)
         held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
         rows = len(regression(fit, orders))
         found = estimate(
             fit,
             orders,
-            weight=weight,
-            forgetting=forgetting,
-            prior_scale=prior_scale,
-            stride=stride or max(1, -(-rows // KEPT)),
+            weight=options.weight,
+            forgetting=options.forgetting,
+            prior_scale=options.prior_scale,
+            stride=options.stride or max(1, -(-rows // KEPT)),
         )
         a, _, _ = orders.split(found.theta)
         poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-        fit_scores = rwls_scores.scores(fit, found, poles, horizon)
+        fit_scores = rwls_scores.scores(fit, found, poles, options.horizon)
         scores: dict[str, Scores] = {}
         for name, part in held.items():
             if point.removed:
-                held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, horizon)
+                held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, options.horizon)
             else:
-                scores[name] = rwls_scores.scores(part, found, poles, horizon)
-        settings = {
-            "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
-            "order": order if order == "given" else f"auto, {criterion}",
-            "input": data.columns.source,
-            "output": data.columns.output,
-            "output_unit": data.columns.units[1],
-            "weight": weight,
-            "forgetting": forgetting,
-            "prior_scale": prior_scale,
-            "centre": centre,
-            "input_level": point.source,
-            "output_level": point.output,
-            "horizon": horizon,
-        }
-        if data.columns.sine:
-            names = ("amplitude", "frequency_hz", "phase_rad")
-            settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
+                scores[name] = rwls_scores.scores(part, found, poles, options.horizon)
+        settings = _settings(options, data, orders, point)
         _warn(data, found, point, poles, fit_scores, scores)
-    block = provenance.collect(data.files, settings={**settings, "validate": [str(v) for v in validate]})
+    block = provenance.collect(
+        data.files, settings={**settings, "validate": [_name(v) for v in options.held_out]}
+    )
     tests = rwls_scores.tests(fit, found)
-    file = _parameter_file(data, found, poles, fit_scores, scores, held, tests, settings, horizon, block)
-    outputs: list[Path] = []
-    if output is not None:
-        shown = rwls_evidence.build(
-            Material(
-                columns=(data.columns.source, data.columns.output),
-                units=data.columns.units,
-                sample_time_s=data.sample_time_s,
-                fit=fit,
-                held_out=held,
-                level=point.output,
-                centred=point.removed,
-                found=found,
-                poles=poles,
-                weight=weight,
-                forgetting=forgetting,
-                fit_scores=fit_scores,
-                scores=scores,
-                horizon=horizon,
-                candidates=table,
-                criterion=criterion,
-                tests=tests,
-                file=file,
-            ),
-            notices=fit_common.notices(notices),
-        )
-        outputs = fit_common.save(output, file, shown)
+    file = _parameter_file(
+        data, found, poles, fit_scores, scores, held, tests, settings, options.horizon, block
+    )
+    shown = rwls_evidence.build(
+        Material(
+            columns=(data.columns.source, data.columns.output),
+            units=data.columns.units,
+            sample_time_s=data.sample_time_s,
+            fit=fit,
+            held_out=held,
+            level=point.output,
+            centred=point.removed,
+            found=found,
+            poles=poles,
+            weight=options.weight,
+            forgetting=options.forgetting,
+            fit_scores=fit_scores,
+            scores=scores,
+            horizon=options.horizon,
+            candidates=table,
+            criterion=options.criterion,
+            tests=tests,
+            file=file,
+        ),
+        notices=fit_common.notices(notices),
+    )
+    outputs = fit_common.save(output, file, shown)
     result = file.model_dump(mode="python")
     result["orders_tried"] = [
         {
@@ -191,7 +144,7 @@ def rwls(
         }
         for c in table
     ]
-    text = _summary(data, found, file, poles, fit_scores, scores, horizon)
+    text = _summary(data, found, file, poles, fit_scores, scores, options.horizon)
     return Fitted("rwls", text, result, outputs, shown, file)
 
 
@@ -201,14 +154,12 @@ def rwls(
 def _choose(
     data: rwls_data.Data,
     orders: Orders,
-    limits: tuple[int, int, int],
-    criterion: str,
-    centre: str,
+    options: RwlsOptions,
     progress: Progress,
 ) -> tuple[Orders, list[order_search.Candidate]]:
-    max_na, max_nb, max_nk = limits
+    max_na, max_nb, max_nk, criterion = options.max_na, options.max_nb, options.max_nk, options.criterion
     widest = Orders(max_na, max_nb, 1)
-    point = working_point.centre(data.fit, widest, centre)
+    point = working_point.centre(data.fit, widest, options.centre)
     held = [working_point.shifted(part, point) for part in data.held_out.values()]
     candidates = order_search.search(
         working_point.shifted(data.fit, point),
@@ -222,11 +173,11 @@ def _choose(
     best = order_search.best(candidates, criterion).orders
     edge = order_search.on_edge(best, max_na=max_na, max_nb=max_nb, max_nk=max_nk)
     if edge:
-        options = ", ".join(f"--max-{name}" for name in edge)
+        flags = ", ".join(f"--max-{name}" for name in edge)
         warn(
             "SWM023",
             f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {max_na}, "
-            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {options}",
+            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {flags}",
         )
     if criterion == "free-run" and held:
         warn(
@@ -235,6 +186,36 @@ def _choose(
             "independently",
         )
     return replace(best, nc=orders.nc), candidates
+
+
+def _name(held_out: Any) -> str:
+    """What held-out data are called: a share, a file, or a log in memory."""
+    plain = isinstance(held_out, str | int | float | Path)
+    return str(held_out if plain else getattr(held_out, "name", "log"))
+
+
+def _settings(
+    options: RwlsOptions, data: rwls_data.Data, orders: Orders, point: working_point.WorkingPoint
+) -> dict[str, Any]:
+    """The options as the file records them, with the orders, columns and levels they led to."""
+    settings: dict[str, Any] = {
+        "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
+        "order": options.order if options.order == "given" else f"auto, {options.criterion}",
+        "input": data.columns.source,
+        "output": data.columns.output,
+        "output_unit": data.columns.units[1],
+        "weight": options.weight,
+        "forgetting": options.forgetting,
+        "prior_scale": options.prior_scale,
+        "centre": options.centre,
+        "input_level": point.source,
+        "output_level": point.output,
+        "horizon": options.horizon,
+    }
+    if data.columns.sine:
+        names = ("amplitude", "frequency_hz", "phase_rad")
+        settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
+    return settings
 
 
 # ---------------------------------------------------------------- telling

@@ -67,15 +67,15 @@ def command(
         from swimid.results import evidence
 
         if guess:
-            from swimid.logs.import_guess import guess_mapping
+            from swimid.logs.guess_mapping import guess_mapping
 
             if len(files) > 1 or map_path is not None:
                 raise UsageError("--guess drafts the mapping of one file")
             protect(shared.output, shared, inputs=files)
             run.finish(guess_mapping(files[0], output=shared.output))
             return
+        from swimid.logs.examine import Request
         from swimid.logs.import_log import destinations, import_logs
-        from swimid.logs.import_prepare import Request
 
         if shared.output is None:
             raise UsageError("say where the log goes", hint="add -o run.csv")

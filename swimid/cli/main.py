@@ -6,32 +6,19 @@ import click
 
 import swimid
 from swimid.cli import (
-    compare,
     diagnose,
     doctor,
     export,
-    fit_drag,
     fit_graybox,
-    fit_propulsion,
     import_log,
     plot,
     report,
-    rwls,
     schema,
     sensitivity,
     simulate,
     track,
 )
-
-#: Commands by purpose, in the order one uses them.
-SECTIONS: list[tuple[str, list[str]]] = [
-    ("Make logs", ["track", "import"]),
-    ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
-    ("Simulate and compare", ["simulate", "compare"]),
-    ("Diagnose", ["diagnose", "sensitivity"]),
-    ("Publish", ["plot", "report", "export"]),
-    ("Help yourself", ["schema", "doctor"]),
-]
+from swimid.cli.verbs import SECTIONS, VERBS
 
 
 class Sectioned(click.Group):
@@ -65,12 +52,8 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    fit_drag.command,
-    fit_propulsion.command,
-    rwls.command,
     fit_graybox.command,
     simulate.command,
-    compare.command,
     diagnose.command,
     sensitivity.command,
     plot.command,
@@ -80,6 +63,8 @@ for command in (
     doctor.command,
 ):
     main.add_command(command)
+for verb in VERBS:
+    main.add_command(verb.command())
 
 
 def entry() -> None:

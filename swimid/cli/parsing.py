@@ -1,10 +1,97 @@
-"""Option values that are more than one word."""
+"""From the type of an option to what is typed for it, and back."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+
+import click
 
 from swimid.errors import UsageError
+
+if TYPE_CHECKING:
+    from swimid.options import Declared
+
+
+@dataclass(frozen=True)
+class Word:
+    """How click reads an option.
+
+    Attributes
+    ----------
+    type : click.ParamType or type
+    multiple : bool
+        Whether it may be repeated.
+    nargs : int
+    """
+
+    type: Any
+    multiple: bool = False
+    nargs: int = 1
+
+
+def word_of(entry: Declared) -> Word:
+    """How click reads an option of this type."""
+    kind, args = entry.kind, get_args(entry.kind)
+    if _is_mapping(kind):
+        return Word(str, multiple=True)
+    if get_origin(kind) is tuple:
+        if args[-1] is Ellipsis:
+            one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
+            if one:
+                return Word(one[0], multiple=True, nargs=len(one))
+            return Word(str if entry.separated else _simple(args[0], {}), multiple=True)
+        return Word(str) if _by_commas(entry) else Word(args[0], nargs=len(args))
+    return Word(_simple(kind, entry.limits))
+
+
+def value_of(entry: Declared, typed: Any) -> Any:
+    """The value of an option from what was typed; None where nothing was.
+
+    Raises
+    ------
+    UsageError
+        For text that is not what the option takes.
+    """
+    if typed is None or typed == ():
+        return None
+    kind = entry.kind
+    if _is_mapping(kind):
+        value = get_args(kind)[1]
+        parse = {1: named_number, 2: bounded, 3: swept}[max(len(get_args(value)), 1)]
+        return (named_word if value is str else parse)(typed, entry.flag)
+    if entry.separated:
+        return tuple(part.strip() for text in typed for part in text.split(",") if part.strip())
+    return number_pair(typed, entry.flag) if _by_commas(entry) else typed
+
+
+def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
+    """The click type of a single word."""
+    if get_origin(kind) is Literal:
+        return click.Choice(list(get_args(kind)))
+    if Path in (kind, *get_args(kind)) and str not in get_args(kind):
+        return click.Path(path_type=Path)
+    if kind in (int, float):
+        if not limits:
+            return kind
+        low, high = (limits.get(near, limits.get(open_)) for near, open_ in (("ge", "gt"), ("le", "lt")))
+        number_range: Any = click.IntRange if kind is int else click.FloatRange
+        return number_range(low, high, min_open="gt" in limits, max_open="lt" in limits)
+    return str
+
+
+def _is_mapping(kind: Any) -> bool:
+    origin = get_origin(kind)
+    return isinstance(origin, type) and issubclass(origin, Mapping)
+
+
+def _by_commas(entry: Declared) -> bool:
+    """Whether an option of several numbers is one word with commas in it."""
+    pair = get_origin(entry.kind) is tuple and Ellipsis not in get_args(entry.kind)
+    return pair and "," in (entry.metavar or "")
 
 
 def number(text: str, option: str) -> float:

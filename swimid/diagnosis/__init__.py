@@ -1,7 +1,11 @@
-"""From trials and a model to the cause of what is left between them.
+"""From trials and a model to the cause of what is left between them: ``swimid diagnose``.
 
 ``lens`` weighs residuals by the noise, ``chance`` says what differs between trials, ``bench`` fits,
-``candidates`` tries effects, ``gram`` compares them on held-out trials, ``remainder`` and ``generic`` find
-what no effect explains, ``floor`` says how large the noise is, ``places`` where the gap is, ``shrinkage`` how
-far it closes, ``advice`` names the next experiment; ``chain`` strings them together, and ``answer`` says it.
+``nominal`` says which numbers are refitted, ``folds`` what is held out together; ``candidates`` tries
+effects, ``gram`` compares them on held-out trials, ``remainder`` and ``generic`` find what no effect
+explains, ``floor`` says how large the noise is, ``dropouts`` which samples are none, ``places`` where the
+gap is, ``shrinkage`` how far it closes, ``advice`` names the next experiment. ``chain`` strings them
+together, ``conclusion`` and ``answer`` say what was found, as ``result``. ``diagnose`` is the verb,
+``diagnosed`` its result, with ``gap_file``, ``file``, ``section``, ``summary``, ``evidence`` and
+``figures``.
 """

@@ -19,7 +19,7 @@ from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.files.provenance import Held, sha256
+from swimid.files.provenance import digests_of
 from swimid.fitting import fit_common
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
@@ -172,5 +172,5 @@ def _own_data(loaded: Loaded) -> bool:
     if file is None:
         return False
     known = set((file.provenance.get("inputs") or {}).values())
-    logs = [p for p in loaded.experiment.inputs if isinstance(p, Held) or p.suffix.lower() in LOGS]
-    return any((p.digest if isinstance(p, Held) else sha256(p)) in known for p in logs)
+    logs = [p for p in loaded.experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
+    return any(digest in known for digest in digests_of(logs).values())

@@ -1,7 +1,9 @@
-"""Identified coefficients in the formats of simulators: one module per target.
+"""Identified coefficients in the formats of simulators: ``swimid export``.
 
-A target turns a :class:`~swimid.exporters.source.Source` into text and names everything it
-cannot carry. A new one is a module with ``export(source, options)`` and a line in :func:`targets`.
+``source`` is what is exported, with every quantity evaluated; one module per target turns it into text and
+names everything it cannot carry: ``mjcf``, ``gazebo``, ``stonefish``, ``plain`` (JSON), on ``base`` and
+``common``. ``export`` is the verb. A new target is a module with ``export(source, options)`` and a line in
+:func:`targets`.
 """
 
 from __future__ import annotations

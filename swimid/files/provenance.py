@@ -10,25 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import swimid
 from swimid.errors import InputError
-
-
-@dataclass(frozen=True)
-class Held:
-    """An input that was in memory and is no file.
-
-    Attributes
-    ----------
-    name : str
-    digest : str
-        SHA-256 of what it held.
-    """
-
-    name: str
-    digest: str
 
 
 def sha256(path: str | Path) -> str:
@@ -43,20 +28,58 @@ def sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def digests_of(inputs: Iterable[str | Path | Held]) -> dict[str, str]:
-    """SHA-256 of each input: files by their name relative to the working folder, the rest by its own."""
+class InMemory(Protocol):
+    """An input that is no file."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    def digest(self) -> str:
+        """SHA-256 of what it holds, as hexadecimal digits."""
+        ...
+
+
+@dataclass(frozen=True)
+class Held:
+    """What stands for an input that was in memory and is no longer needed."""
+
+    name: str
+    sha256: str
+
+    def digest(self) -> str:
+        """SHA-256 of what it held."""
+        return self.sha256
+
+
+#: An input of a result.
+Input = str | Path | InMemory
+
+
+def path_of(given: Input) -> Path:
+    """Where an input lies; of one in memory its name."""
+    return Path(given if isinstance(given, str | Path) else given.name)
+
+
+def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
+    """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own."""
     found = {}
-    for item in inputs:
-        if isinstance(item, Held):
-            found[item.name] = item.digest
-        elif (name := os.path.relpath(item)) not in found:
-            found[name] = sha256(item)
+    for given in inputs:
+        name = os.path.relpath(given) if isinstance(given, str | Path) else given.name
+        if name not in found:
+            found[name] = digest_of(given)
     return found
 
 
-def files(inputs: Iterable[Path | Held]) -> tuple[Path, ...]:
+def files(inputs: Iterable[Input]) -> tuple[Path, ...]:
     """Those inputs that are files."""
-    return tuple(item for item in inputs if isinstance(item, Path))
+    return tuple(Path(given) for given in inputs if isinstance(given, str | Path))
+
+
+def digest_of(given: Input) -> str:
+    """SHA-256 of one input as hexadecimal digits."""
+    return sha256(given) if isinstance(given, str | Path) else given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -71,7 +94,7 @@ def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, 
 
 
 def collect(
-    inputs: Iterable[str | Path | Held],
+    inputs: Iterable[Input],
     *,
     settings: dict[str, Any] | None = None,
     digests: dict[str, str] | None = None,
@@ -80,8 +103,8 @@ def collect(
 
     Parameters
     ----------
-    inputs : iterable of paths or Held
-        Every file that was read, and what was given in memory. Each is named relative to the working folder.
+    inputs : iterable of paths and objects
+        Every file that was read, named relative to the working folder, and what was handed over in memory.
     settings : dict, optional
         The options the result was made with, defaults included.
     digests : dict, optional

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -32,6 +33,10 @@ class Document(BaseModel):
     """Base of every YAML format: unknown keys are errors, values are never coerced loosely."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
+
+    def digest(self) -> str:
+        """SHA-256 of its keys and values, as hexadecimal digits; for a document that is no file."""
+        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
 
 def _known(value: Any) -> Any:

@@ -1,1 +1,10 @@
-"""Identification for whatever model: the model interface, output error, noise, covariance, tests."""
+"""Identification of any model: the model interface, and output error by maximum likelihood.
+
+Interface: ``model`` (parameters, channels, trials), ``hooks`` (what else acts on a model), ``experiment``
+(a model and its trials), ``tied`` (parameters that share a value). Search: ``output_error``, ``problem``,
+``levenberg``, ``multistart``, ``restarts``, ``genetic`` (several objectives). Uncertainty: ``noise``,
+``sandwich`` (covariance), ``identifiability``, ``profile``, ``random_effect``, ``odd_trial``,
+``start_states``. Judging: ``residual_tests``, ``metrics``, ``warping``. ``fit_result`` is what a search
+found, ``fit_common`` its parameter file, checks and figures, ``fit_model`` the fit of a model of one's own,
+``options`` what several fits can be told.
+"""

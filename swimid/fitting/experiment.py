@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.files.provenance import Held
+from swimid.files.provenance import Input
 from swimid.fitting.model import Model, Trial
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
@@ -31,7 +31,7 @@ class Experiment:
     robot : Robot
     model : Model
     trials : list of Trial
-    inputs : list of Path or Held
+    inputs : list of Input
         Every file read: trials file, robot file, logs; and what was in memory.
     variants : dict of str to list of Trial
         Other readings of the same logs, between which the data decide (how an encoder
@@ -46,13 +46,13 @@ class Experiment:
     robot: Robot
     model: Model
     trials: list[Trial]
-    inputs: list[Path | Held]
+    inputs: list[Input]
     variants: Mapping[str, list[Trial]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     robot_path: Path | None = None
 
 
-def inputs_of(path: Path, entries: Trials, logs: Sequence[Path | Held]) -> list[Path | Held]:
+def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
     """Trials file, robot file and logs, for the provenance."""
     listing = [] if entries._in_memory else [path]
     return [*listing, locate(entries.robot, path.parent), *logs]

@@ -5,6 +5,10 @@ rate in which NaN marks samples that are missing or belong to no record; several
 in as one array with a stretch of NaN between them (:func:`joined`). A pair of samples
 counts only where both are there, so that gaps neither bias nor break a test.
 
+Autocovariances and the HAC covariance are those of statsmodels. Its Ljung-Box test divides by the lags
+of a whole series (with a fifth of the samples missing it rejects 0.8 % of white series at the 5 % level,
+the one here 5.4 %), and its cross-correlation and Burg's method know no gaps: these three are kept here.
+
 References
 ----------
 .. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
@@ -170,6 +174,23 @@ def _lagged_means(
     return means, pairs
 
 
+def _autocovariance(x: np.ndarray, top: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of x(k) x(k - lag), lags 0 .. top, over the pairs that exist, and their number."""
+    from statsmodels.tsa.stattools import acovf
+
+    centred, there = _centred(x)
+    n = len(centred)
+    reach = min(top, n - 1)
+    means, pairs = np.full(top + 1, np.nan), np.zeros(top + 1, dtype=int)
+    if n:
+        pairs[: reach + 1] = [np.count_nonzero(there[k:] & there[: n - k]) for k in range(reach + 1)]
+        gappy = np.where(there, centred, np.nan)
+        means[: reach + 1] = acovf(
+            gappy, adjusted=True, demean=False, fft=False, missing="conservative", nlag=reach
+        )
+    return np.where(pairs > 0, means, np.nan), pairs
+
+
 def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
     """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise.
 
@@ -192,12 +213,10 @@ def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation
     >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
     array([ 1., -1.,  1.])
     """
-    values, there = _centred(x)
-    count = int(np.count_nonzero(there))
+    count = int(np.count_nonzero(np.isfinite(x)))
     lags = np.arange((default_lags(count) if max_lag is None else max_lag) + 1)
-    means, pairs = _lagged_means(values, there, values, there, lags)
-    power = means[0] if count else np.nan
-    correlations = means / power if power > 0 else np.full(len(lags), np.nan)
+    means, pairs = _autocovariance(x, int(lags[-1]))
+    correlations = means / means[0] if means[0] > 0 else np.full(len(lags), np.nan)
     return Correlation(lags, correlations, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
 
 
@@ -329,8 +348,7 @@ def independence(
     top = default_lags(count)
     re = autocorrelation(residuals, max_lag=top)
     reach = number + top
-    covariances, u_pairs = _lagged_means(u, u_there, u, u_there, np.arange(reach))
-    covariances = np.where(u_pairs > 0, np.nan_to_num(covariances), 0.0)
+    covariances = np.nan_to_num(_autocovariance(source, reach - 1)[0])
     power = _deviation(e, e_there) ** 2
     matrix = np.zeros((number, number))
     for j in range(-top, top + 1):
@@ -462,6 +480,8 @@ def long_run_covariance(scores: np.ndarray, *, lags: int | None = None) -> np.nd
         Positive semi-definite. With J the derivative of the model and J'J invertible, the
         covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``.
     """
+    from statsmodels.stats.sandwich_covariance import S_hac_simple
+
     scores = np.atleast_2d(np.asarray(scores, dtype=float))
     there = np.all(np.isfinite(scores), axis=1)
     rows = np.where(there[:, None], scores, 0.0)
@@ -470,12 +490,8 @@ def long_run_covariance(scores: np.ndarray, *, lags: int | None = None) -> np.nd
         lags = max(
             int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * _memory(np.where(there[:, None], scores, np.nan))
         )
-    lags = min(lags, max(len(rows) - 1, 0))
-    total = rows.T @ rows
-    for lag in range(1, lags + 1):
-        product = rows[lag:].T @ rows[:-lag]
-        total += (1.0 - lag / (lags + 1)) * (product + product.T)
-    return total
+    covariance: np.ndarray = S_hac_simple(rows, min(lags, max(len(rows) - 1, 0)))
+    return covariance
 
 
 def _memory(scores: np.ndarray) -> int:

@@ -1,6 +1,16 @@
-"""From accelerations and turn rates to motion.
+"""From accelerations and turn rates to motion: ``swimid track imu``.
 
-Frames: ``i`` the sensor, ``b`` the body (x forward, y to port, z up), ``w`` the world (z up). ``R_wi``
+``record`` and ``sensor`` are what is known, ``faults`` what may be wrong with a recording (one module
+each); ``rest``, ``attitude``, ``mounting``, ``strapdown``, ``errorstate``, ``aiding`` and ``smoother`` make
+the path of a unit by itself (``alone``) or beside another log (``fusion``, with ``clock`` and
+``alignment``); ``motion`` is that path at the body's reference point, ``oscillation`` the motion within a
+stroke, ``paper`` the long-fin paper's way. ``trust`` and ``plausible`` judge. The verb is ``track_imu``,
+with ``track_imu_options``, ``track_imu_input``, ``track_imu_material``, ``track_imu_checks``,
+``track_imu_evidence`` and ``track_imu_figures``.
+
+Frames
+------
+``i`` the sensor, ``b`` the body (x forward, y to port, z up), ``w`` the world (z up). ``R_wi``
 turns sensor components into world ones; rotations are :class:`scipy.spatial.transform.Rotation`.
 An accelerometer reads specific force: at rest it shows 1 g upwards.
 """

@@ -7,10 +7,10 @@ before the header hold YAML ``key: value`` metadata. Columns carry their unit as
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.delimited import MISSING, column_names, head, missing_column, number, number_hint
-from swimid.files.provenance import Held
 from swimid.logs import plausible
 from swimid.notices import warn
 
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 TIME = "t_s"
 PARQUET_ENDINGS = (".parquet", ".pq")
+#: What a function that reads a log takes: its path, or the log itself.
+LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
 
 @dataclass(frozen=True)
@@ -37,34 +38,76 @@ class Log:
     Attributes
     ----------
     path : Path
-        Where they were read.
+        Where they were read; of a log in memory its name.
     metadata : dict
         The ``# key: value`` lines.
     columns : dict of str to ndarray, each shape (n,)
         Numbers, NaN where missing; ``t_s`` is among them.
-    first_line : int
-        Line of the file that holds the first sample (0 for Parquet).
-    in_memory : bool
-        Made by :meth:`from_frame`: ``path`` is a name then.
+    first_line : int or None
+        Line of the file that holds the first sample (0 for Parquet, None for a log in memory).
     """
 
     path: Path
     metadata: dict[str, Any]
     columns: dict[str, NDArray[np.float64]]
-    first_line: int = 0
-    in_memory: bool = False
+    first_line: int | None = 0
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: pd.DataFrame,
+        *,
+        name: str = "log",
+        metadata: Mapping[str, Any] | None = None,
+        required: Sequence[str] = (),
+    ) -> Self:
+        """A log of a table in memory, checked as a file is.
+
+        Parameters
+        ----------
+        frame : DataFrame, shape (n, k)
+            One row a sample, the columns named as in the log format: ``t_s`` in s, strictly increasing, or
+            as the index of this name; NaN where a sample is missing. Columns of words are left out.
+        name : str
+            What messages and the provenance of results call it.
+        metadata : mapping, optional
+            What the ``# key: value`` lines of a file say: ``frequency_hz``, ``robot``, ...
+        required : sequence of str
+            Columns that must be there, besides ``t_s``.
+
+        Raises
+        ------
+        InputError
+            Naming the column and the row (from 0): a column is missing or misnamed, a cell is no number or
+            infinite, the time does not increase, or there are fewer than two samples.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> swum = Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1, 0.2], "x_m": [0.0, 0.03, 0.07]}))
+        >>> len(swum), float(swum["x_m"][-1])
+        (3, 0.07)
+        """
+        path, given = Path(name), arrays(frame, name)
+        for column in (TIME, *required):
+            if column not in given:
+                raise missing_column(column, list(given), path, None)
+        columns = {}
+        for column, values in ({TIME: given[TIME]} | given).items():
+            strict = column == TIME or column in required
+            numbers = _numbers(values, strict, lambda row: {"row": row}, path, column)
+            if numbers is not None:
+                columns[column] = numbers
+        log = cls(path, dict(metadata or {}), columns, None)
+        _check(log, required, 2)
+        _warn_missing(log)
+        warn_units(log)
+        return log
 
     @property
-    def source(self) -> Path | Held:
-        """The file it was read from, or what stands for it in the provenance."""
-        return Held(self.path.name, self.digest()) if self.in_memory else self.path
-
-    def digest(self) -> str:
-        """SHA-256 of the columns' names and samples."""
-        made = hashlib.sha256()
-        for name, values in self.columns.items():
-            made.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
-        return made.hexdigest()
+    def source(self) -> Path | Log:
+        """What it is to the provenance: the file it was read from, or itself."""
+        return self if self.first_line is None else self.path
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
         """The same log with the columns asked for, after the checks that :func:`read` makes."""
@@ -76,42 +119,21 @@ class Log:
         warn_units(log)
         return log
 
-    @classmethod
-    def from_frame(
-        cls, frame: pd.DataFrame, *, name: str = "log", metadata: Mapping[str, Any] | None = None
-    ) -> Log:
-        """A log of a table in memory.
+    @property
+    def name(self) -> str:
+        """The file's name, or that of a log in memory."""
+        return self.path.name
 
-        Parameters
-        ----------
-        frame : DataFrame
-            One row a sample; ``t_s`` in s, strictly increasing, as a column or as the index; NaN where a
-            sample is missing. Columns carry their unit as a suffix; those of text are left out.
-        name : str
-            What messages and provenance call it.
-        metadata : mapping, optional
-
-        Raises
-        ------
-        InputError
-            Naming the column: time missing or not increasing, an infinite sample.
-
-        Examples
-        --------
-        >>> import pandas as pd
-        >>> len(Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.02]})))
-        2
-        """
-        path = Path(name)
-        if frame.index.name == TIME:
-            frame = frame.reset_index()
-        numbers = frame.select_dtypes(["number", "bool"])
-        columns = {str(c): numbers[c].to_numpy(dtype=float, na_value=np.nan) for c in numbers.columns}
-        columns = {name: columns[name] for name in sorted(columns, key=lambda c: c != TIME)}
-        log = cls(path, dict(metadata or {}), columns, in_memory=True)
-        _check_columns(list(columns), [], path, None)
-        _check(log, [], 2)
-        return log
+    def digest(self) -> str:
+        """SHA-256 of the columns, their names and samples, as hexadecimal digits."""
+        found = hashlib.sha256()
+        for name, values in self.columns.items():
+            found.update(f"{name}\n".encode())
+            if values.dtype.kind == "f":  # one NaN is as good as another
+                values = np.where(np.isnan(values), np.nan, values)
+            plain = values.dtype.kind in "biufM"
+            found.update(values.tobytes() if plain else "\n".join(map(str, values)).encode())
+        return found.hexdigest()
 
     @property
     def time_s(self) -> NDArray[np.float64]:
@@ -130,12 +152,84 @@ class Log:
     def __contains__(self, column: str) -> bool:
         return column in self.columns
 
+    def __repr__(self) -> str:
+        return f"<log {self.name}: {len(self)} samples of {', '.join(self.columns)}>"
+
+    def __str__(self) -> str:
+        return self.name
+
     def __len__(self) -> int:
         return len(self.time_s)
 
     def line(self, row: int) -> int | None:
-        """Line of the file that holds sample ``row``; None for Parquet."""
+        """Line of the file that holds sample ``row``; None for Parquet and in memory."""
         return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
+
+    def place(self, row: int) -> dict[str, Any]:
+        """Where sample ``row`` is, for an :class:`InputError`: its line, or in memory its row."""
+        return {"row": row} if self.first_line is None else {"line": self.line(row)}
+
+
+def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
+    """The log that was handed over: read where it is a file, checked where it is a table.
+
+    Raises
+    ------
+    InputError
+        As :func:`read` and :meth:`Log.from_frame`.
+    """
+    if isinstance(given, str | Path):
+        return read(given, required=required)
+    if not isinstance(given, Log):
+        return Log.from_frame(given, name=name, required=required)
+    _check_columns(list(given.columns), required, given.path, None)
+    return given
+
+
+def unread(given: LogLike, *, name: str = "log") -> Path | Log:
+    """A path as it is; a table in memory as a log that nobody has checked."""
+    if isinstance(given, str | Path):
+        return Path(given)
+    return given if isinstance(given, Log) else Log(Path(name), {}, arrays(given, name), None)
+
+
+def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Of columns as they are written those :func:`read` gives back: numbers, no words."""
+    import pandas as pd
+
+    frame = pd.DataFrame(dict(columns)).select_dtypes(["number", "bool"])
+    return {str(name): values.to_numpy(dtype=float, na_value=np.nan) for name, values in frame.items()}
+
+
+def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
+    """The columns of a table as they are: numbers, dates (``datetime64[ns]``, UTC), or words.
+
+    Raises
+    ------
+    InputError
+        Two columns have one name.
+    """
+    from pandas.api import types
+
+    if frame.index.name == TIME and TIME not in frame:
+        frame = frame.reset_index()
+    twice = frame.columns[frame.columns.duplicated()]
+    if len(twice):
+        raise InputError("two columns have this name", file=name, column=str(twice[0]))
+    found: dict[str, NDArray[Any]] = {}
+    for column, values in frame.infer_objects().items():
+        if types.is_timedelta64_dtype(values):
+            values = values.dt.total_seconds()
+        if isinstance(values.dtype, np.dtype) and values.dtype.kind in "biuf":
+            found[str(column)] = values.to_numpy()
+        elif types.is_numeric_dtype(values):
+            found[str(column)] = values.to_numpy(dtype=float, na_value=np.nan)
+        elif types.is_datetime64_any_dtype(values):
+            clock = values.dt.tz_convert(None) if getattr(values.dt, "tz", None) is not None else values
+            found[str(column)] = clock.to_numpy(dtype="datetime64[ns]")
+        else:
+            found[str(column)] = values.to_numpy(dtype=object)
+    return found
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
@@ -225,8 +319,6 @@ def _parse_with_care(
     path: Path, header_line: int, names: list[str], wanted: list[str], strict: set[str]
 ) -> dict[str, NDArray[np.float64]]:
     """Column by column as text, to take what is numbers and to say which cell is none."""
-    import pandas as pd
-
     try:
         table = _parse(path, header_line, names, wanted, pa.string())
     except pa.ArrowInvalid as error:
@@ -234,22 +326,35 @@ def _parse_with_care(
     columns: dict[str, NDArray[np.float64]] = {}
     for name in wanted:
         texts = table.column(name).to_pandas()
-        numbers = pd.to_numeric(texts, errors="coerce")
-        bad = (numbers.isna() & ~texts.isna()).to_numpy(dtype=bool)
-        if bad.any():
-            # A column of words (a status, say) is no mistake unless it was asked for.
-            if name not in strict and bad.sum() > len(texts) // 2:
-                continue
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"'{texts.iloc[row]}' is not a number",
-                file=path,
-                line=_line_of(path, header_line, row),
-                column=name,
-                hint=number_hint(str(texts.iloc[row])),
-            )
-        columns[name] = numbers.to_numpy(dtype=float, na_value=np.nan)
+        numbers = _numbers(
+            texts, name in strict, lambda row: {"line": _line_of(path, header_line, row)}, path, name
+        )
+        if numbers is not None:
+            columns[name] = numbers
     return columns
+
+
+def _numbers(
+    cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str
+) -> NDArray[np.float64] | None:
+    """A column as numbers; None for one of words (a status, say), which is no mistake unless ``strict``."""
+    import pandas as pd
+
+    cells = pd.Series(cells)
+    numbers = pd.to_numeric(cells, errors="coerce")
+    bad = (numbers.isna() & ~cells.isna()).to_numpy(dtype=bool)
+    if bad.any():
+        if not strict and bad.sum() > len(cells) // 2:
+            return None
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"'{cells.iloc[row]}' is not a number",
+            file=path,
+            column=name,
+            hint=number_hint(str(cells.iloc[row])),
+            **place(row),
+        )
+    return numbers.to_numpy(dtype=float, na_value=np.nan)
 
 
 def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict[str, Any]:
@@ -352,11 +457,11 @@ def _check(log: Log, required: Sequence[str], min_rows: int) -> None:
         raise InputError(f"has {count}; at least {min_rows} are needed", file=log.path)
     if np.isnan(time).any():
         row = int(np.argmax(np.isnan(time)))
-        raise InputError("has no value", file=log.path, line=log.line(row), column=TIME)
+        raise InputError("has no value", file=log.path, column=TIME, **log.place(row))
     for name, values in log.columns.items():
         if np.isinf(values).any():
             row = int(np.argmax(np.isinf(values)))
-            raise InputError("is infinite", file=log.path, line=log.line(row), column=name)
+            raise InputError("is infinite", file=log.path, column=name, **log.place(row))
     backwards = np.diff(time) <= 0
     if backwards.any():
         row = int(np.argmax(backwards)) + 1
@@ -364,9 +469,9 @@ def _check(log: Log, required: Sequence[str], min_rows: int) -> None:
         raise InputError(
             f"time {what}: {time[row]!r} after {time[row - 1]!r}".replace("np.float64(", "").replace(")", ""),
             file=log.path,
-            line=log.line(row),
             column=TIME,
             hint="sort the rows and drop repeated ones",
+            **log.place(row),
         )
     for name in required:
         if np.isnan(log[name]).all():

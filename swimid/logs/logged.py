@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -17,7 +18,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Logged(Result):
-    """A log and how it was made, as ``track_video``, ``track_imu`` and ``import_log`` give it."""
+    """A log and how it was made, as ``track_video``, ``track_imu`` and ``import_log`` give it.
+
+    Attributes
+    ----------
+    table : dict of str to array_like, each shape (n,)
+        The columns as they are written, words and whole numbers as such; empty where they are the log's.
+    """
+
+    table: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     ending = ".csv"
 
@@ -30,10 +39,12 @@ class Logged(Result):
     @property
     def frame(self) -> pd.DataFrame:
         """Its columns, one row a sample; SI units, named in the columns."""
-        return self.log.frame()
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.table)) if self.table else self.log.frame()
 
     def _write(self, path: Path) -> list[Path]:
-        log.write(path, self.log.columns, self.log.metadata)
+        log.write(path, self.table or self.log.columns, self.log.metadata)
         return [path]
 
     @classmethod

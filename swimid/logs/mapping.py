@@ -19,9 +19,10 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError, nearest
 from swimid.files import yamlio
+from swimid.files.provenance import path_of
 from swimid.logs import units
 from swimid.logs.foreign import Options, Source, open_source
-from swimid.logs.log import TIME, metadata_of, written_by
+from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.progress import Progress, silent
 
 FORMAT = "swimid-mapping/1"
@@ -103,6 +104,11 @@ class Mapping(yamlio.Document):
             raise ValueError("maps the time alone")
         return self
 
+    @property
+    def name(self) -> str:
+        """What the provenance of a result calls a mapping that is no file."""
+        return "mapping"
+
 
 @dataclass(frozen=True)
 class MappedLog:
@@ -138,6 +144,21 @@ class MappedLog:
         return len(self.rows)
 
 
+def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
+    """The mapping that was handed over: a file, an object, or a dictionary with the keys of the file.
+
+    Raises
+    ------
+    InputError
+        With the key of what is wrong in it.
+    """
+    if isinstance(given, Mapping):
+        return given
+    if isinstance(given, dict):
+        return yamlio.validate({"format": FORMAT} | given, Mapping, "mapping")
+    return read(given)
+
+
 def read(path: str | Path) -> Mapping:
     """Read a mapping file.
 
@@ -149,14 +170,14 @@ def read(path: str | Path) -> Mapping:
     return yamlio.validated(path, Mapping)
 
 
-def apply(mapping: Mapping, path: str | Path, *, progress: Progress = silent) -> MappedLog:
+def apply(mapping: Mapping, given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
     """Read a foreign log through a mapping.
 
     Parameters
     ----------
     mapping : Mapping
-    path : path
-        The foreign log.
+    given : path or Log
+        The foreign log; in memory its columns as they are (:func:`swimid.logs.log.unread`).
     progress : Progress
         Shows how far the file is read.
 
@@ -166,15 +187,14 @@ def apply(mapping: Mapping, path: str | Path, *, progress: Progress = silent) ->
         The file cannot be read, has no such column, or holds what is no number; names file,
         line and column.
     """
-    path = Path(path)
-    source = open_source(path, mapping.reader)
+    source = open_source(given, mapping.reader)
     try:
-        return _mapped(mapping, path, source, progress)
+        return _mapped(mapping, path_of(given), source, progress)
     finally:
         source.close()
 
 
-def identity(path: str | Path, *, progress: Progress = silent) -> MappedLog:
+def identity(given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
     """Read a log whose columns have the names of the log format already, without checking its times.
 
     Raises
@@ -182,8 +202,8 @@ def identity(path: str | Path, *, progress: Progress = silent) -> MappedLog:
     InputError
         As :func:`apply`; also where there is no column ``t_s``.
     """
-    path = Path(path)
-    source = open_source(path)
+    path = path_of(given)
+    source = open_source(given)
     try:
         names = [column.name for column in source.columns]
         if TIME not in names:

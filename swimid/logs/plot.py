@@ -3,38 +3,109 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 from swimid.errors import UsageError
-from swimid.files import atomic
-from swimid.files.provenance import sha256
+from swimid.files import atomic, provenance
 from swimid.logs import figures as log_figures
 from swimid.logs import log
+from swimid.logs.log import Log, LogLike
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import page, sheet
-from swimid.results.evidence import NoticeRecord, Verdict
+from swimid.results.evidence import Evidence, NoticeRecord, Verdict
 from swimid.results.result import Result
 from swimid.results.sections import Section
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PAGES = (".html", ".htm")
 PICTURES = (".svg", ".png")
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn(Result):
+    """Figures of logs, as ``plot`` gives them; they are written as one page or picture.
+
+    Attributes
+    ----------
+    inputs : sequence of path or Log
+        What was drawn.
+    progress : Progress
+        Shows the drawing.
+    """
+
+    inputs: Sequence[provenance.Input] = ()
+    progress: Progress = field(default=silent, repr=False)
+
+    def save(self, path: str | Path) -> Self:
+        """Write the figures as ``.html``, ``.svg`` or ``.png``.
+
+        Raises
+        ------
+        InputError
+            When the folder does not exist or cannot be written.
+        UsageError
+            The ending is none of these.
+        """
+        path = _picture(Path(path))
+        assert self.evidence is not None
+        figures = self.evidence.figures
+        if path.suffix.lower() in PAGES:
+            digests = {str(provenance.path_of(one)): provenance.digest_of(one) for one in self.inputs}
+            text = page.render(
+                [self.section()],
+                title=self.evidence.title,
+                created=datetime.now(UTC),
+                digests=digests,
+                progress=self.progress,
+            )
+            atomic.write_text(path, text)
+        else:
+            with self.progress("drawing", total=sum(len(figure.panels) for figure in figures)) as step:
+                sheet.write(path, figures, title=self.evidence.title, step=step)
+        return replace(self, outputs=(*self.outputs, path))
+
+    def section(self) -> Section:
+        """The figures as a section of a report."""
+        assert self.evidence is not None
+        return Section(
+            path=provenance.path_of(self.inputs[0]),
+            kind="Log" if len(self.inputs) == 1 else "Logs",
+            title=self.evidence.title,
+            verdict=_nothing_judged(self.document),
+            blocks=list(self.evidence.figures),
+            notices=self.evidence.notices,
+        )
+
+
 def plot(
-    logs: Sequence[str | Path], *, output: str | Path, title: str | None = None, progress: Progress = silent
-) -> Result:
-    """Draw logs on one page or picture.
+    logs: LogLike | Sequence[LogLike],
+    *,
+    output: str | Path | None = None,
+    title: str | None = None,
+    progress: Progress = silent,
+) -> Drawn:
+    """Draw logs: channels over time, the track from above, spectra.
 
     Parameters
     ----------
-    logs : sequence of paths
-        Several are drawn over each other, each on its own clock.
-    output : path
-        ``.html``, ``.svg`` or ``.png``.
+    logs : path, Log or DataFrame, or a sequence of these
+        Several are drawn over each other, each on its own clock. A table has the columns of the log format,
+        shape (n, k), SI units.
+    output : path, optional
+        ``.html``, ``.svg`` or ``.png``; without it nothing is written.
     title : str, optional
         Default: the names of the logs.
+
+    Returns
+    -------
+    Drawn
+        ``.figures()`` gives all on matplotlib, ``.plot(name, axes)`` one of ``.figure_names``.
 
     Raises
     ------
@@ -42,34 +113,56 @@ def plot(
         A log cannot be read.
     UsageError
         The ending of the output is none of these.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> t = np.arange(200) / 50
+    >>> plot(pd.DataFrame({"t_s": t, "yaw_rad": 0.2 * np.sin(9 * t)})).figure_names
+    ['channels', 'spectra-log']
     """
-    output, paths = Path(output), list(dict.fromkeys(Path(path) for path in logs))
-    ending = output.suffix.lower()
-    if ending not in (*PAGES, *PICTURES):
-        raise UsageError(f"{output}: a picture ends in {', '.join((*PAGES, *PICTURES))}")
-    atomic.check_writable(output, inputs=tuple(paths))
+    given = _once(logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs])
+    if not given:
+        raise UsageError("name at least one log to draw")
+    if output is not None:
+        files = tuple(one for one in given if isinstance(one, Path))
+        output = atomic.check_writable(_picture(Path(output)), inputs=files)
     with recorded(repeat=True) as notices:
-        records = [log.read(path) for path in paths]
+        names = [f"log {number}" if len(given) > 1 else "log" for number in range(1, len(given) + 1)]
+        records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]
         figures = log_figures.figures(records)
-    heading = title or " and ".join(path.name for path in paths)
-    if ending in PAGES:
-        samples = ", ".join(f"{record.path.name}: {len(record)} samples" for record in records)
-        section = Section(
-            path=paths[0],
-            kind="Log" if len(paths) == 1 else "Logs",
-            title=heading,
-            verdict=Verdict(level="good", text=f"Drawn as logged, nothing judged. {samples}."),
-            blocks=list(figures),
-            notices=[NoticeRecord(code=n.code, text=n.text) for n in notices],
-        )
-        digests = {str(path): sha256(path) for path in paths}
-        text = page.render(
-            [section], title=heading, created=datetime.now(UTC), digests=digests, progress=progress
-        )
-        atomic.write_text(output, text)
-    else:
-        with progress("drawing", total=sum(len(figure.panels) for figure in figures)) as step:
-            sheet.write(output, figures, title=heading, step=step)
-    names = [figure.title for figure in figures]
-    result = {"logs": [str(path) for path in paths], "figures": [figure.id for figure in figures]}
-    return Result("plot", f"{heading}: {', '.join(names)}", result, [output])
+    inputs = [one if isinstance(one, Path) else record for one, record in zip(given, records, strict=True)]
+    heading = title or " and ".join(record.name for record in records)
+    proof = Evidence(
+        verb="plot",
+        title=heading,
+        verdict=_nothing_judged(records),
+        figures=figures,
+        notices=[NoticeRecord(code=n.code, text=n.text) for n in notices],
+    )
+    names = [str(provenance.path_of(one)) for one in inputs]
+    data = {"logs": names, "figures": [figure.id for figure in figures]}
+    text = f"{heading}: {', '.join(figure.title for figure in figures)}"
+    drawn = Drawn("plot", text, data, evidence=proof, document=records, inputs=inputs, progress=progress)
+    return drawn if output is None else drawn.save(output)
+
+
+def _once(logs: Sequence[Any]) -> list[Path | Log | pd.DataFrame]:
+    """Each log once, paths as such."""
+    found: list[Any] = []
+    for one in logs:
+        path = Path(one) if isinstance(one, str | Path) else None
+        if path is None or path not in [p for p in found if isinstance(p, Path)]:
+            found.append(one if path is None else path)
+    return found
+
+
+def _nothing_judged(records: Sequence[Log]) -> Verdict:
+    samples = ", ".join(f"{record.name}: {len(record)} samples" for record in records)
+    return Verdict(level="good", text=f"Drawn as logged, nothing judged. {samples}.")
+
+
+def _picture(path: Path) -> Path:
+    if path.suffix.lower() not in (*PAGES, *PICTURES):
+        raise UsageError(f"{path}: a picture ends in {', '.join((*PAGES, *PICTURES))}")
+    return path

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -193,6 +194,19 @@ class Evidence(_Part):
             text = f"{self.verdict.text} Values that no swimmer reaches: {'; '.join(impossible)}."
             self.verdict = Verdict(level="bad", text=text)
         return self
+
+
+def judged(
+    checks: Sequence[Check], text: str, *, more: str = "", passed: str = "every check passes"
+) -> Verdict:
+    """The verdict the checks come to: ``text``, those that failed or are in doubt, and ``more`` to say."""
+    failed = [check.name.lower() for check in checks if check.verdict == "fail"]
+    doubted = [check.name.lower() for check in checks if check.verdict == "warn"]
+    if failed:
+        return Verdict(level="bad", text=f"{text}; failed: {', '.join(failed)}.")
+    if doubted:
+        return Verdict(level="caution", text=f"{text}; look at: {', '.join(doubted)}.{more}")
+    return Verdict(level="good", text=f"{text}; {passed}.{more}")
 
 
 def sidecar(result: str | Path) -> Path:

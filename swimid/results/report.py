@@ -21,8 +21,8 @@ _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".mar
 
 
 def report(
-    *,
     inputs: Sequence[str | Path | Result],
+    *,
     output: str | Path | None = None,
     format: Kind | None = None,
     title: str | None = None,

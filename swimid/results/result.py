@@ -147,7 +147,7 @@ class Result:
         target = atomic.check_writable(Path(path))
         written = self._write(target)
         if self.evidence is not None:
-            written = [*written, *write_beside(target, self.evidence)[1:]]
+            written[1:1] = write_beside(target, self.evidence)[1:]
         return replace(self, outputs=(*self.outputs, *written))
 
     @classmethod

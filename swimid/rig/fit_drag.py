@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.fitting.profile import profile_interval
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -25,43 +25,28 @@ from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
 from swimid.rig import trials as rig_experiment
+from swimid.rig.options import FitDragOptions
 from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd_check, odd_one
 
 
+@takes(FitDragOptions)
 def fit_drag(
     trials_file: str | Path,
     *,
+    options: FitDragOptions,
     output: Path | None = None,
-    method: str = "ml",
-    start_state: str = "auto",
-    fixed: Mapping[str, float] | None = None,
-    freed: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    points_m: tuple[float, float] | None = None,
-    profile: bool = False,
-    coordinate: str | None = None,
     progress: Progress = silent,
 ) -> Fitted:
     """Identify a rig: falling weight, towing or free decay.
+
+    Where both can be had, the report shows maximum likelihood and the two-point method (falling weight
+    only) side by side.
 
     Parameters
     ----------
     trials_file : path
     output : path, optional
         Parameter file to write; its evidence goes beside it.
-    method : {"ml", "two-point"}
-        Maximum likelihood over all samples, or the boxfish paper's Eqs 13-19 (falling weight
-        only). The report shows both side by side where both can be had.
-    start_state : {"auto", "rest", "estimate"}
-        Whether the trials start at rest at their first sample; ``auto`` lets the data say.
-    fixed, freed, bounds
-        The user's choices by parameter name.
-    points_m : (x1, x2), optional
-        Displacements of the two-point method.
-    profile : bool
-        Profile-likelihood intervals beside the standard errors.
-    coordinate : str, optional
-        Coordinate of a free decay.
 
     Raises
     ------
@@ -71,22 +56,15 @@ def fit_drag(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(trials_file, coordinate=coordinate)
-        choices = fit_common.prepare(experiment, output, fixed=fixed, freed=freed, bounds=bounds)
-        found = _best_fit(experiment, choices, start_state, progress)
-        result = found.result
-        profiles = _profiles(result, progress) if profile else {}
-        pair = _two_point(experiment, points_m, insist=method == "two-point")
-        origin = provenance.collect(
-            experiment.inputs,
-            settings={
-                "method": method,
-                "start_state": start_state,
-                "fixed": dict(fixed or {}),
-                "freed": list(freed),
-                "bounds": {k: list(v) for k, v in (bounds or {}).items()},
-            },
+        experiment = rig_experiment.load(trials_file, coordinate=options.coordinate)
+        choices = fit_common.prepare(
+            experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
+        found = _best_fit(experiment, choices, options.start_state, progress)
+        result = found.result
+        profiles = _profiles(result, progress) if options.profile else {}
+        pair = _two_point(experiment, options.points_m, insist=options.method == "two-point")
+        origin = provenance.collect(experiment.inputs, settings=options.settings())
         derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
@@ -107,7 +85,7 @@ def fit_drag(
             f"none of {', '.join(estimated)} can be identified from these trials",
             hint="use longer runs, more different forces, or fix what is known with --fix",
         )
-    if method == "two-point":
+    if options.method == "two-point":
         assert pair is not None
         file = _two_point_file(file, pair)
     evidence = ev.Evidence(
@@ -118,7 +96,7 @@ def fit_drag(
         tables=_tables(experiment, file, pair, result),
         figures=fit_common.figures(result) + _speed_figure(pair),
         notices=fit_common.notices(notices),
-        methods=_methods(experiment, result, method, pair),
+        methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
         provenance=origin,
     )

@@ -523,9 +523,9 @@ def methods(file: SensitivityFile) -> list[str]:
         else:
             said.append(
                 f"Elementary effects (Morris 1991) on the outputs of {trials} of {over}, were taken along "
-                f"{file.samples} trajectories on four levels ({runs.evaluated} points); mu* is the mean of "
-                "their magnitudes (Campolongo et al. 2007), with percentiles of 1000 bootstrap samples of "
-                "the trajectories."
+                f"{file.samples} trajectories on four levels ({runs.evaluated} points) as implemented in "
+                "SALib; mu* is the mean of their magnitudes (Campolongo et al. 2007), with 1.96 standard "
+                "deviations over 1000 bootstrap samples of the trajectories."
             )
         if runs.broken:
             what = (
@@ -572,5 +572,7 @@ def references(file: SensitivityFile) -> list[str]:
             "Technometrics 33, doi:10.2307/1269043",
             "Campolongo, Cariboni, Saltelli (2007): An effective screening design for sensitivity analysis "
             "of large models. Environmental Modelling & Software 22, doi:10.1016/j.envsoft.2006.10.004",
+            "Herman, Usher (2017): SALib: an open-source Python library for sensitivity analysis. Journal of "
+            "Open Source Software 2, doi:10.21105/joss.00097",
         ]
     return []

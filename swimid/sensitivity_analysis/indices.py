@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -15,6 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.progress import Progress, silent
+from swimid.sensitivity_analysis.threads import in_threads
 
 #: Share of the evaluations that may break down.
 BROKEN = 0.01
@@ -210,7 +210,7 @@ def morris(
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> Morris:
-    """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007).
+    """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007), by SALib.
 
     Parameters
     ----------
@@ -222,8 +222,9 @@ def morris(
     Returns
     -------
     Morris
-        Intervals by the percentile bootstrap over the trajectories. A trajectory of which a point breaks
-        down is dropped.
+        Intervals by SALib's bootstrap over the trajectories: mu* and 1.96 standard deviations of it. Half
+        the width of a group's is the mean of its members', which is what it is when they move together and
+        too wide otherwise. A trajectory of which a point breaks down is dropped.
 
     Raises
     ------
@@ -235,37 +236,29 @@ def morris(
     d = len(lower)
     if samples < 2:
         raise UsageError("elementary effects need two trajectories or more")
-    rng = np.random.default_rng(seed)
-    step = LEVELS / (2 * (LEVELS - 1))
-    begin = rng.integers(LEVELS // 2, size=(samples, d)) / (LEVELS - 1)
-    sign = rng.choice([-1.0, 1.0], size=(samples, d))
-    begin = np.where(sign < 0, begin + step, begin)
-    order = np.array([rng.permutation(d) for _ in range(samples)])
-    rank = np.argsort(order, axis=1)
-    moved = np.arange(d + 1)[None, :, None] > rank[:, None, :]
-    unit = begin[:, None] + np.where(moved, (step * sign)[:, None], 0.0)
-    points = (lower + unit * (upper - lower)).reshape(-1, d)
-    runs = _Runs(evaluate, len(points), names, jobs, checkpoint or Checkpoint(), progress)
-    labels = [f"{r}.{p}" for r in range(samples) for p in range(d + 1)]
-    values = runs.of(labels, points).reshape(samples, d + 1, -1)
-    whole = np.isfinite(values).all(axis=(1, 2))
-    values, order, sign, rank = values[whole], order[whole], sign[whole], rank[whole]
-    rises = np.take_along_axis(np.diff(values, axis=1), rank[:, :, None], axis=1)  # by parameter
-    effects = np.swapaxes(rises / (step * sign)[:, :, None], 1, 2)  # (r, s, d)
-    parts = [effects.mean(axis=0), np.abs(effects).mean(axis=0), effects.std(axis=0, ddof=1)]
-    draw = np.random.default_rng([seed, 1])
-    size = np.abs(effects)
-    count = len(effects)
-    drawn = [_averaged(size[draw.integers(count, size=count)].mean(axis=0), groups) for _ in range(RESAMPLES)]
-    seen = values.reshape(-1, values.shape[-1])
-    mu, mu_star, sigma = (_averaged(part, groups) for part in parts)
+    from SALib.analyze.morris import analyze
+    from SALib.sample.morris import sample
+
+    problem = {"num_vars": d, "names": [str(k) for k in range(d)], "bounds": [[0.0, 1.0]] * d}
+    unit = sample(problem, samples, num_levels=LEVELS, seed=seed)
+    runs = _Runs(evaluate, len(unit), names, jobs, checkpoint or Checkpoint(), progress)
+    labels = [f"trajectory {r}.{p}" for r in range(samples) for p in range(d + 1)]
+    values = runs.of(labels, lower + unit * (upper - lower))
+    whole = np.isfinite(values).all(axis=1).reshape(samples, d + 1).all(axis=1)
+    kept = np.repeat(whole, d + 1)
+    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": seed}
+    parts = [analyze(problem, unit[kept], one, **settings) for one in values[kept].T]
+    mu, mu_star, sigma, half = (
+        _averaged(np.array([part[key] for part in parts]), groups)
+        for key in ("mu", "mu_star", "sigma", "mu_star_conf")
+    )
     return Morris(
         mu,
         mu_star,
         sigma,
-        np.percentile(drawn, ENDS, axis=0),
-        seen.mean(axis=0),
-        seen.std(axis=0),
+        np.array([np.maximum(mu_star - half, 0.0), mu_star + half]),
+        values[kept].mean(axis=0),
+        values[kept].std(axis=0),
         runs.done,
         len(runs.broken),
         int((~whole).sum()),
@@ -297,26 +290,23 @@ class _Runs:
     def of(self, labels: Sequence[str], points: Array) -> Array:
         """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
         found = []
+        work = list(zip(labels, points, strict=True))
         with (
             self.progress("sensitivity", total=len(points)) as step,
-            ThreadPoolExecutor(max(self.jobs, 1)) as pool,
+            in_threads(self._one, work, self.jobs) as results,
         ):
-            waiting = [pool.submit(self._one, *item) for item in zip(labels, points, strict=True)]
-            try:
-                for future, point in zip(waiting, points, strict=True):
-                    outputs = future.result()
-                    whole = bool(np.isfinite(outputs).all())
-                    (self._fine if whole else self.broken).append(point)
-                    found.append(outputs if whole else np.full(len(outputs), np.nan))
-                    self.done += 1
-                    if len(self.broken) > BROKEN * self.planned:
-                        self.refuse()
-                    step()
-            finally:
-                pool.shutdown(cancel_futures=True)
+            for outputs, point in zip(results, points, strict=True):
+                whole = bool(np.isfinite(outputs).all())
+                (self._fine if whole else self.broken).append(point)
+                found.append(outputs if whole else np.full(len(outputs), np.nan))
+                self.done += 1
+                if len(self.broken) > BROKEN * self.planned:
+                    self.refuse()
+                step()
         return np.array(found)
 
-    def _one(self, label: str, point: Array) -> NDArray[np.float64]:
+    def _one(self, work: tuple[str, Array]) -> NDArray[np.float64]:
+        label, point = work
         known = self.checkpoint.get(label)
         if known is not None:
             return known

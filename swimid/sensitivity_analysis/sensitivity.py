@@ -6,7 +6,6 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -44,6 +43,7 @@ from swimid.sensitivity_analysis.file import (
 from swimid.sensitivity_analysis.indices import Morris, Sobol
 from swimid.sensitivity_analysis.outputs import Run
 from swimid.sensitivity_analysis.studied import Sensitivity
+from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
@@ -576,14 +576,10 @@ def _sweep(
         return row
 
     found = []
-    with progress("sweep", total=len(grid)) as step, ThreadPoolExecutor(max(jobs, 1)) as pool:
-        waiting = [pool.submit(one, k) for k in range(len(grid))]
-        try:
-            for future in waiting:
-                found.append(future.result())
-                step()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with progress("sweep", total=len(grid)) as step, in_threads(one, range(len(grid)), jobs) as rows:
+        for row in rows:
+            found.append(row)
+            step()
     table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
     lost = ~np.isfinite(table[..., 0]).all(axis=-1)
     table[lost] = np.nan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from swimid.files import atomic, provenance
 from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -30,7 +31,7 @@ from swimid.simulation import comparison_file as comparison_format
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.compared import Comparison
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
-from swimid.swimmer.planar.model import DEFAULT_STEP
+from swimid.simulation.options import CompareOptions
 
 #: Error over the measured range, up to which a channel is described well, and up to which at all.
 GOOD, USABLE = 0.15, 0.30
@@ -38,41 +39,25 @@ GOOD, USABLE = 0.15, 0.30
 GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
+@takes(CompareOptions)
 def compare(
     trials_file: str | Path,
     *,
-    params: Path,
-    robot: str | None = None,
+    options: CompareOptions,
     output: Path | None = None,
-    channels: Sequence[str] = (),
-    refit_start: bool = True,
-    chosen: Mapping[str, float] | None = None,
-    readings: Mapping[str, str] | None = None,
-    dt: float = DEFAULT_STEP,
-    buoyancy: float = compare_strokes.BUOYANCY_SHARE,
     progress: Progress = silent,
 ) -> Comparison:
     """Compare recorded trials with their simulation.
 
+    By default every logged channel is compared that the model simulates, and surge, sway and turning rate
+    from the pose where they are not logged. A start state that is estimated is estimated from its trial, all
+    shared parameters held.
+
     Parameters
     ----------
     trials_file : path
-    params : Path
-        Parameter file of the model that is to describe them.
-    robot : str, optional
-        Accept the parameters although they name another robot.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
-    channels : sequence of str
-        Compare these only; default every logged channel the model simulates, and surge, sway and turning
-        rate from the pose where they are not logged.
-    refit_start : bool
-        Estimate the start state of a trial the parameter file does not know from that trial, all
-        shared parameters held.
-    chosen, readings, dt
-        As in :func:`swimid.simulation.simulate.simulate`.
-    buoyancy : float
-        Half width of the band of buoyancy drawn for robots in space, as a share of it; 0 for none.
 
     Raises
     ------
@@ -84,11 +69,11 @@ def compare(
     with recorded(repeat=True) as notices:
         loaded = catalogue.load(
             trials_file,
-            params,
-            robot=robot,
-            chosen=dict(chosen or {}),
-            readings=dict(readings or {}),
-            max_step=dt,
+            options.params,
+            robot=options.robot,
+            chosen=dict(options.chosen),
+            readings=dict(options.readings),
+            max_step=options.dt,
         )
         experiment = loaded.experiment
         if output is not None:
@@ -96,24 +81,15 @@ def compare(
         done = []
         with progress("comparing", total=len(experiment.trials)) as step:
             for trial in experiment.trials:
-                one = compare_series.compared(experiment, loaded.applied, trial, refit=refit_start)
-                done.append(_restricted(one, channels))
+                one = compare_series.compared(experiment, loaded.applied, trial, refit=options.refit_start)
+                done.append(_restricted(one, options.channels))
                 step()
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
-        origin = provenance.collect(
-            experiment.inputs,
-            settings={
-                "channels": list(channels),
-                "refit_start": refit_start,
-                "set": dict(chosen or {}),
-                "readings": dict(readings or {}),
-                "dt": dt,
-                "buoyancy_band": buoyancy,
-            },
-        )
+        buoyancy = options.buoyancy_band_percent / 100.0
+        origin = provenance.collect(experiment.inputs, settings=options.settings(buoyancy_band=buoyancy))
         profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
-        file = _file(experiment, done, params, origin)
+        file = _file(experiment, done, options.params, origin)
         file.profiles = [p.record for p in profiles]
         checks = _checks(file)
     verdict = fit_common.verdict(checks, _answer(file))
@@ -129,7 +105,10 @@ def compare(
             *compare_evidence.figures(experiment, done, file),
         ],
         notices=fit_common.notices(notices),
-        methods=[*_methods(experiment, done, params), *compare_strokes_evidence.methods(profiles, buoyancy)],
+        methods=[
+            *_methods(experiment, done, options.params),
+            *compare_strokes_evidence.methods(profiles, buoyancy),
+        ],
         references=list(experiment.robot.sources),
         provenance=origin,
     )
@@ -137,9 +116,8 @@ def compare(
     if output is not None:
         comparison_format.write(output, file)
         outputs = ev.write_beside(output, evidence)
-    return Comparison(
-        "compare", summary(file, evidence), file.model_dump(mode="json"), outputs, evidence, file
-    )
+    text = compare_evidence.summary(file, evidence)
+    return Comparison("compare", text, file.model_dump(mode="json"), outputs, evidence, file)
 
 
 def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
@@ -266,29 +244,3 @@ def _methods(experiment: Experiment, done: Sequence[Compared], params: Path) -> 
             "with all shared parameters held."
         )
     return said
-
-
-def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
-    """Plain text for the terminal."""
-    lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
-    width = max(len(n) for n in file.channels)
-    lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
-    for name, s in file.channels.items():
-        lines.append(
-            f"  {name:<{width}}  {numbers.number(s.rmse, 3, s.unit):>14}  {numbers.percent(s.nrmse):>8}  "
-            f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
-            f"{numbers.number(compare_evidence.settled(s), 3, s.unit):>14}"
-        )
-    speeds = [(t.id, t.mean_speed) for t in file.trials if t.mean_speed is not None]
-    if speeds:
-        wide = max(len(i) for i, _ in speeds)
-        lines += ["", "  mean speed of the last beats, measured and simulated"]
-        for name, speed in speeds:
-            pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
-            lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
-    lines += compare_strokes_evidence.summary(file.profiles)
-    estimated = sum(t.start == "estimated" for t in file.trials)
-    if estimated:
-        lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
-    lines += ["", f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}"]
-    return "\n".join(lines)

@@ -8,11 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
 from swimid.propulsion.model import RecoilModel
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.simulation import compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, CycleTable, TrialComparison
 from swimid.swimmer.planar.model import MultilinkModel
@@ -392,3 +394,29 @@ def _stroke_figures(file: ComparisonFile, missing: str) -> list[ev.Figure]:
 
 def _sides(c: CycleTable) -> list[tuple[list[float | None], str]]:
     return [(c.mean_measured, "points"), (c.mean_simulated, "line")]
+
+
+def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
+    """Plain text for the terminal."""
+    lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
+    width = max(len(n) for n in file.channels)
+    lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
+    for name, s in file.channels.items():
+        lines.append(
+            f"  {name:<{width}}  {numbers.number(s.rmse, 3, s.unit):>14}  {numbers.percent(s.nrmse):>8}  "
+            f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
+            f"{numbers.number(settled(s), 3, s.unit):>14}"
+        )
+    speeds = [(t.id, t.mean_speed) for t in file.trials if t.mean_speed is not None]
+    if speeds:
+        wide = max(len(i) for i, _ in speeds)
+        lines += ["", "  mean speed of the last beats, measured and simulated"]
+        for name, speed in speeds:
+            pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
+            lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
+    lines += compare_strokes_evidence.summary(file.profiles)
+    estimated = sum(t.start == "estimated" for t in file.trials)
+    if estimated:
+        lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
+    lines += ["", f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}"]
+    return "\n".join(lines)

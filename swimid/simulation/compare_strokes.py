@@ -18,8 +18,6 @@ from swimid.swimmer.spatial.model import MultibodyModel
 
 #: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
-#: How far buoyancy is varied for the band (sea lion, section III).
-BUOYANCY_SHARE = 0.02
 SIDES = ("measured", "simulated")
 POSITION = ("x_m", "y_m", "z_m")
 #: What is derived where it is not logged: unit and meaning.

@@ -46,7 +46,7 @@ class Comparison(Result):
 
     @classmethod
     def _told(cls, document: ComparisonFile, evidence: Evidence | None) -> str:
-        from swimid.simulation.compare import summary
+        from swimid.simulation.compare_evidence import summary
 
         return summary(document, evidence) if evidence else super()._told(document, evidence)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 
 import swimid
-from swimid.errors import NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.notices import warn
 from swimid.simulation.applied import Applied, Quantity
 
+#: Endings of the logs that are written.
+LOG_ENDINGS = (".csv", *log_format.PARQUET_ENDINGS)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
 
@@ -170,3 +172,23 @@ def write(path: Path, done: Simulated) -> None:
     """Write a simulated run as a log, with what it was made by in its comment lines."""
     metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **done.case.metadata}
     log_format.write(path, done.columns, metadata)
+
+
+def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
+    """The file of each run: one log, or a folder of logs named after the trials."""
+    if output is None:
+        return []
+    if output.suffix.lower() in LOG_ENDINGS and not output.is_dir():
+        if len(ids) > 1:
+            raise UsageError(
+                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
+            )
+        return [output]
+    if len(ids) == 1 and not output.is_dir() and output.suffix:
+        raise UsageError(f"'{output.name}' can be no log", hint=f"let it end in {' or '.join(LOG_ENDINGS)}")
+    if len(ids) == 1 and not output.is_dir():
+        raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
+    if output.exists() and not output.is_dir():
+        raise UsageError(f"{output} is a file; several trials need a folder")
+    stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
+    return [output / f"{stem}.csv" for stem in stems]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic
-from swimid.logs.log import PARQUET_ENDINGS
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 from swimid.results import numbers
@@ -26,8 +24,6 @@ from swimid.swimmer import stroke_cycles
 from swimid.swimmer.planar import geometry
 from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
 
-#: Endings of a log.
-LOG_ENDINGS = (".csv", *PARQUET_ENDINGS)
 #: A change of speed from beat to beat above this share is told.
 UNSTEADY = 0.005
 #: What a trial of many says in its line, where it has it.
@@ -143,7 +139,7 @@ def simulate(
     else:
         _insist_on_trials_alone(request)
         cases = simulate_cases.of_trials(trials, request, trial)
-    targets = places(output, [c.id for c in cases])
+    targets = simulation.places(output, [c.id for c in cases])
     if animate is not None:
         if len(cases) > 1:
             raise UsageError("an animation shows one trial: name it with --trial")
@@ -205,26 +201,6 @@ def _insist_on_trials_alone(request: Request) -> None:
             raise UsageError(
                 f"--{name.replace('_', '-')} has no place beside --trials: the trials bring their own drive"
             )
-
-
-def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
-    """The file of each run: one log, or a folder of logs named after the trials."""
-    if output is None:
-        return []
-    if output.suffix.lower() in LOG_ENDINGS and not output.is_dir():
-        if len(ids) > 1:
-            raise UsageError(
-                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
-            )
-        return [output]
-    if len(ids) == 1 and not output.is_dir() and output.suffix:
-        raise UsageError(f"'{output.name}' can be no log", hint=f"let it end in {' or '.join(LOG_ENDINGS)}")
-    if len(ids) == 1 and not output.is_dir():
-        raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
-    if output.exists() and not output.is_dir():
-        raise UsageError(f"{output} is a file; several trials need a folder")
-    stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
-    return [output / f"{stem}.csv" for stem in stems]
 
 
 def _film(done: Simulated) -> animation.Film:

@@ -59,9 +59,7 @@ class Simulation(Result):
         return next(iter(self.runs.values())).quantities
 
     def _write(self, path: Path) -> list[Path]:
-        from swimid.simulation.simulate import places
-
-        found = places(path, list(self.runs))
+        found = run.places(path, list(self.runs))
         if found != [path]:
             path.mkdir(exist_ok=True)
         for place, one in zip(found, self.runs.values(), strict=True):

@@ -143,7 +143,8 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     still = cv2.blur(background, (3, 3))
     moving = []
     for frame in frames:
-        change = cv2.absdiff(cv2.blur(frame, (3, 3)), still).max(axis=2)
+        blue, green, red = cv2.split(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
+        change = cv2.max(cv2.max(blue, green), red)
         moving.append(
             np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
         )
@@ -310,8 +311,8 @@ def _patches(
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return []
-    moved = np.bincount(labels.ravel(), weights=(moving.ravel() > 0), minlength=count)
-    stays = np.bincount(labels.ravel(), weights=(scenery.ravel() > 0), minlength=count)
+    moved = np.bincount(labels[moving > 0], minlength=count)
+    stays = np.bincount(labels[scenery > 0], minlength=count)
     rows, columns = mask.shape
     found = []
     for label in range(1, count):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import colorsys
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -263,6 +264,11 @@ class Setup(Document):
         return self
 
     @property
+    def name(self) -> str:
+        """What the provenance of a result calls a setup that is no file."""
+        return "setup"
+
+    @property
     def marker_names(self) -> list[str]:
         """Names of all single markers in the order of the file."""
         return [name for marker in self.markers for name in marker.names]
@@ -285,6 +291,20 @@ class Setup(Document):
         return None if head is None or tail is None else (head, tail)
 
 
+def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
+    """The setup that was handed over: a file, an object, or a dictionary with the keys of the file.
+
+    Raises
+    ------
+    InputError
+        As :func:`read`.
+    """
+    if isinstance(given, str | Path):
+        return read(given)
+    data = given.model_dump(mode="json", exclude_none=True) if isinstance(given, Setup) else given
+    return _complete({"format": FORMAT, **data}, Path("setup"))
+
+
 def read(path: str | Path) -> Setup:
     """Read and check a setup file; with a ``robot``, its markers' places are put in.
 
@@ -293,7 +313,10 @@ def read(path: str | Path) -> Setup:
     InputError
         With line, key and what is allowed.
     """
-    data = yamlio.load(path)
+    return _complete(yamlio.load(path), Path(path))
+
+
+def _complete(data: Mapping[str, Any], path: Path) -> Setup:
     setup = yamlio.validate(data, Setup, path)
     if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
         raise InputError(
@@ -302,7 +325,7 @@ def read(path: str | Path) -> Setup:
     if setup.robot is None:
         return setup
     filled = yamlio.plain(data)
-    places = _robot_places(setup, setup.robot, Path(path))
+    places = _robot_places(setup, setup.robot, path)
     for marker, kind in zip(filled["markers"], setup.markers, strict=True):
         if kind.at_m is None and kind.name in places:
             marker["at_m"] = list(places[kind.name])

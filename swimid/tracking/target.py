@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from filterpy.gh import GHFilter
 from numpy.typing import NDArray
 
 from swimid.tracking.colour import colour_difference
@@ -65,16 +66,15 @@ class Target:
         self.missed = 0
 
     def _move(self, blob: Blob, time: float) -> None:
-        dt = time - self.time
-        px, py = self.predicted(time)
-        error = math.hypot(blob.x - px, blob.y - py)
-        if self.sights == 1:
-            self.vx, self.vy = (blob.x - self.x) / dt, (blob.y - self.y) / dt
-        elif error > 8 * self.radius + 40:
+        place, speed = np.array([self.x, self.y]), np.array([self.vx, self.vy])
+        # the sighting is the place; the second tells the speed, later ones half of its change
+        motion = GHFilter(place, speed, dt=time - self.time, g=1.0, h=1.0 if self.sights == 1 else 0.5)
+        motion.update(np.array([blob.x, blob.y]))
+        error = math.hypot(*motion.y)
+        if self.sights > 1 and error > 8 * self.radius + 40:
             self.vx = self.vy = 0.0  # found again elsewhere: its speed is not known
         else:
-            self.vx += 0.5 * (blob.x - px) / dt
-            self.vy += 0.5 * (blob.y - py) / dt
+            self.vx, self.vy = (float(v) for v in motion.dx)
         self.surprise += 0.3 * (min(error, 4 * self.radius + 20) - self.surprise)
         self.pace = max(self.pace + 0.05 * (math.hypot(self.vx, self.vy) - self.pace), 0.0)
 

@@ -6,22 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic
 from swimid.notices import warn
 from swimid.progress import Progress, silent
-from swimid.results.result import Result
-from swimid.tracking import camera, census, motion, pick, propose, track_setup_text
+from swimid.tracking import camera, census, draft, motion, pick, propose
+from swimid.tracking.draft import SetupDraft
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import Marker, Setup
 
-#: Pictures on the contact sheet, and the width of each.
-_SHEET, _SHEET_WIDTH = 4, 640
 #: A proposal the tracker itself finds in fewer frames than this share is dropped.
 _LEAST_FOUND = 0.05
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
@@ -50,7 +47,7 @@ class _Draft:
 def track_setup(
     video: str | Path,
     *,
-    output: str | Path,
+    output: str | Path | None = None,
     picks: tuple[Pick, ...] = (),
     frame: int = 0,
     metres_per_pixel: float | None = None,
@@ -60,22 +57,22 @@ def track_setup(
     fps: float | None = None,
     force: bool = False,
     progress: Progress = silent,
-) -> Result:
-    """Propose markers, draw them and write a setup that ``track video`` takes as it is.
+) -> SetupDraft:
+    """Propose markers, draw them, and draft a setup that ``track_video`` takes as it is.
 
     Parameters
     ----------
     video : path
         The film to draft from.
-    output : path
-        The setup file; a PNG with the markers drawn in goes beside it.
+    output : path, optional
+        The setup file; a PNG with the markers drawn in goes beside it. Without it nothing is written.
     picks : tuple of Pick
         Markers shown by hand in ``frame``; head first, then tail. Picks of one name are equal markers.
         Without any they are proposed from what moves.
     frame : int
         The frame the picks are in.
     metres_per_pixel, scale_points, scale_distance_m
-        The scale: a factor, or x1, y1, x2, y2 in pixels and their distance.
+        The scale: a factor, m/px; or x1, y1, x2, y2 in px and their distance, m.
     plane : {"horizontal", "vertical"}
         Camera above, or at the side.
     fps : float, optional
@@ -85,6 +82,11 @@ def track_setup(
     progress : Progress
         Shows the passes over the video.
 
+    Returns
+    -------
+    SetupDraft
+        ``.setup`` for ``track_video``, ``.sheet`` the picture, shape (height, width, 3).
+
     Raises
     ------
     UsageError
@@ -93,44 +95,53 @@ def track_setup(
         The video cannot be read.
     NoTrustworthyResult
         No marker can be proposed.
+
+    Examples
+    --------
+    >>> draft = track_setup("pool.mp4", metres_per_pixel=0.0015)  # doctest: +SKIP
+    >>> made = track_video("pool.mp4", setup=draft.setup)  # doctest: +SKIP
     """
-    output = atomic.check_writable(output, inputs=(video,))
-    if output.exists() and not force:
-        raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
+    if output is not None:
+        output = atomic.check_writable(output, inputs=(video,))
+        if output.exists() and not force:
+            raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     scale = _scale(metres_per_pixel, scale_points, scale_distance_m)
     video = Path(video)
     common: dict[str, Any] = {"scale": scale, "plane": plane, "frame_rate_hz": fps}
-    draft = _by_hand(video, picks, frame, common, progress) if picks else _unattended(video, common, progress)
-    setup, run = _measured(draft.setup, draft.run), draft.run
+    drafted = (
+        _by_hand(video, picks, frame, common, progress) if picks else _unattended(video, common, progress)
+    )
+    setup, run = _measured(drafted.setup, drafted.run), drafted.run
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
     _doubts(setup, run, shares)
-    text = track_setup_text.write(setup, shares, draft.remarks, draft.passed, video.name)
-    atomic.write_text(output, text)
-    sheet = output.with_suffix(".markers.png")
-    _draw(sheet, run, setup)
+    text = draft.text_of(setup, shares, drafted.remarks, drafted.passed, video.name)
     lines = [
         f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(setup.marker(name))}, "
         f"area {_area(setup.marker(name))} px"
         for name, share in shares.items()
     ]
-    lines += [f"passed over: {colour}" for colour in draft.passed]
+    lines += [f"passed over: {colour}" for colour in drafted.passed]
     lines.append(
         f"head {setup.head or setup.marker_names[0]}"
         + (f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw")
     )
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
-    lines.append(
-        f"look at {sheet.name}, then: swimid track video {video.name} --setup {output.name} -o run.csv"
-    )
-    result = {
+    if output is not None:
+        lines.append(
+            f"look at {output.with_suffix('.markers.png').name}, then: "
+            f"swimid track video {video.name} --setup {output.name} -o run.csv"
+        )
+    data = {
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
         "tail": setup.tail,
         "found_share": shares,
-        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in draft.passed],
+        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in drafted.passed],
     }
-    return Result("track setup", "\n".join(lines), result, [output, sheet])
+    sheet = draft.sheet_of(run, setup)
+    result = SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet)
+    return result if output is None else result.save(output)
 
 
 def _scale(
@@ -361,38 +372,3 @@ def _hue(marker: Marker) -> str:
 
 def _area(marker: Marker) -> str:
     return "any" if marker.area_px is None else f"{marker.area_px[0]:g}..{marker.area_px[1]:g}"
-
-
-def _draw(path: Path, run: Run, setup: Setup) -> None:
-    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
-    tiles = []
-    everywhere = np.atleast_1d(run.track.found.all(axis=0))
-    ranked = sorted(run.kept, key=lambda k: (not (k < len(everywhere) and everywhere[k]), k))
-    for index in sorted(ranked[:_SHEET]):
-        frame = run.kept[index].copy()
-        factor = _SHEET_WIDTH / frame.shape[1]
-        tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-        for box in setup.ignore_px:
-            corners = [round(factor * v) for v in box]
-            cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-        for i, name in enumerate(run.track.names):
-            if index < len(everywhere) and run.track.found[i, index]:
-                x, y = factor * run.track.x[i, index], factor * run.track.y[i, index]
-                radius = round(factor * float(np.sqrt(run.track.area[i, index] / np.pi))) + 5
-                cv2.circle(tile, (round(x), round(y)), radius, (0, 159, 230), 2, cv2.LINE_AA)
-                _label(tile, name, (round(x) + radius + 3, round(y) + 4))
-        _label(tile, f"frame {index}", (8, tile.shape[0] - 8))
-        tiles.append(tile)
-    while len(tiles) % 2:
-        tiles.append(np.zeros_like(tiles[0]))
-    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
-    ok, data = cv2.imencode(".png", sheet)
-    assert ok
-    with atomic.replacing(path) as temporary:
-        temporary.write_bytes(data.tobytes())
-
-
-def _label(image: Frame, text: str, where: tuple[int, int]) -> None:
-    for shade, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, shade, width, cv2.LINE_AA)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +13,16 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import log
+from swimid.logs.log import Log
+from swimid.logs.logged import Logged
 from swimid.notices import Notice, recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import evidence
-from swimid.results.result import Result
-from swimid.tracking import checks, overlay, pictures, plane, pose, stills, track_video_figures
+from swimid.results.evidence import Check
+from swimid.tracking import checks, overlay, pictures, plane, pose, stills, swim
 from swimid.tracking import setup as setup_format
 from swimid.tracking.census import describe_colours
+from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.run import follow
 from swimid.tracking.setup import Setup
@@ -28,35 +33,62 @@ LEAST_FOUND = 0.05
 POSE = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
 
 
+@dataclass(frozen=True, eq=False)
+class Track(Logged):
+    """The track of a film, as ``track_video`` gives it.
+
+    Attributes
+    ----------
+    pose : Pose
+        Path and heading with their standard deviations; None where the log was read from a file.
+    setup : Setup
+        How the film was read, with what was left out in a second look.
+    heading : str
+        Title of the plot.
+    """
+
+    pose: Pose | None = None
+    setup: Setup | None = None
+    heading: str = ""
+
+    def _write(self, path: Path) -> list[Path]:
+        written = super()._write(path)
+        if self.pose is None or self.setup is None or not path.is_file():
+            return written
+        plot = path.with_suffix(".png")
+        pictures.save_plot(plot, self.pose, self.setup, self.heading)
+        return [*written, plot]
+
+
 def track_video(
     video: str | Path,
     *,
-    setup: str | Path,
-    output: str | Path,
+    setup: str | Path | Setup | Mapping[str, Any],
+    output: str | Path | None = None,
     overlay_path: str | Path | None = None,
     fps: float | None = None,
     max_gap_s: float | None = None,
     window_s: tuple[float | None, float | None] = (None, None),
     metadata: dict[str, Any] | None = None,
     progress: Progress = silent,
-) -> Result:
-    """Track the markers of a video and write the log.
+) -> Track:
+    """Track the markers of a video: pose, speeds and stroke of the robot.
 
     Parameters
     ----------
     video : path
         The film; or a folder of pictures, or a pattern of their names (``%05d.png``).
-    setup : path
-        ``swimid-setup/1`` file.
-    output : path
-        The log, CSV or Parquet by its ending. Beside it go ``<stem>.evidence.json`` and
-        ``<stem>.png``.
+    setup : path, Setup or dict
+        ``swimid-setup/1``: colours of the markers, scale, camera. ``track_setup`` drafts one.
+    output : path, optional
+        The log, CSV or Parquet by its ending. Beside it go ``<stem>.evidence.json`` and ``<stem>.png``.
+        Without it nothing is written; :meth:`Track.save` writes the same files later.
     overlay_path : path, optional
         Video with the track drawn in.
     fps : float, optional
         True frame rate, Hz, over the container's and the setup's.
     max_gap_s : float, optional
-        Over the setup's.
+        Longest dropout that is bridged, s, over the setup's.
     window_s : (float or None, float or None)
         From and to, s from the first frame: what speeds and stroke of the result are over. The log
         holds every frame. Default: the steady part.
@@ -65,29 +97,62 @@ def track_video(
     progress : Progress
         Shows the passes over the video.
 
+    Returns
+    -------
+    Track
+        ``.frame`` has a row for each of the n frames: ``t_s``, pose (m, rad; px without a scale), speeds
+        (m/s, rad/s), their standard deviations, what was measured, and each marker. ``.data["swimming"]`` is
+        speed, stroke and accelerations with their 95 % intervals.
+
     Raises
     ------
     InputError
         The video or the setup cannot be used.
     NoTrustworthyResult
         No marker, or hardly any frame with one.
+    UsageError
+        An option out of its range, or a window that holds next to nothing of the track.
+
+    Notes
+    -----
+    Positions are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
+    1965, doi:10.2514/3.3166); the steady part is found by the marginal standard error rule (White, 1997,
+    doi:10.1177/003754979706900601).
+
+    Examples
+    --------
+    >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
+    >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
     """
     if fps is not None and not (math.isfinite(fps) and fps > 0):
         raise UsageError(f"--fps {fps:g} must be above 0")
     if max_gap_s is not None and not (math.isfinite(max_gap_s) and max_gap_s >= 0):
         raise UsageError(f"--max-gap {max_gap_s:g} must not be negative")
-    track_video_figures.check_window(window_s)
-    output = atomic.check_writable(output, inputs=(video, setup))
-    stills.check_output(Path(video), output)
+    swim.check_window(window_s)
+    video = Path(video)
+    inputs = [video, *([setup] if isinstance(setup, str | Path) else [])]
+    if output is not None:
+        output = atomic.check_writable(output, inputs=tuple(inputs))
+        stills.check_output(video, output)
+        inputs.append(output)
     if overlay_path is not None:
-        overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
-    rules = setup_format.read(setup)
+        overlay_path = atomic.check_writable(overlay_path, inputs=tuple(inputs))
+    rules = setup_format.of(setup)
     changed = {"frame_rate_hz": fps, "max_gap_s": max_gap_s}
+    source = setup if isinstance(setup, str | Path) else rules
     rules = rules.model_copy(update={k: v for k, v in changed.items() if v is not None})
+    made = Path(f"{video.stem}.csv") if output is None else output
     with recorded() as notices:
-        result = _track(
-            Path(video), rules, setup, output, overlay_path, window_s, metadata or {}, progress, notices
-        )
+        result, painter = _track(video, rules, source, made, window_s, metadata or {}, progress, notices)
+        if output is not None:
+            result = result.save(output)
+        if overlay_path is not None:
+            assert result.setup is not None
+            remark = overlay.write(
+                overlay_path, video, painter, result.setup, result.log.time_s, progress=progress
+            )
+            text = f"{result.text}\nnote: {remark}" if remark else result.text
+            result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
     for notice in notices:
         warn(notice.code, notice.text)
     return result
@@ -96,23 +161,23 @@ def track_video(
 def _track(
     video: Path,
     rules: Setup,
-    setup_path: str | Path,
-    output: Path,
-    overlay_path: Path | None,
+    source: str | Path | Setup,
+    made: Path,
     window_s: tuple[float | None, float | None],
     metadata: dict[str, Any],
     progress: Progress,
     notices: list[Notice],
-) -> Result:
+) -> tuple[Track, pictures.Painter]:
+    """The track, to be called ``made``, and what draws it into the film."""
     with progress(f"tracking {video.name}") as step:
         run = follow(video, rules, step=step)
     track, info, rules = run.track, run.info, run.setup
-    ground = plane.build(rules, info.width, info.height, file=str(setup_path))
+    ground = plane.build(rules, info.width, info.height, file=str(provenance.path_of(source)))
     _demand_markers(track, rules, run.kept)
     ground = pose.facing(track, rules, ground)
     result = pose.build(track, rules, ground)
-    found_checks = checks.run(track, result, rules, run.kept)
-    swum = track_video_figures.find(result, window_s)
+    found = checks.run(track, result, rules, run.kept)
+    swum = swim.find(result, rules.plane, window_s)
     count, total = int(result.measured.sum()), len(result.times)
 
     columns = pose.columns(result, track, rules)
@@ -126,32 +191,20 @@ def _track(
         **_reference(rules, ground),
         **metadata,
     }
-    log.write(output, columns, head)
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
-    log.warn_units(log.Log(output, head, {name: columns[name] for name in POSE if name in columns}))
+    log.warn_units(Log(made, head, {name: columns[name] for name in POSE if name in columns}))
     painter = pictures.Painter(track, result, rules)
-    proof = evidence.sidecar(output)
-    plot = output.with_suffix(".png")
-    pictures.save_plot(plot, result, rules, f"{video.name}: found in {count} of {total} frames")
-    outputs = [output, proof, plot]
-    remark = ""
-    if overlay_path is not None:
-        remark = overlay.write(overlay_path, video, painter, rules, result.times, progress=progress)
-        outputs.append(overlay_path)
-    block = provenance.collect(
-        [],
-        digests=provenance.digest_together(video, info.files) | provenance.digests_of([setup_path]),
-        settings=rules.model_dump(mode="json", exclude_none=True),
-    )
-    verdict = _verdict(found_checks, count, total, track_video_figures.headline(swum, ground.unit))
+    share = f"found in {count} of {total} frames"
     drawn = pictures.figures(track, result, rules)
-    track_video_figures.mark(drawn, swum)
-    record = evidence.Evidence(
+    swum.mark(drawn)
+    passed = "every self-check passes"
+    verdict = evidence.judged(found, f"Markers {share}", more=swum.headline(), passed=passed)
+    proof = evidence.Evidence(
         verb="track video",
         title=f"Track of {video.name}",
         verdict=verdict,
-        checks=found_checks,
-        tables=[track_video_figures.table(swum, rules, ground.unit), _segment_table(result)],
+        checks=found,
+        tables=[swum.table(), _segment_table(result)],
         figures=drawn,
         images=pictures.images(painter, run.kept),
         notices=[evidence.NoticeRecord(code=n.code, text=n.text) for n in notices],
@@ -159,14 +212,39 @@ def _track(
         references=[
             "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic "
             "systems. AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166",
-            track_video_figures.REFERENCE,
+            swim.REFERENCE,
         ],
-        provenance=block,
+        provenance=provenance.collect(
+            [],
+            digests=provenance.digest_together(video, info.files) | provenance.digests_of([source]),
+            settings=rules.model_dump(mode="json", exclude_none=True),
+        ),
     )
-    evidence.write(proof, record)
+    data = _facts(track, result, rules) | {
+        "swimming": swum.to_dict(),
+        "verdict": verdict.model_dump(),
+        "checks": [check.model_dump() for check in found],
+    }
+    made_track = Track(
+        "track video",
+        _summary(data, found, swum.lines()),
+        data,
+        evidence=proof,
+        document=Log(made, head, log.numeric(columns), None),
+        table=columns,
+        pose=result,
+        setup=rules,
+        heading=f"{video.name}: {share}",
+    )
+    return made_track, painter
+
+
+def _facts(track: RawTrack, result: Pose, rules: Setup) -> dict[str, Any]:
+    """How much was found, and how well, for machines."""
+    count, total, unit = int(result.measured.sum()), len(result.times), result.plane.unit
     span = checks.presence(track, result, rules)
     holes = [end - start for start, end in checks.gaps(result.measured, result.times)]
-    machine = {
+    return {
         "frames": total,
         "found": count,
         "found_share": count / total,
@@ -177,20 +255,15 @@ def _track(
         "segments": int(result.segment.max()),
         "gaps": len(holes),
         "longest_gap_s": max(holes, default=0.0),
-        "unit": ground.unit,
+        "unit": unit,
         "markers": {
             name: {"found": int(track.found[i].sum()), "at_edge": int(track.at_edge[i].sum())}
             for i, name in enumerate(track.names)
         },
-        "measurement_sd": {ground.unit: result.path.measurement_sd}
+        "measurement_sd": {unit: result.path.measurement_sd}
         | ({} if result.angle is None else {"rad": result.angle.measurement_sd}),
         "process_noise": {"order": result.path.order, "value": result.path.process_noise},
-        "swimming": track_video_figures.machine(swum, rules, ground.unit),
-        "verdict": verdict.model_dump(),
-        "checks": [check.model_dump() for check in found_checks],
     }
-    swim_lines = track_video_figures.lines(swum, rules, ground.unit)
-    return Result("track video", _summary(machine, found_checks, swim_lines, remark), machine, outputs)
 
 
 def _reference(rules: Setup, ground: plane.Plane) -> dict[str, Any]:
@@ -233,17 +306,6 @@ def _demand_markers(track: RawTrack, rules: Setup, kept: dict[int, Any]) -> None
         )
 
 
-def _verdict(found: list[evidence.Check], count: int, total: int, headline: str) -> evidence.Verdict:
-    share = f"Markers found in {count} of {total} frames"
-    failed = [c.name.lower() for c in found if c.verdict == "fail"]
-    doubted = [c.name.lower() for c in found if c.verdict == "warn"]
-    if failed:
-        return evidence.Verdict(level="bad", text=f"{share}; failed: {', '.join(failed)}.")
-    if doubted:
-        return evidence.Verdict(level="caution", text=f"{share}; look at: {', '.join(doubted)}.{headline}")
-    return evidence.Verdict(level="good", text=f"{share}; every self-check passes.{headline}")
-
-
 def _segment_table(result: pose.Pose) -> evidence.Table:
     rows: list[list[str | float | int | bool | None]] = []
     for number in range(1, int(result.segment.max()) + 1):
@@ -278,7 +340,7 @@ def _methods(rules: Setup, result: pose.Pose) -> list[str]:
         f"(measurement noise {result.path.measurement_sd:.2g} {result.plane.unit}).",
         f"Dropouts up to {rules.max_gap_s:g} s were bridged by the smoother and are flagged; longer ones "
         "were left empty.",
-        track_video_figures.METHODS,
+        swim.METHODS,
     ]
 
 
@@ -286,15 +348,15 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _summary(machine: dict[str, Any], found: list[evidence.Check], swum: list[str], remark: str) -> str:
-    first, last, end = (machine[key] for key in ("first_seen_s", "last_seen_s", "duration_s"))
+def _summary(data: dict[str, Any], found: list[Check], swum: list[str]) -> str:
+    first, last, end = (data[key] for key in ("first_seen_s", "last_seen_s", "duration_s"))
     seen = f", first seen at {first:.2f} s" if first > 0 else ""
     seen += f", last seen at {last:.2f} s of {end:.2f} s" if last < end else ""
     lines = [
-        f"found {machine['found']} of {machine['frames']} frames "
-        f"({100 * machine['found_share']:.1f} %){seen}, {machine['interpolated']} bridged, "
-        f"{machine['gaps']} gaps (longest {machine['longest_gap_s']:.3f} s), "
-        f"{machine['segments']} segment{'s' if machine['segments'] != 1 else ''}, unit {machine['unit']}"
+        f"found {data['found']} of {data['frames']} frames "
+        f"({100 * data['found_share']:.1f} %){seen}, {data['interpolated']} bridged, "
+        f"{data['gaps']} gaps (longest {data['longest_gap_s']:.3f} s), "
+        f"{data['segments']} segment{'s' if data['segments'] != 1 else ''}, unit {data['unit']}"
     ]
     width = max(len(check.name) for check in found)
     lines += [
@@ -302,7 +364,4 @@ def _summary(machine: dict[str, Any], found: list[evidence.Check], swum: list[st
         + (f"  ({check.limit})" if check.limit else "")
         for check in found
     ]
-    lines += swum
-    if remark:
-        lines.append(f"note: {remark}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *swum])

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
+
+from tests.generators import film_writer
 
 RED, YELLOW, GREEN, WHITE, BLACK, GREY = (
     (38, 38, 205),
@@ -231,13 +231,7 @@ def _draw(image: np.ndarray, thing: Thing, t: float) -> None:
 
 def write(path: Path, pool: Pool) -> Path:
     """Render a film as H.264; returns its path."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=Fraction(pool.rate_hz).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = pool.width, pool.height, "yuv420p"
-        stream.options = {"preset": "veryfast", "crf": str(pool.crf), "threads": "1"}
-        for image in frames(pool):
-            for packet in stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
-    return path
+    size = (pool.width, pool.height)
+    return film_writer.write(
+        path, frames(pool), size=size, times=pool.times(), rate_hz=pool.rate_hz, crf=pool.crf
+    )

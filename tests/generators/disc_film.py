@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import numpy as np
 
+from tests.generators import film_writer
+
 RED, YELLOW, WATER = (38, 38, 205), (45, 200, 225), (158, 128, 62)  # BGR
-_CLOCK, _SHIFT = 90_000, 64
+_SHIFT = 64
 #: A setup with one red marker; lines may be added.
 ONE_RED = """\
 format: swimid-setup/1
@@ -119,19 +119,10 @@ class Film:
 
     def write(self, path: Path) -> Path:
         """The film as H.264, every frame with its own stamp; returns ``path``."""
-        with av.open(str(path), "w") as container:
-            stream = container.add_stream("libx264", rate=Fraction(self.rate_hz).limit_denominator(1001))
-            stream.width, stream.height, stream.pix_fmt = self.width, self.height, "yuv420p"
-            stream.codec_context.time_base = Fraction(1, _CLOCK)
-            stream.options = {"preset": "veryfast", "crf": "12", "threads": "1"}
-            for time, image in zip(self.times(), self.frames(), strict=True):
-                picture = av.VideoFrame.from_ndarray(image, format="bgr24")
-                picture.pts, picture.time_base = round(time * _CLOCK), Fraction(1, _CLOCK)
-                for packet in stream.encode(picture):
-                    container.mux(packet)
-            for packet in stream.encode():
-                container.mux(packet)
-        return path
+        size = (self.width, self.height)
+        return film_writer.write(
+            path, self.frames(), size=size, times=self.times(), rate_hz=self.rate_hz, crf=12
+        )
 
 
 def still(x: float, y: float) -> Callable[[float], tuple[float, float]]:

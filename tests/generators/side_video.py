@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
+
+from tests.generators import film_writer
 
 #: Places of the markers, seen from the reference point: forward and up, m.
 FRONT, REAR = (0.46, 0.08), (-0.43, 0.06)
@@ -190,15 +190,10 @@ def frames(view: View, moved: Callable[[np.ndarray], Motion] = motion) -> Iterat
 
 def write_video(path: Path, view: View, moved: Callable[[np.ndarray], Motion] = motion) -> None:
     """Render a view as H.264."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=Fraction(view.rate_hz).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = view.width, view.height, "yuv420p"
-        stream.options = {"preset": "ultrafast", "crf": str(view.crf), "threads": "1"}
-        for image in frames(view, moved):
-            for packet in stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
+    size = (view.width, view.height)
+    film_writer.write(
+        path, frames(view, moved), size=size, times=view.times(), rate_hz=view.rate_hz, crf=view.crf
+    )
 
 
 #: Four marks held in the plane of motion, m: x along the robot's way, z up.

@@ -441,6 +441,7 @@ def simulate(
     drive: Mapping[str, Any],
     duration_s: float,
     rate_hz: float = 50.0,
+    rtol: float = 1e-8,
     **robot_options: Any,
 ) -> dict[str, np.ndarray]:
     """One run from rest, without noise.
@@ -454,6 +455,8 @@ def simulate(
         ``frequency_hz``, ``amplitude_deg`` (tfish: of the whole tail), and optionally ``bias_deg``,
         ``ramp_s``, as in a trials file.
     duration_s, rate_hz : float
+    rtol : float
+        Local error of the integration.
     robot_options
         Of the function named ``kind``.
 
@@ -462,7 +465,7 @@ def simulate(
     dict of ndarray
         ``t_s``, pose of the nose, its velocity in the frame of link 0, and every joint's angle.
     """
-    return swim(KINDS[kind](parameters, **robot_options), drive, duration_s, rate_hz=rate_hz)
+    return swim(KINDS[kind](parameters, **robot_options), drive, duration_s, rate_hz=rate_hz, rtol=rtol)
 
 
 @dataclass

@@ -1,7 +1,8 @@
-"""MATLAB files up to version 7.2, by SciPy."""
+"""MATLAB files: up to version 7.2 by SciPy, of version 7.3 by pymatreader."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,17 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.logs.foreign.base import Loaded, Options, Reader, one_of, sorted_out
 
+#: What a file of version 7.3 begins with; behind it lies HDF5.
+NEW = b"MATLAB 7.3"
 #: Of a longer cell array the rest is left.
 MOST_CELLS = 1000
 
 
-def _open(path: Path, options: Options) -> Loaded:
-    from scipy.io import loadmat
-
+def load(path: Path, options: Options) -> Loaded:
+    """Read every array of numbers a file holds."""
     try:
-        content = loadmat(path, simplify_cells=True)
-    except Exception as error:  # damaged files make SciPy raise whatever comes
+        content = _content(path)
+    except Exception as error:  # damaged files make the libraries raise whatever comes
         first = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"is no readable MATLAB file: {first}", file=path) from error
     content = {name: value for name, value in content.items() if not name.startswith("__")}
@@ -35,6 +37,27 @@ def _open(path: Path, options: Options) -> Loaded:
             hint="a MATLAB table is an object only MATLAB reads: save its columns, or use writetable",
         )
     return Loaded(columns, metadata, scalars)
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """The file's variables; structs as dictionaries, cell arrays as lists."""
+    from scipy.io import loadmat
+
+    with path.open("rb") as stream:
+        new = stream.read(len(NEW)) == NEW
+    if not new:
+        content: dict[str, Any] = loadmat(path, simplify_cells=True)
+        return content
+    from pymatreader import read_mat
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of objects, which only MATLAB reads
+        return dict(_sorted(read_mat(path, ignore_fields=["#subsystem#"])))
+
+
+def _sorted(value: Any) -> Any:
+    """Structs with their fields in the order of their names: pymatreader gives them in any."""
+    return {name: _sorted(value[name]) for name in sorted(value)} if isinstance(value, dict) else value
 
 
 def _chosen(content: dict[str, Any], options: Options, path: Path) -> Any:
@@ -53,7 +76,10 @@ def _flatten(prefix: str, value: Any, arrays: dict[str, NDArray[Any]], metadata:
         for name, inner in value.items():
             _flatten(f"{prefix}.{name}" if prefix else str(name), inner, arrays, metadata)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
-        for at, inner in enumerate(np.asarray(value, dtype=object).ravel()[:MOST_CELLS], start=1):
+        # NumPy would take vectors of one length for a matrix of cells
+        vectors = isinstance(value, list) and any(isinstance(cell, np.ndarray) for cell in value)
+        cells = value if vectors else np.asarray(value, dtype=object).ravel()
+        for at, inner in enumerate(cells[:MOST_CELLS], start=1):
             _flatten(f"{prefix}{{{at}}}", inner, arrays, metadata)
     elif isinstance(value, str):
         if value.strip():
@@ -64,4 +90,4 @@ def _flatten(prefix: str, value: Any, arrays: dict[str, NDArray[Any]], metadata:
             arrays[prefix] = np.atleast_1d(array)
 
 
-READER = Reader("mat", "MATLAB file (up to version 7.2)", (".mat",), _open, magic=(b"MATLAB 5.0",))
+READER = Reader("mat", "MATLAB file", (".mat",), load, magic=(b"MATLAB 5.0", NEW))

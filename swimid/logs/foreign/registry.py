@@ -8,8 +8,10 @@ from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
+from swimid.files import yamlio
 from swimid.logs import foreign
-from swimid.logs.foreign.base import Options, Reader, Source
+from swimid.logs.foreign.base import Loaded, Options, Reader, Source
+from swimid.logs.log import Log
 
 
 @cache
@@ -54,15 +56,17 @@ def reader_of(path: Path, options: Options) -> Reader:
     return next((r for r in known.values() if ending in r.endings), known["delimited"])
 
 
-def open_source(path: str | Path, options: Options | None = None) -> Source:
-    """Open a log of another program.
+def open_source(given: str | Path | Log, options: Options | None = None) -> Source:
+    """Open a log of another program, or what is in memory already.
 
     Raises
     ------
     InputError
         When it cannot be read, or its reader needs an extra that is not installed.
     """
-    path, options = Path(path), options or Options()
+    if isinstance(given, Log):
+        return Loaded(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
+    path, options = Path(given), options or Options()
     reader = reader_of(path, options)
     try:
         return reader.open(path, options)

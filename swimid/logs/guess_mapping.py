@@ -3,51 +3,84 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.files import atomic
-from swimid.logs import mapping
+from swimid.files import atomic, yamlio
+from swimid.files.provenance import path_of
+from swimid.logs import log, mapping
 from swimid.logs.foreign import Source, open_source
 from swimid.logs.foreign.delimited import DelimitedSource
 from swimid.logs.guessing import Guess, guess
+from swimid.logs.log import LogLike
+from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
 
 #: Samples looked at.
 SAMPLE = 20_000
 
 
-def guess_mapping(path: str | Path, *, output: Path | None = None) -> Result:
-    """Draft the mapping of a file; each line says what it rests on.
+@dataclass(frozen=True, eq=False)
+class Draft(Result):
+    """A mapping to look through, as ``guess_mapping`` gives it; ``document`` is its commented YAML."""
+
+    format = mapping.FORMAT
+
+    @property
+    def mapping(self) -> Mapping:
+        """The mapping itself, for ``import_log`` and ``track_imu``."""
+        return mapping.of(yamlio.parse_scalar(self.document))
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        return [path]
+
+
+def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft:
+    """Draft the mapping of a foreign log from names and values; each line says what it rests on.
 
     Parameters
     ----------
-    path : path
-        The foreign log.
+    source : path, DataFrame or Log
+        The foreign log; a table has shape (n, k), one row a sample. Up to :data:`SAMPLE` rows are looked at.
     output : path, optional
-        The mapping; without it the text is the outcome's summary.
+        The mapping file; without it nothing is written.
+
+    Returns
+    -------
+    Draft
+        ``.document`` the text of the mapping file, ``.mapping`` the mapping in memory.
 
     Raises
     ------
     InputError
         When the file cannot be read.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> draft = guess_mapping(pd.DataFrame({"Time (ms)": [0, 20, 40], "Yaw [deg]": [1.0, 1.5, 1.2]}))
+    >>> [(c.source, c.target, c.unit) for c in draft.mapping.columns]
+    [('Yaw [deg]', 'yaw_rad', 'deg')]
     """
-    path = Path(path)
-    source = open_source(path)
+    given = log.unread(source)
+    path = path_of(given)
+    opened = open_source(given)
     try:
-        columns = _sample(source)
+        columns = _sample(opened)
         headed, written = True, {}
-        if isinstance(source, DelimitedSource):
-            headed = source.layout.headed
-            written = dict(zip(source.layout.names, source.layout.units, strict=False))
+        if isinstance(opened, DelimitedSource):
+            headed = opened.layout.headed
+            written = dict(zip(opened.layout.names, opened.layout.units, strict=False))
         guesses = guess(columns, written, headed=headed)
-        text = draft(path.name, source, guesses, columns)
+        text = draft(path.name, opened, guesses, columns)
     finally:
-        source.close()
-    result = {
+        opened.close()
+    data = {
         "file": str(path),
         "mapping": text,
         "columns": [
@@ -55,15 +88,10 @@ def guess_mapping(path: str | Path, *, output: Path | None = None) -> Result:
         ],
     }
     if output is None:
-        return Result("import", text.rstrip("\n"), result)
-    atomic.write_text(output, text)
+        return Draft("import", text.rstrip("\n"), data, document=text)
     mapped = sum(g.target is not None for g in guesses)
-    return Result(
-        "import",
-        f"{path.name}: {mapped} of {len(guesses)} columns guessed; look at every line of {output}",
-        result,
-        [output],
-    )
+    told = f"{path.name}: {mapped} of {len(guesses)} columns guessed; look at every line of {output}"
+    return Draft("import", told, data, document=text).save(output)
 
 
 def _sample(source: Source) -> dict[str, NDArray[np.float64]]:

@@ -1,22 +1,26 @@
-"""What an imported log rests on, as evidence, and its summary."""
+"""The result of importing a log: the log in order, what was found in it, and its evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import numpy as np
 
+from swimid.logs import bulk, log
 from swimid.logs import figures as log_figures
-from swimid.logs import log
+from swimid.logs.examine import Examined
 from swimid.logs.interval import Estimate
+from swimid.logs.log import Log
+from swimid.logs.logged import Logged
 from swimid.logs.mapping import Mapping
-from swimid.notices import Notice
+from swimid.logs.sampling import usual_step
+from swimid.notices import Notice, recorded
+from swimid.progress import Progress, silent
 from swimid.results import numbers
-from swimid.results.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, Verdict
-
-if TYPE_CHECKING:
-    from swimid.logs.import_log import Imported
+from swimid.results.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, judged
 
 #: Samples a stroke needs for the path to be followed.
 RESOLVED = 6.0
@@ -26,27 +30,98 @@ OFF_LINE = 0.1
 MANY = 0.2
 
 
-def build(
-    found: Imported, target: Path, rules: Mapping | None, provenance: dict[str, Any], notices: list[Notice]
+@dataclass(frozen=True, eq=False)
+class Imported(Logged):
+    """A log of another program in the log format, as ``import_log`` gives it.
+
+    Attributes
+    ----------
+    examined : Examined
+        Rows put in order, jumps of the track, its speed, and the stroke; None where it was read from a file.
+    mapping : Mapping or None
+        What said which column is which.
+    notices : sequence of Notice
+        Warnings that were raised before its figures were drawn.
+    progress : Progress
+        Shows the writing.
+    """
+
+    examined: Examined | None = None
+    mapping: Mapping | None = None
+    notices: Sequence[Notice] = ()
+    progress: Progress = field(default=silent, repr=False)
+
+    def save(self, path: str | Path) -> Self:
+        """Write the log, and beside it its evidence, in which the log has the file's name.
+
+        Raises
+        ------
+        InputError
+            When the folder does not exist or cannot be written.
+        """
+        renamed, path = self, Path(path)
+        if self.examined is not None and self.evidence is not None and path.name != self.log.name:
+            made = replace(self.log, path=path)
+            proof = _evidence(made, self.examined, self.mapping, self.evidence.provenance, self.notices)
+            renamed = replace(self, document=made, evidence=proof)
+        return super(Imported, renamed).save(path)
+
+    def _write(self, path: Path) -> list[Path]:
+        with self.progress(f"writing {path.name}", total=len(self.log)) as step:
+            bulk.write(path, self.log.columns, self.log.metadata, step=step)
+        return [path]
+
+
+def result(
+    found: Examined,
+    name: str,
+    rules: Mapping | None,
+    provenance: dict[str, Any],
+    notices: Sequence[Notice],
+    progress: Progress,
+) -> Imported:
+    """The result of importing one log, to be called ``name``."""
+    made = Log(Path(name), found.metadata, found.columns, None)
+    proof = _evidence(made, found, rules, provenance, notices)
+    data = _facts(found, proof)
+    return Imported(
+        "import",
+        _summary(found, data),
+        data,
+        evidence=proof,
+        document=made,
+        examined=found,
+        mapping=rules,
+        notices=notices,
+        progress=progress,
+    )
+
+
+def _evidence(
+    made: Log,
+    found: Examined,
+    rules: Mapping | None,
+    provenance: dict[str, Any],
+    notices: Sequence[Notice],
 ) -> Evidence:
-    """The evidence of one imported log."""
     checks = _checks(found)
-    figures = log_figures.figures([log.Log(target, found.metadata, found.columns)], found=found.stroke)
+    with recorded(repeat=True) as drawn:
+        figures = log_figures.figures([made], found=found.stroke)
     return Evidence(
         verb="import",
-        title=f"Log {target.name}, imported from {found.path.name}",
-        verdict=_verdict(found, checks),
+        title=f"Log {made.name}, imported from {found.path.name}",
+        verdict=judged(checks, f"{len(found.time_s)} samples in {len(found.columns) - 1} channels"),
         checks=checks,
         tables=[_columns(found, rules), *_speeds(found), *_strokes(found)],
         figures=figures,
-        notices=[NoticeRecord(code=n.code, text=n.text) for n in notices],
+        notices=[NoticeRecord(code=n.code, text=n.text) for n in [*notices, *drawn]],
         methods=_methods(found),
         references=_references(found),
         provenance=provenance,
     )
 
 
-def _checks(found: Imported) -> list[Check]:
+def _checks(found: Examined) -> list[Check]:
     order, n = found.order, len(found.time_s)
     odd = order.untimed + order.repeated + order.clashing + order.late
     checks = [
@@ -152,18 +227,7 @@ def _longest(gaps: list[tuple[float, float]]) -> float:
     return max((end - start for start, end in gaps), default=0.0)
 
 
-def _verdict(found: Imported, checks: list[Check]) -> Verdict:
-    head = f"{len(found.time_s)} samples in {len(found.columns) - 1} channels"
-    failed = [check.name.lower() for check in checks if check.verdict == "fail"]
-    doubted = [check.name.lower() for check in checks if check.verdict == "warn"]
-    if failed:
-        return Verdict(level="bad", text=f"{head}; failed: {', '.join(failed)}.")
-    if doubted:
-        return Verdict(level="caution", text=f"{head}; look at: {', '.join(doubted)}.")
-    return Verdict(level="good", text=f"{head}; every check passes.")
-
-
-def _columns(found: Imported, rules: Mapping | None) -> Table:
+def _columns(found: Examined, rules: Mapping | None) -> Table:
     sources: dict[str, list[str]] = {}
     if rules is not None:
         sources = {c.target: [str(c.source), f"{c.scale:.6g}", f"{c.offset:.6g}"] for c in rules.columns}
@@ -184,7 +248,7 @@ def _columns(found: Imported, rules: Mapping | None) -> Table:
     )
 
 
-def _speeds(found: Imported) -> list[Table]:
+def _speeds(found: Examined) -> list[Table]:
     speed = found.speed
     if speed is None:
         return []
@@ -206,7 +270,7 @@ def _speeds(found: Imported) -> list[Table]:
     ]
 
 
-def _strokes(found: Imported) -> list[Table]:
+def _strokes(found: Examined) -> list[Table]:
     stroke = found.stroke
     if stroke is None:
         return []
@@ -247,12 +311,12 @@ def _strokes(found: Imported) -> list[Table]:
     return tables
 
 
-def _frequency(found: Imported) -> str:
+def _frequency(found: Examined) -> str:
     assert found.stroke is not None
     return numbers.measured(found.stroke.beat.frequency_hz, found.stroke.beat.stderr_hz, "Hz")
 
 
-def _methods(found: Imported) -> list[str]:
+def _methods(found: Examined) -> list[str]:
     sentences = []
     if found.cleaned and found.cleaning is not None:
         sentences.append(
@@ -274,7 +338,7 @@ def _methods(found: Imported) -> list[str]:
     return sentences
 
 
-def _references(found: Imported) -> list[str]:
+def _references(found: Examined) -> list[str]:
     if found.cleaning is None:
         return []
     return [
@@ -285,7 +349,70 @@ def _references(found: Imported) -> list[str]:
     ]
 
 
-def summary(found: Imported, machine: dict[str, Any]) -> str:
+def _facts(found: Examined, record: Evidence) -> dict[str, Any]:
+    """The result for machines."""
+    time = found.time_s
+    step = usual_step(time)
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
+    return {
+        "file": str(found.path),
+        "samples": len(time),
+        "duration_s": float(time[-1] - time[0]),
+        "median_rate_hz": 1 / step if step > 0 else None,
+        "columns": list(found.columns),
+        "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
+        "rows": {k: getattr(found.order, k) for k in ("untimed", "repeated", "clashing", "late")},
+        "notes": found.notes,
+        "track": None
+        if cleaning is None
+        else {
+            "cleaned": found.cleaned,
+            "repeats": int(cleaning.repeated.sum()),
+            "jumps": cleaning.jumps,
+            "samples_jumped": int(cleaning.jumped.sum()),
+            "goes_on_elsewhere": len(cleaning.offset_rows),
+            "gaps_s": [list(gap) for gap in cleaning.gaps],
+        },
+        "speed": None
+        if speed is None
+        else {
+            f"path_{found.unit}_s": speed.path.value,
+            "path_ci95": [speed.path.low, speed.path.high],
+            f"line_{found.unit}_s": speed.line.value,
+            "line_ci95": [speed.line.low, speed.line.high],
+            f"naive_{found.unit}_s": speed.naive_m_s,
+            f"noise_{found.unit}": speed.noise_m,
+            "covered_s": speed.covered_s,
+        },
+        "stroke": {"unknown": found.unknown}
+        if stroke is None
+        else {
+            "frequency_hz": stroke.beat.frequency_hz,
+            "stderr_hz": stroke.beat.stderr_hz,
+            "ci95_hz": list(stroke.interval_hz),
+            "period_s": stroke.period_s[0],
+            "cycles": stroke.beat.cycles,
+            "channel": stroke.channel,
+            "maybe_double": stroke.maybe_double,
+            "harmonics": [
+                {"order": h.order, "amplitude": h.amplitude, "stderr": h.stderr} for h in stroke.harmonics
+            ],
+            "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "contradiction": found.against,
+        },
+        "line": None
+        if found.projection is None
+        else {
+            "direction": [float(part) for part in found.projection.direction],
+            "extent": found.projection.extent,
+            "across_rms": found.projection.across,
+        },
+        "verdict": record.verdict.model_dump(),
+        "checks": [check.model_dump() for check in record.checks],
+    }
+
+
+def _summary(found: Examined, machine: dict[str, Any]) -> str:
     """The result for the terminal."""
     rate = machine["median_rate_hz"]
     lines = [

@@ -1,15 +1,59 @@
-"""The drafted setup file as commented YAML."""
+"""The drafted setup: its commented YAML, and a picture with the markers drawn in."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from swimid.files import yamlio
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.files import atomic, yamlio
+from swimid.results.result import Result
+from swimid.tracking import setup as setup_format
 from swimid.tracking.propose import Passed
+from swimid.tracking.reader import Frame
+from swimid.tracking.run import Run
 from swimid.tracking.setup import Setup
 
+#: Pictures on the contact sheet, and the width of each.
+_SHEET, _SHEET_WIDTH = 4, 640
 
-def write(
+
+@dataclass(frozen=True, eq=False)
+class SetupDraft(Result):
+    """A setup to look through, as ``track_setup`` gives it; ``document`` is its commented YAML.
+
+    Attributes
+    ----------
+    sheet : ndarray of uint8, shape (height, width, 3)
+        Frames of the film with the markers circled and named, RGB: ``plt.imshow(draft.sheet)``.
+    """
+
+    sheet: NDArray[np.uint8] | None = None
+
+    format = setup_format.FORMAT
+
+    @property
+    def setup(self) -> Setup:
+        """The setup itself, for ``track_video``."""
+        return setup_format.of(yamlio.parse_scalar(self.document))
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        if self.sheet is None:
+            return [path]
+        picture = path.with_suffix(".markers.png")
+        ok, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
+        assert ok
+        with atomic.replacing(picture) as temporary:
+            temporary.write_bytes(data.tobytes())
+        return [path, picture]
+
+
+def text_of(
     setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
 ) -> str:
     """The setup as commented YAML.
@@ -96,3 +140,35 @@ def write(
 
 def _list(values: Any) -> str:
     return "[" + ", ".join(f"{v:g}" for v in values) + "]"
+
+
+def sheet_of(run: Run, setup: Setup) -> NDArray[np.uint8]:
+    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
+    tiles = []
+    everywhere = np.atleast_1d(run.track.found.all(axis=0))
+    ranked = sorted(run.kept, key=lambda k: (not (k < len(everywhere) and everywhere[k]), k))
+    for index in sorted(ranked[:_SHEET]):
+        frame = run.kept[index].copy()
+        factor = _SHEET_WIDTH / frame.shape[1]
+        tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        for box in setup.ignore_px:
+            corners = [round(factor * v) for v in box]
+            cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+        for i, name in enumerate(run.track.names):
+            if index < len(everywhere) and run.track.found[i, index]:
+                x, y = factor * run.track.x[i, index], factor * run.track.y[i, index]
+                radius = round(factor * float(np.sqrt(run.track.area[i, index] / np.pi))) + 5
+                cv2.circle(tile, (round(x), round(y)), radius, (0, 159, 230), 2, cv2.LINE_AA)
+                _label(tile, name, (round(x) + radius + 3, round(y) + 4))
+        _label(tile, f"frame {index}", (8, tile.shape[0] - 8))
+        tiles.append(tile)
+    while len(tiles) % 2:
+        tiles.append(np.zeros_like(tiles[0]))
+    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
+    return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _label(image: Frame, text: str, where: tuple[int, int]) -> None:
+    for shade, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, shade, width, cv2.LINE_AA)

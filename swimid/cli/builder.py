@@ -1,0 +1,156 @@
+"""A command made of a verb's options: what is typed becomes keyword arguments of its function."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swimid.cli import parsing
+from swimid.cli.common import Shared, protect, running, shared_options
+
+if TYPE_CHECKING:
+    from swimid.options import Declared, Options
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A command: what it is called, what it says, and the function that does it.
+
+    Attributes
+    ----------
+    name : str
+    function : str
+        ``package.module:function``; it takes the argument, ``output``, the options, and ``progress`` or
+        ``allow`` where it wants them. Imported when the command runs.
+    options : str
+        ``package.module:class`` of its model of options. Imported when its options are looked at.
+    output : str
+        What ``-o`` writes.
+    help : str
+        Its first line is what the list of commands shows, where ``short`` is empty.
+    short : str
+    argument : str
+        Metavar of the files it takes, ``LOG...`` for several; empty for none.
+    output_flags : tuple of str
+    required : bool
+        Whether it must be told where to write.
+    prints : bool
+        Whether without a file its document goes to stdout.
+    check : callable, optional
+        ``check(output, options, shared)`` before the work: what only the command line can get wrong. It may
+        change the options.
+    """
+
+    name: str
+    function: str
+    options: str
+    output: str
+    help: str
+    short: str = ""
+    argument: str = "TRIALS"
+    output_flags: tuple[str, ...] = ("-o", "--output")
+    required: bool = False
+    prints: bool = False
+    check: Callable[[Path | None, dict[str, Any], Shared], None] | None = None
+
+    def model(self) -> type[Options]:
+        """The model of its options."""
+        return _load(self.options)
+
+    def command(self) -> click.Command:
+        """The command; its options are imported when they are looked at."""
+        return _Command(self)
+
+
+class _Command(click.Command):
+    """A command with the options of a verb."""
+
+    def __init__(self, verb: Verb) -> None:
+        shared = shared_options(verb.output, output_flags=verb.output_flags, required=verb.required)
+        plain = click.command()(shared(_runner(verb)))
+        super().__init__(
+            verb.name,
+            params=plain.params,
+            callback=plain.callback,
+            help=inspect.cleandoc(verb.help),
+            short_help=verb.short or None,
+        )
+        self.verb = verb
+        self._own: list[click.Parameter] | None = None
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The files, the options of the verb, those of every verb."""
+        if self._own is None:
+            declared = self.verb.model().declared().values()
+            self._own = [*_argument(self.verb), *(_option(entry) for entry in declared)]
+        return [*self._own, *super().get_params(ctx)]
+
+
+def _argument(verb: Verb) -> list[click.Parameter]:
+    if not verb.argument:
+        return []
+    count = -1 if verb.argument.endswith("...") else 1
+    path = click.Path(path_type=Path)
+    return [click.Argument(["files"], nargs=count, required=True, metavar=verb.argument, type=path)]
+
+
+def _option(entry: Declared) -> click.Option:
+    """An option as click takes it; what is more than one word is parsed when the command runs."""
+    names = [entry.flags, entry.name]
+    if entry.kind is bool:
+        shown = "/" in entry.flags and entry.default is not None
+        return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
+    word = parsing.word_of(entry)
+    single = not word.multiple
+    return click.Option(
+        names,
+        type=word.type,
+        nargs=word.nargs,
+        multiple=word.multiple,
+        default=entry.default if single else None,
+        show_default=single and entry.default is not None,
+        required=entry.required,
+        metavar=entry.metavar,
+        help=entry.help,
+    )
+
+
+def _runner(verb: Verb) -> Callable[..., None]:
+    """What the command does: parse, protect the outputs, call the function, print."""
+
+    def run_verb(shared: Shared, files: Any = None, **typed: Any) -> None:
+        with running(verb.name, shared) as run:
+            declared = verb.model().declared()
+            options = {name: parsing.value_of(declared[name], text) for name, text in typed.items()}
+            output = None if verb.prints and str(shared.output) == "-" else shared.output
+            if verb.check is not None:
+                verb.check(output, options, shared)
+            read = [*(files if isinstance(files, tuple) else (files,))] if files else []
+            read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
+            function = _load(verb.function)
+            wanted = inspect.signature(function).parameters
+            offered: dict[str, Any] = {"progress": run.progress}
+            if "allow" in wanted:
+                offered["allow"] = lambda path: protect(path, shared, inputs=tuple(read))
+            else:
+                protect(output, shared, inputs=tuple(read))
+            given = {name: value for name, value in offered.items() if name in wanted}
+            outcome = function(*([files] if files else []), output=output, **options, **given)
+            if verb.prints and output is None and not shared.as_json:
+                # the document is the result: --quiet must not swallow it
+                click.echo(outcome.text)
+                outcome = replace(outcome, text="")
+            run.finish(outcome)
+
+    return run_verb
+
+
+def _load(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -1,0 +1,124 @@
+"""The fit of a model of one's own: any :class:`~swimid.fitting.model.Model`, any trials, in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files import atomic, provenance
+from swimid.files.provenance import Held
+from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting.model import Model, Trial, chosen
+from swimid.notices import recorded
+from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
+from swimid.results.fitted import Fitted, rows
+
+
+def fit_model(
+    model: Model,
+    trials: Sequence[Trial],
+    *,
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    robot: str = "",
+    inputs: Sequence[Path | Held] = (),
+    output: str | Path | None = None,
+    verb: str = "fit",
+    progress: Progress = silent,
+) -> Fitted:
+    """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
+
+    Parameters
+    ----------
+    model : Model
+    trials : sequence of Trial
+        Those of role ``validate`` are held out: simulated and scored, not fitted.
+    fixed : mapping of name to float, optional
+        Parameters held at a value.
+    freed : sequence of str
+        Parameters estimated that are fixed by default.
+    bounds : mapping of name to (lower, upper), optional
+    robot : str
+        Whose parameters they are, for the parameter file.
+    inputs : sequence of Path or Held
+        What the trials were made of, for the provenance: ``log.source`` of each log.
+    output : path, optional
+        Parameter file to write, its evidence beside it; nothing is written without.
+    verb : str
+        The command this is the fit of, for the evidence.
+
+    Returns
+    -------
+    Fitted
+
+    Raises
+    ------
+    UsageError
+        For a parameter that the model does not have, or no trial to fit.
+    InputError
+        When the output cannot be written.
+    NoTrustworthyResult
+        When the search does not converge, or nothing can be identified.
+
+    See Also
+    --------
+    swimid.fitting.output_error.fit : the estimator, with its method.
+    """
+    if not any(trial.role == "fit" for trial in trials):
+        raise UsageError("there is no trial to fit")
+    target = None if output is None else atomic.check_writable(Path(output), inputs=provenance.files(inputs))
+    with recorded(repeat=True) as notices:
+        parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
+        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
+        result = start_states.with_held_out(result)
+        origin = provenance.collect(inputs, settings=_settings(fixed, freed, bounds))
+        file = fit_common.parameter_file(result, robot=robot, provenance=origin)
+        checks = fit_common.checks(result, file)
+    shared = [label for label in result.labels if "[" not in label]
+    if shared and all(result.status[label] != "estimated" for label in shared):
+        raise NoTrustworthyResult(
+            f"none of {', '.join(shared)} can be identified from these trials",
+            hint="use more trials, and such as differ more",
+        )
+    fitted_trials = sum(trial.role == "fit" for trial in trials)
+    used = f"{fitted_trials} trial{'s' if fitted_trials != 1 else ''}"
+    whose = f"{model.name} of {robot}" if robot else model.name
+    evidence = ev.Evidence(
+        verb=verb,
+        title=f"Fit of {whose}",
+        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        checks=checks,
+        figures=fit_common.figures(result),
+        notices=fit_common.notices(notices),
+        methods=[
+            f"{', '.join(shared)} were estimated from {used} ({result.samples} samples) "
+            f"by output-error maximum likelihood with the model {model.name}.",
+            "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
+            "accounted for.",
+        ],
+        provenance=origin,
+    )
+    text = "\n".join(
+        [
+            f"{whose}: {used}, {result.samples} samples",
+            rows(fit_common.brief(file)),
+            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+        ]
+    )
+    return fit_common.fitted(verb, text, file, evidence, target)
+
+
+def _settings(
+    fixed: Mapping[str, float] | None,
+    freed: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]] | None,
+) -> dict[str, Any]:
+    return {
+        "fixed": dict(fixed or {}),
+        "freed": list(freed),
+        "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
+    }

@@ -1,0 +1,307 @@
+"""The options of a verb, declared once.
+
+A model of options is a class of :class:`Options` with one :func:`option` for each. From it come the keyword
+arguments of the verb's function and their part of its docstring (:func:`takes`), the options and the help of
+the command (``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`) and the
+table in the docs (``swimid.cli.table``).
+
+Models of options import this module and typing only, so that ``--help`` stays fast.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from swimid.errors import SwimidError, UsageError, suggestion
+
+Returned = TypeVar("Returned")
+
+#: Characters of a refused value that a message quotes.
+LONGEST = 60
+#: A file, or in its place what would be in it; on the command line always a file.
+Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
+
+
+def option(
+    default: Any = ...,
+    *,
+    help: str,
+    flag: str | None = None,
+    metavar: str | None = None,
+    separated: bool = False,
+    written: bool = False,
+    recorded: bool | str = True,
+    part: str = "",
+    **limits: float,
+) -> Any:
+    """One option: a field of a model of options.
+
+    Parameters
+    ----------
+    default
+        Its value where it is not given. Without one it must be.
+    help : str
+        What it does, with its unit: a line of ``--help``, of the docstring and of the docs.
+    flag : str, optional
+        As it is typed; default ``--`` and the name of the field. ``--on/--off`` for what can be refused.
+    metavar : str, optional
+        What stands for its value in the help.
+    separated : bool
+        Whether several values may be given at once with commas between them.
+    written : bool
+        Whether it is a file to write, not one to read.
+    recorded : bool or str
+        Whether it is part of the provenance's settings, and its key there; default the name of the field.
+    part : str
+        The group of options it belongs to, where a model treats some alike.
+    **limits
+        Bounds of a number: ``ge``, ``gt``, ``le``, ``lt``.
+    """
+    notes = {
+        "flag": flag, "metavar": metavar, "separated": separated, "written": written, "recorded": recorded,
+        "part": part,
+    }  # fmt: skip
+    return Field(default, description=help, json_schema_extra=cast(Any, notes), **cast(Any, limits))
+
+
+class Options(BaseModel):
+    """Base of the options of a verb; what is given is validated, and cannot be changed afterwards."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """The options from those given; None stands for the default.
+
+        Raises
+        ------
+        UsageError
+            For an option that does not exist, is missing, or has a value that is not allowed.
+        """
+        stated = {name: value for name, value in given.items() if value is not None}
+        try:
+            return cls(**stated)
+        except ValidationError as error:
+            raise _refusal(cls, error) from error
+
+    @classmethod
+    def declared(cls) -> dict[str, Declared]:
+        """Every option by the name of its field, in order."""
+        return {name: Declared(name, info) for name, info in cls.model_fields.items()}
+
+    def settings(self, **found: Any) -> dict[str, Any]:
+        """The options as the provenance records them, as plain data.
+
+        Parameters
+        ----------
+        **found
+            What a key is to say in place of the option as it was given.
+        """
+        recorded = {
+            entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
+        }
+        return {key: found.get(key, value) for key, value in recorded.items()}
+
+
+class Declared:
+    """An option as its model declares it.
+
+    Attributes
+    ----------
+    name : str
+        Of the field, and of the keyword argument.
+    flags : str
+        As it is typed on the command line, ``--on/--off`` where both can be said.
+    metavar : str or None
+    help : str
+    kind : type
+        Its type without None.
+    default
+    required : bool
+    limits : dict of str to float
+        ``ge``, ``gt``, ``le``, ``lt``.
+    separated, written : bool
+    key : str
+        In the settings of the provenance; empty where it is not part of them.
+    part : str
+    """
+
+    def __init__(self, name: str, info: FieldInfo) -> None:
+        notes = cast("dict[str, Any]", info.json_schema_extra)
+        self.name = name
+        self.flags: str = notes["flag"] or f"--{name.replace('_', '-')}"
+        self.metavar: str | None = notes["metavar"]
+        self.help = info.description or ""
+        self.kind = without_none(info.annotation)
+        self.annotation = info.annotation
+        self.required = info.is_required()
+        self.default = None if self.required else info.default
+        self.limits: dict[str, float] = {
+            end: getattr(rule, end)
+            for rule in info.metadata
+            for end in ("ge", "gt", "le", "lt")
+            if hasattr(rule, end)
+        }
+        self.separated: bool = notes["separated"]
+        self.written: bool = notes["written"]
+        recorded = notes["recorded"]
+        self.key: str = recorded if isinstance(recorded, str) else name if recorded else ""
+        self.part: str = notes["part"]
+
+    @property
+    def flag(self) -> str:
+        """The option as it is named in a message."""
+        return self.flags.split("/")[0].split(" ")[-1]
+
+    def files(self, value: Any) -> list[Path]:
+        """The files a value of it names, those to read only."""
+        if value is None or self.written or Path not in _leaves(self.kind):
+            return []
+        several = value if isinstance(value, list | tuple) else [value]
+        return [Path(one) for one in several if isinstance(one, str | Path)]
+
+    def stands_for(self) -> str:
+        """What stands for its value where it is typed; empty for what is only said."""
+        if self.metavar or self.kind is bool:
+            return self.metavar or ""
+        if get_origin(self.kind) is Literal:
+            return "|".join(get_args(self.kind))
+        leaf = _leaves(self.kind)[0]
+        return {int: "N", float: "X", Path: "FILE"}.get(leaf, "TEXT")
+
+    def default_text(self) -> str:
+        """Its default as the docs say it."""
+        if self.required:
+            return "required"
+        return "" if self.default in (None, (), {}, False) else f"`{self.default}`"
+
+    def type_text(self) -> str:
+        """Its type as a docstring says it."""
+        text = _type_text(self.kind)
+        if self.default is None:
+            return text if self.required else f"{text}, optional"
+        return text if self.default in ((), {}) else f"{text}, default {_shown(self.default)}"
+
+
+def without_none(kind: Any) -> Any:
+    """A type without the None it may also be."""
+    if get_origin(kind) in (Union, UnionType):
+        left = [one for one in get_args(kind) if one is not type(None)]
+        return left[0] if len(left) == 1 else Union[tuple(left)]  # noqa: UP007 - made of a tuple
+    return kind
+
+
+def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callable[..., Returned]]:
+    """Give a function the options of a model as keyword arguments.
+
+    The function itself takes them as one argument ``options``. Its signature shows each, its docstring
+    describes each, and one that does not exist is refused with the nearest that does.
+    """
+
+    def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
+        signature = inspect.signature(function)
+        own = [p for p in signature.parameters.values() if p.name != "options"]
+        keywords = {p.name for p in own}
+
+        @functools.wraps(function)
+        def call(*args: Any, **given: Any) -> Returned:
+            mine = {name: given.pop(name) for name in list(given) if name in keywords}
+            known = [*options.model_fields, *keywords]
+            for name in given:
+                if name not in known:
+                    hint = suggestion(name, known)
+                    raise UsageError(f"{function.__name__} has no option '{name}'", hint=hint)
+            return function(*args, options=options.of(given), **mine)
+
+        positional = [p for p in own if p.kind is not p.KEYWORD_ONLY]
+        shown = [
+            inspect.Parameter(
+                entry.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if entry.required else entry.default,
+                annotation=entry.annotation,
+            )
+            for entry in options.declared().values()
+        ]
+        rest = [p for p in own if p.kind is p.KEYWORD_ONLY]
+        call.__signature__ = signature.replace(parameters=[*positional, *shown, *rest])  # type: ignore[attr-defined]
+        call.options = options  # type: ignore[attr-defined]
+        call.__doc__ = _documented(function.__doc__, options)
+        return call
+
+    return decorate
+
+
+def _documented(text: str | None, options: type[Options]) -> str | None:
+    """A docstring with the options at the end of its Parameters."""
+    if text is None:
+        return None
+    lines = inspect.cleandoc(text).splitlines()
+    begin = lines.index("Parameters") + 2
+    heads = [k for k in range(begin, len(lines) - 1) if set(lines[k + 1]) == {"-"}]
+    end = heads[0] - 1 if heads else len(lines)
+    entries = []
+    for entry in options.declared().values():
+        entries += [f"{entry.name} : {entry.type_text()}", f"    {entry.help}"]
+    return "\n".join([*lines[:end], *entries, *lines[end:]])
+
+
+def _leaves(kind: Any) -> list[Any]:
+    """The simple types a type is made of."""
+    args = get_args(kind)
+    return [leaf for one in args for leaf in _leaves(one)] if args else [kind]
+
+
+def _type_text(kind: Any) -> str:
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return "{" + ", ".join(f'"{one}"' for one in args) + "}"
+    if origin in (Union, UnionType):
+        names = [_type_text(one) for one in args if one is not Any]
+        return " or ".join([*names, "what would be in it"] if Any in args else names)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"mapping of {_type_text(args[0])} to {_type_text(args[1])}"
+    if origin is tuple and args[-1] is not Ellipsis:
+        return f"({', '.join(_type_text(one) for one in args)})"
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return f"sequence of {_type_text(args[0])}"
+    return {Path: "path"}.get(kind, getattr(kind, "__name__", str(kind)))
+
+
+def _shown(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, str | int | float):
+        return value
+    return str(getattr(value, "name", type(value).__name__))
+
+
+def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
+    """The first thing wrong with the options, as an error of swimid."""
+    problem = error.errors()[0]
+    raised = problem.get("ctx", {}).get("error")
+    if isinstance(raised, SwimidError):
+        return raised
+    name = str(problem["loc"][0])
+    if problem["type"] == "missing":
+        return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
+    message = problem["msg"]
+    value = repr(problem.get("input"))
+    value = value if len(value) < LONGEST else f"{value[:LONGEST]}..."
+    return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")

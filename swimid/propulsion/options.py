@@ -1,0 +1,27 @@
+"""The options of ``fit-propulsion``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from swimid.fitting import options as fits
+from swimid.fitting.options import StartState
+from swimid.options import Options, Source, option
+
+
+class FitPropulsionOptions(Options):
+    """What ``fit-propulsion`` can be told."""
+
+    drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
+    wake: Literal["fin", "axle"] = option(
+        "fin",
+        help="Lever of the wake width in the Strouhal number: fin length, or axle to trailing edge.",
+    )
+    keep_departures: bool = option(False, help="Fit frequencies that depart from the law too.")
+    start_state: StartState = option(
+        "auto",
+        help="Do straight free-swim trials start at rest? auto: their speed at the first beat is estimated.",
+    )
+    fixed: Mapping[str, float] = fits.fixed()
+    freed: tuple[str, ...] = fits.freed()

@@ -1,0 +1,39 @@
+"""The options of ``fit-drag``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from swimid.fitting import options as fits
+from swimid.fitting.options import StartState
+from swimid.options import Options, option
+
+
+class FitDragOptions(Options):
+    """What ``fit-drag`` can be told."""
+
+    method: Literal["ml", "two-point"] = option(
+        "ml", help="ml: maximum likelihood over all samples. two-point: the boxfish paper's Eqs 13-19."
+    )
+    start_state: StartState = option(
+        "auto",
+        help="Do trials start at rest at their first sample? auto: unless the data clearly say otherwise.",
+    )
+    fixed: Mapping[str, float] = fits.fixed()
+    freed: tuple[str, ...] = fits.freed()
+    bounds: Mapping[str, tuple[float, float]] = fits.bounds()
+    points_m: tuple[float, float] | None = option(
+        None,
+        flag="--points",
+        metavar="X1,X2",
+        help="Displacements of the two-point method, m. The paper: 0.293,0.584.",
+        recorded=False,
+    )
+    profile: bool = option(False, help="Add profile-likelihood intervals.", recorded=False)
+    coordinate: str | None = option(
+        None,
+        metavar="COLUMN",
+        help="Coordinate of a free decay, when the logs hold several.",
+        recorded=False,
+    )

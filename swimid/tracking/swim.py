@@ -1,0 +1,212 @@
+"""What a filmed run comes to: its speeds, accelerations and stroke."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import UsageError
+from swimid.logs import swimming
+from swimid.logs.interval import Estimate
+from swimid.logs.swimming import Swimming, Track
+from swimid.results import numbers
+from swimid.results.evidence import Figure, Mark, Table
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose
+
+#: Names of the stroke's amplitudes by the plane of motion.
+_NAMES = {
+    "horizontal": {"sway": "sway", "turn": "yaw"},
+    "vertical": {"sway": "heave", "turn": "pitch"},
+}
+METHODS = (
+    "The path was averaged over a stroke and cut into blocks of one stroke. The steady part was found by the "
+    "marginal standard error rule on both ends; speeds, accelerations and amplitudes are means over blocks, "
+    "and their intervals Student's over the means of blocks."
+)
+REFERENCE = (
+    "White, K. P. (1997). An effective truncation heuristic for bias reduction in simulation output. "
+    "Simulation 69(6), 323-334. doi:10.1177/003754979706900601"
+)
+
+
+def check_window(window_s: tuple[float | None, float | None]) -> None:
+    """Raise UsageError for a window that is none."""
+    for name, value in zip(("--from", "--to"), window_s, strict=True):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise UsageError(f"{name} {value:g} must not be negative")
+    begin, end = window_s
+    if begin is not None and end is not None and end <= begin:
+        raise UsageError(f"--from {begin:g} must be before --to {end:g}")
+
+
+@dataclass(frozen=True)
+class FilmedSwim:
+    """Speeds, accelerations and stroke of a filmed run, and how they are told.
+
+    Attributes
+    ----------
+    found : Swimming
+    plane : {"horizontal", "vertical"}
+    unit : str
+        Of lengths: m, or px without a scale.
+    """
+
+    found: Swimming
+    plane: str
+    unit: str
+
+    def _rows(self) -> list[tuple[str, str, Estimate | None, str]]:
+        """Key for the machine, name, value and unit of every figure."""
+        found, unit = self.found, self.unit
+        up = "y" if self.plane == "horizontal" else "z"
+        speed, rate = f"{unit}/s", f"{unit}/s^2"
+        across = found.acceleration_xy or (None, None)
+        rows: list[tuple[str, str, Estimate | None, str]] = [
+            ("path_speed", "path speed", found.path_speed, speed),
+            ("steady_speed", "steady speed", found.advance if found.steady else None, speed),
+            ("advance_speed", "advance speed, not steady", found.advance, speed),
+            ("speed_change", "change of the advance speed", found.change, speed),
+            ("acceleration", "acceleration along the path", found.acceleration, rate),
+            ("acceleration_x", "acceleration in x", across[0], rate),
+            (f"acceleration_{up}", f"acceleration in {up}", across[1], rate),
+            ("stroke_frequency", "stroke frequency", found.frequency_hz, "Hz"),
+        ]
+        for key, name in _NAMES[self.plane].items():
+            if key in found.amplitudes or found.stroke is not None:
+                kind = "rad" if key == "turn" else unit
+                rows.append((f"{name}_amplitude", f"{name} amplitude", found.amplitudes.get(key), kind))
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures for ``--json``; None where the window does not tell one."""
+        found = self.found
+        out: dict[str, Any] = {
+            "window": found.window,
+            "from_s": found.begin_s,
+            "to_s": found.end_s,
+            "steady": found.steady,
+        }
+        for key, _, value, kind in self._rows():
+            out[key] = (
+                None
+                if value is None
+                else {"value": value.value, "low": value.low, "high": value.high, "unit": kind}
+            )
+        return out
+
+    def _shown(self) -> list[tuple[str, Estimate, str]]:
+        """The figures a reader sees: angles in degrees, the steady speed once."""
+        out = []
+        for key, name, value, kind in self._rows():
+            if value is None or (key == "advance_speed" and self.found.steady):
+                continue
+            factor = math.degrees(1) if kind == "rad" else 1.0
+            scaled = Estimate(factor * value.value, factor * value.low, factor * value.high)
+            out.append((name, scaled, "deg" if kind == "rad" else kind))
+        return out
+
+    def _window(self) -> str:
+        """The window in words, and whether the speed changes over it."""
+        found = self.found
+        span = f"{found.begin_s:.4g} to {found.end_s:.4g} s"
+        head = {
+            "given": f"{span}, as given",
+            "steady part": f"{span}, the steady part",
+            "whole track": f"{span}, the whole track: no part of it is steady",
+        }[found.window]
+        if found.advance is None or found.change is None or found.steady:
+            return head
+        change = 100 * found.change.value / max(found.advance.value, 1e-300)
+        return f"{head}; the speed changes by {change:+.0f} % over it"
+
+    def table(self) -> Table:
+        """The figures with their intervals."""
+        rows: list[list[str | float | int | bool | None]] = [
+            [name, value.value, value.low, value.high, numbers.unit_text(kind)]
+            for name, value, kind in self._shown()
+        ]
+        if self.found.stroke is None:
+            rows.append(["stroke", "none stands clear", None, None, None])
+        return Table(
+            id="swimming",
+            title="Speed and stroke",
+            columns=["quantity", "value", "95 % from", "to", "unit"],
+            rows=rows,
+            caption=f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed "
+            "are those of the path averaged over a stroke. Amplitudes are half of peak to peak of the "
+            "fundamental, at the point the log is of.",
+        )
+
+    def headline(self) -> str:
+        """Speed and stroke in one sentence; empty where neither is told."""
+        found = self.found
+        speed = found.advance if found.steady else found.path_speed
+        said = []
+        if speed is not None:
+            kind = "steady speed" if found.steady else "path speed"
+            said.append(f"{kind} {numbers.number(speed.value, 4, f'{self.unit}/s')}")
+        if found.frequency_hz is not None:
+            said.append(f"stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}")
+        return f" {', '.join(said).capitalize()}." if said else ""
+
+    def lines(self) -> list[str]:
+        """The figures for the terminal."""
+        shown = self._shown()
+        width = max((len(name) for name, _, _ in shown), default=0)
+        out = [f"speed and stroke over {self._window()}:"]
+        for name, value, kind in shown:
+            text = f"{numbers.number(value.value, 4, kind)} (95 %: {numbers.interval(value.low, value.high)})"
+            out.append(f"  {name:{width}}  {text}")
+        if self.found.stroke is None:
+            out.append("  no stroke stands clear")
+        return out
+
+    def mark(self, figures: list[Figure]) -> None:
+        """Draw the window's ends into the figure of the speeds."""
+        for figure in figures:
+            if figure.id == "speed":
+                for panel in figure.panels:
+                    panel.marks += [
+                        Mark(at=self.found.begin_s, axis="x", label="from"),
+                        Mark(at=self.found.end_s, axis="x", label="to"),
+                    ]
+
+
+def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) -> FilmedSwim:
+    """Speeds, accelerations and stroke of a pose, over a window (s) or the steady part.
+
+    Raises
+    ------
+    UsageError
+        The window holds next to nothing of the track.
+    """
+    seen = pose.times[pose.measured]
+    begin, end = (v if v is not None else d for v, d in zip(window_s, (seen[0], seen[-1]), strict=True))
+    inside = int(((seen >= begin) & (seen <= end)).sum())
+    if inside < swimming.SHORTEST and window_s != (None, None):
+        raise UsageError(
+            f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
+            f"{seen[0]:.4g} to {seen[-1]:.4g} s",
+            hint="give --from and --to in seconds from the first frame",
+        )
+    angle = None if pose.angle is None else pose.angle.position[0]
+    path = pose.path
+    middle = np.nanmedian(path.position, axis=1, keepdims=True)
+    (x,), (y,) = pose.plane.to_image(*middle)
+    error = SYSTEMATIC_PX * pose.plane.size_of_pixel(float(x), float(y))
+    apart = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
+    track = Track(
+        time_s=pose.times,
+        measured=pose.measured,
+        raw=pose.raw,
+        smooth=path.position,
+        velocity=path.velocity,
+        raw_angle=pose.raw_angle,
+        angle=angle,
+        error=error,
+        angle_error=math.sqrt(2) * error / max(apart, 1e-12),
+    )
+    return FilmedSwim(swimming.figures(track, window_s), plane, pose.plane.unit)

@@ -1,0 +1,232 @@
+"""The functions do in memory what the commands do with files, and write nothing unless asked."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from matplotlib.figure import Figure
+
+import swimid
+from swimid import api
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = ROOT / "sample_logs"
+#: Lines of a provenance that tell of the moment: its time, and what was imported by then.
+MOMENT = re.compile(r"\s+(created|packages):")
+
+
+def in_memory(folder: str) -> swimid.TrialSet:
+    """A sample's trials as tables."""
+    listed = yaml.safe_load((SAMPLES / folder / "trials.yaml").read_text())
+    trials = [
+        {**t, "id": t.get("id", t["log"]), "log": pd.read_csv(SAMPLES / folder / t["log"], comment="#")}
+        for t in listed["trials"]
+    ]
+    return swimid.load(trials, experiment=listed["experiment"], robot=listed["robot"])
+
+
+@pytest.fixture
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working folder, which must be empty at the end."""
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def drag() -> swimid.Fitted:
+    return swimid.fit_drag(SAMPLES / "rig" / "trials.yaml")
+
+
+def without_origin(data: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in data.items() if key != "provenance"}
+
+
+class TestNames:
+    def test_every_name_is_found_and_told(self) -> None:
+        manual = (ROOT / "docs" / "api.md").read_text()
+        for name in api.NAMES:
+            assert getattr(swimid, name) is not None
+            assert f"`{name}`" in manual, f"{name} is not in docs/api.md"
+        assert set(api.NAMES) < set(dir(swimid))
+
+    def test_every_name_has_a_docstring(self) -> None:
+        for name in api.NAMES:
+            assert (getattr(swimid, name).__doc__ or "").strip(), name
+
+    def test_an_unknown_name_is_refused(self) -> None:
+        with pytest.raises(AttributeError, match="swimid has no 'fit_dragg'"):
+            _ = swimid.fit_dragg
+
+
+class TestTrials:
+    def test_tables_give_what_files_give(self, empty: Path, drag: swimid.Fitted) -> None:
+        found = swimid.fit_drag(in_memory("rig"))
+        assert without_origin(found.to_dict()) == without_origin(drag.to_dict())
+        assert found.summary() == drag.summary()
+        mine, theirs = found.evidence, drag.evidence
+        assert mine is not None
+        assert theirs is not None
+        assert mine.model_dump(exclude={"provenance"}) == theirs.model_dump(exclude={"provenance"})
+
+    def test_provenance_names_each_table_by_its_samples(self, empty: Path) -> None:
+        one = swimid.Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.1]}))
+        other = swimid.Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.2]}))
+        assert one.digest() != other.digest()
+
+    def test_time_may_be_the_index_and_text_is_left_out(self) -> None:
+        frame = pd.DataFrame(
+            {"x_m": [0.0, 0.1], "status": ["seen", "seen"]}, index=pd.Index([0.0, 0.1], name="t_s")
+        )
+        assert list(swimid.Log.from_frame(frame).columns) == ["t_s", "x_m"]
+
+    @pytest.mark.parametrize(
+        "frame, text",
+        [
+            ({"x_m": [0.0, 0.1]}, "t_s"),
+            ({"t_s": [0.1, 0.0], "x_m": [0.0, 0.1]}, "goes back"),
+            ({"t_s": [0.0, 0.1], "x_m": [0.0, np.inf]}, "infinite"),
+        ],
+    )
+    def test_a_table_that_is_no_log_is_refused(self, frame: dict[str, list[float]], text: str) -> None:
+        trial = {"id": "bad one", "log": pd.DataFrame(frame), "pulling_mass_kg": 0.01}
+        with pytest.raises(swimid.InputError, match=text) as error:
+            swimid.fit_drag(swimid.load([trial], experiment="falling-weight", robot="boxfish"))
+        assert "bad one" in str(error.value)
+
+    def test_unknown_keys_are_refused_as_in_a_file(self) -> None:
+        log = pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.1]})
+        with pytest.raises(swimid.InputError, match="pulling_mass_g"):
+            swimid.load([{"log": log, "pulling_mass_g": 10}], experiment="falling-weight", robot="boxfish")
+        with pytest.raises(swimid.UsageError, match="did you mean 'falling-weight'"):
+            swimid.load([{"log": log}], experiment="falling-wait", robot="boxfish")
+        with pytest.raises(swimid.UsageError, match="experiment and the robot"):
+            swimid.load([{"log": log}])
+
+    def test_rows_held_out_must_not_be_fitted(self) -> None:
+        log = swimid.read_log(SAMPLES / "rig" / "w10.csv")
+        held = swimid.Log.from_frame(log.frame(), name="w10")
+        trials = [
+            {"id": role, "log": held, "role": role, "pulling_mass_kg": 0.01} for role in ("fit", "validate")
+        ]
+        with pytest.raises(swimid.InputError, match="share its rows"):
+            swimid.fit_drag(swimid.load(trials, experiment="falling-weight", robot="boxfish"))
+
+
+def test_the_whole_chain_of_the_boxfish(empty: Path, drag: swimid.Fitted) -> None:
+    """Drag, then the recoil law with it, then measured against simulated and a course: all in memory."""
+    table = pd.read_csv(SAMPLES / "cruise" / "speeds.csv", comment="#")
+    runs = swimid.load(table, experiment="cruise", robot="boxfish")
+    with pytest.warns(swimid.SwimidWarning):
+        propulsion = swimid.fit_propulsion(runs, drag=drag)
+    file = swimid.fit_propulsion(SAMPLES / "cruise" / "trials.yaml", drag=drag)
+    assert propulsion.parameters.equals(file.parameters)
+    scores = swimid.compare(runs, params=propulsion).scores
+    assert set(scores["trial"]) == set(table["fin"])
+    course = swimid.simulate(
+        params=propulsion, fin=str(table["fin"][0]), frequency_hz=2.0, amplitude_deg=20.0, distance_m=2.0
+    )
+    assert course.frame["mean_speed_m_s"].iloc[0] > 0
+
+
+def test_black_box_models_of_tables(empty: Path) -> None:
+    logs = [SAMPLES / "longfin" / f"longfin_{name}.csv" for name in ("marching", "validation")]
+    tables = [pd.read_csv(path, comment="#") for path in logs]
+    options: dict[str, Any] = {"input_column": "cmd1_rad", "output_column": "u_m_s", "na": 4, "nb": 3}
+    mine = swimid.rwls([tables[0]], held_out=[swimid.Log.from_frame(tables[1], name="other")], **options)
+    theirs = swimid.rwls([logs[0]], held_out=[logs[1]], **options)
+    assert mine.parameters.equals(theirs.parameters)
+
+
+class TestResult:
+    def test_numbers_are_at_hand(self, drag: swimid.Fitted) -> None:
+        row = drag.parameters.loc["added_mass"]
+        assert row["value"] == drag["added_mass"].value
+        assert row["low95"] < row["value"] < row["high95"]
+        assert drag.correlation.loc["added_mass", "added_mass"] == pytest.approx(1.0)
+        assert drag.converged
+        assert drag.verdict == "good"
+        assert set(drag.checks()["verdict"]) == {"pass"}
+        assert "methods" in drag.tables()
+
+    def test_figures_are_drawn(self, drag: swimid.Fitted) -> None:
+        drawn = drag.figures()
+        assert list(drawn) == drag.figure_names
+        assert all(isinstance(figure, Figure) and figure.axes for figure in drawn.values())
+
+    def test_a_figure_goes_on_axes_of_the_users(self, drag: swimid.Fitted) -> None:
+        before = dict(mpl.rcParams)
+        left, right = Figure().subplots(1, 2)
+        drag.plot("residuals-x_m", [left, right])
+        assert left.lines
+        assert right.get_xlabel() == "lag (samples)"
+        assert dict(mpl.rcParams) == before
+        with pytest.raises(swimid.UsageError, match="2 panels"):
+            drag.plot("residuals-x_m", left)
+        with pytest.raises(swimid.UsageError, match="there is no figure 'x'"):
+            drag.plot("x")
+
+    def test_saved_and_loaded_it_is_the_same(self, drag: swimid.Fitted, tmp_path: Path) -> None:
+        saved = drag.save(tmp_path / "drag.yaml")
+        assert sorted(p.name for p in saved.outputs) == ["drag.evidence.json", "drag.yaml"]
+        again = swimid.load_result(tmp_path / "drag.yaml")
+        assert isinstance(again, swimid.Fitted)
+        assert again.parameters.equals(drag.parameters)
+        assert again.evidence == drag.evidence
+        assert "added_mass" in again.summary()
+
+    def test_an_output_is_written_as_the_command_writes_it(self, drag: swimid.Fitted, tmp_path: Path) -> None:
+        swimid.fit_drag(SAMPLES / "rig" / "trials.yaml", output=tmp_path / "a.yaml")
+        drag.save(tmp_path / "b.yaml")
+        a, b = (
+            [x for x in (tmp_path / f"{n}.yaml").read_text().splitlines() if not MOMENT.match(x)]
+            for n in "ab"
+        )
+        assert a == b
+
+    def test_a_notebook_shows_it(self, drag: swimid.Fitted) -> None:
+        shown = drag._repr_html_()
+        assert "drag_coefficient" in shown
+        assert "<details>" in shown
+
+    def test_any_result_is_read_back(self, tmp_path: Path) -> None:
+        (tmp_path / "x.yaml").write_text("format: other/1\n")
+        with pytest.raises(swimid.InputError, match="other/1"):
+            swimid.load_result(tmp_path / "x.yaml")
+        log = swimid.load_result(SAMPLES / "rig" / "w10.csv")
+        assert isinstance(log, swimid.Logged)
+        assert list(log.frame) == ["t_s", "x_m"]
+
+    def test_a_page_of_results_that_were_not_written(self, empty: Path, drag: swimid.Fitted) -> None:
+        page = swimid.report([drag])
+        assert page.document.startswith("<!DOCTYPE html>")
+        assert "it was in memory" in page.document
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its fit recovers the friction that was left out, and nothing is written beside the samples."""
+    shutil.copytree(SAMPLES / "rig", tmp_path / "sample_logs" / "rig")
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    mpl.use("Agg")
+    with pytest.warns(swimid.SwimidWarning):
+        made = runpy.run_path(str(ROOT / "docs" / "examples" / "notebook.py"))
+    assert sorted(tmp_path.rglob("*")) == before
+    assert made["ideal"].verdict == "bad"
+    gap, drag = made["gap"], made["drag"]
+    assert gap.answer == "explained"
+    cause = gap.causes.iloc[0]
+    assert cause["effect"] == "pulley-friction"
+    friction = drag["pulley_friction"]
+    both = np.hypot(cause["stderr"], friction.stderr)
+    assert abs(cause["value"] - friction.value) < 3 * both
