@@ -5,6 +5,7 @@ Also the models the long-fin paper published (Tables II and III), ready to run.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -203,6 +204,28 @@ class Arma(Model):
             there = piece.rows >= 0
             result[piece.rows[there]] = run[there] + self.output_level
         return {self.output: result}
+
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[Arma, dict[str, float]]:
+        """A model of deviations from a working point, at the level this trial's output has.
+
+        The run is linear in the level, so two runs give the one with the least squared error.
+        """
+        if not (self.output_level or self.source_level):
+            return self, {}
+        runs = []
+        for level in (self.output_level, self.output_level + 1.0):
+            runs.append(self._at_level(level).simulate(values, trial)[self.output])
+        gain, left = runs[1] - runs[0], trial.measured[self.output] - runs[0]
+        there = np.isfinite(gain) & np.isfinite(left)
+        power = float(np.sum(gain[there] ** 2))
+        shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
+        level = self.output_level + shift
+        return self._at_level(level), {"output_level": level}
+
+    def _at_level(self, level: float) -> Arma:
+        moved = copy.copy(self)
+        moved.output_level = level
+        return moved
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """The same with what else acts (see :meth:`Model.hooked`): on the input column, and on the output.

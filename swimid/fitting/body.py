@@ -7,7 +7,7 @@ what stands where in them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
+Frames = tuple[Array, Array, Array]
 
 
 class Moving(Protocol):
@@ -109,6 +110,24 @@ class Body(ABC):
     @abstractmethod
     def tables(self) -> dict[str, Any]:
         """The tables of the equations of motion."""
+
+    # -------------------------------------------------------- where its links are
+
+    @abstractmethod
+    def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
+        """Front end (x, y) and heading of every link over a run, m and rad, shape (links, n) each."""
+
+    @abstractmethod
+    def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
+        """Rear end (x, y) of every link, m, shape (links, n) each."""
+
+    @abstractmethod
+    def straight(self, values: Array) -> tuple[Array, Array]:
+        """Distance of every link's front and rear end from the first front end, all joints straight, m."""
+
+    @abstractmethod
+    def length(self, values: Array) -> float:
+        """Length of the robot, m."""
 
     # -------------------------------------------------------- what tables say
 

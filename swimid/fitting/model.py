@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from swimid.fitting.body import Body
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.scales import Scales
 from swimid.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from swimid.fitting.swimmer import Swimmer
 
 Array = NDArray[np.float64]
 
@@ -164,6 +167,8 @@ class Model(ABC):
     timed_runs: bool = False
     #: Its output may be missing by design, where the input is.
     has_gaps: bool = False
+    #: A robot with links that moves in space, stroke by stroke, not in a plane.
+    in_space: bool = False
 
     @property
     def rig(self) -> Rig | None:
@@ -173,6 +178,11 @@ class Model(ABC):
     @property
     def body(self) -> Body | None:
         """The links of a planar robot; None where there are none, or where they move in space."""
+        return None
+
+    @property
+    def swimmer(self) -> Swimmer | None:
+        """Itself where it is a robot with links; None elsewhere."""
         return None
 
     @property
@@ -186,6 +196,10 @@ class Model(ABC):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Where a trial's positions start, by channel; at zero for those that are not named."""
+        return {}
+
+    def stated(self) -> dict[str, float]:
+        """What a robot file says of its parameters; a fit starts elsewhere."""
         return {}
 
     # -------------------------------------------------------- what drives it
@@ -206,7 +220,15 @@ class Model(ABC):
         """Frequencies of the drive as far as they are known, Hz."""
         return [float(t.settings["beat"].frequency_hz) for t in trials if "beat" in t.settings]
 
+    def given(self, trial: Trial) -> list[str]:
+        """Channels that a trial's run is driven by as they were measured: it does not predict them."""
+        return []
+
     # -------------------------------------------------------- simulation
+
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
+        """The model at the working point of one trial, and what was estimated for it; itself without one."""
+        return self, {}
 
     def prepare(self, progress: Progress = silent) -> None:  # noqa: B027
         """Compile what it needs to be fast, under a bar that says so."""

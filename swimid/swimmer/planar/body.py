@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swimid.fitting.body import Body, Point
+from swimid.fitting.body import Array, Body, Frames, Point
 from swimid.fitting.scales import Scales
-from swimid.swimmer.planar import engine
+from swimid.swimmer.planar import engine, geometry
 from swimid.swimmer.polynomial import Polynomial
 
 if TYPE_CHECKING:
@@ -53,6 +54,24 @@ class PlanarBody(Body):
         assembly = self._model.assembly
         start = [p.start for p in self._model.parameters[: len(assembly.names)]]
         return assembly.tables(np.array(start))
+
+    # -------------------------------------------------------- where its links are
+
+    def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
+        """Front end and heading of every link (:func:`geometry.link_frames`)."""
+        return geometry.link_frames(self._model, values, columns)
+
+    def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
+        """Rear end of every link (:func:`geometry.rear_ends`)."""
+        return geometry.rear_ends(self._model, frames)
+
+    def straight(self, values: Array) -> tuple[Array, Array]:
+        """Where the links end when all joints are straight (:func:`geometry.straight`)."""
+        return geometry.straight(self._model, values)
+
+    def length(self, values: Array) -> float:
+        """Length of the robot, m (:func:`geometry.body_length`)."""
+        return geometry.body_length(self._model, values)
 
     # -------------------------------------------------------- what tables say
 

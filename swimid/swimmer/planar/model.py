@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting.body import Moving
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.planar import drive, engine
@@ -76,7 +76,7 @@ class Trajectory:
     driven: Array
 
 
-class MultilinkModel(Model):
+class MultilinkModel(Swimmer):
     """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
 
     A trial's settings give ``beat`` (a :class:`drive.Beat`) or ``joints`` (a motion for each
@@ -101,8 +101,7 @@ class MultilinkModel(Model):
         self.assembly = Assembly(robot.multilink, robot.fluid)
         self.plane = PLANES[robot.multilink.plane]
         self.pose, self.velocity = self.plane.pose, self.plane.velocity
-        self.driven: Sequence[Moving] = self.assembly.driven
-        self.passive: Sequence[Moving] = self.assembly.passive
+        self.driven, self.passive = self.assembly.driven, self.assembly.passive
         self.free_base = self.assembly.free_base
         self.coefficients = self.assembly.names
         #: Per-trial offsets of the start pose.
@@ -299,33 +298,7 @@ class MultilinkModel(Model):
         """What a driven joint is told to do, rad."""
         return joint_motion(self.assembly.driven[number], number, settings, time_s, phase_rad)[0]
 
-    def refined(self) -> MultilinkModel:
-        """The same model with half the integration step."""
-        return self._stepping(0.5 * self.max_step)
-
-    def coarser(self) -> MultilinkModel:
-        """The same model with twice the integration step."""
-        return self._stepping(2.0 * self.max_step)
-
-    def _stepping(self, max_step: float) -> MultilinkModel:
-        other = MultilinkModel(self.robot, max_step=max_step)
-        other.parameters = self.parameters
-        return other
-
     # -------------------------------------------------------- simulation
-
-    def of_trial(self, values: Array, trial: Trial) -> Array:
-        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
-        own = trial.settings.get("coefficients")
-        if not own:
-            return values
-        values = values.copy()
-        for name, value in own.items():
-            values[self._at[name]] = value
-        return values
-
-    def _value(self, values: Array, name: str) -> float:
-        return float(values[self._at[name]]) if name in self._at else 0.0
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
         """The run on its own step grid, from the world's origin; relative to the water where that flows.
