@@ -138,6 +138,19 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
         track_video(video, setup=keys | {"markrs": []})
 
 
+def test_a_wrong_scale_is_told_of_the_file(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
+    """The evidence names the log; a track that is saved has the name of its file there."""
+    video, setup = film
+    keys = yamlio.plain(yamlio.load(setup)) | {"scale": {"metres_per_pixel": 1.0}}
+    yamlio.write(tmp_path / "setup.yaml", keys)
+    path = tmp_path / "run.csv"
+    assert swimid("track", "video", video, "--setup", tmp_path / "setup.yaml", "-o", path).status == 0
+    assert "run.csv, 'u_m_s': " in ev.sidecar(path).read_text()
+    made = track_video(video, setup=keys)
+    assert made.verdict == "bad"
+    saved_alike(made, path, tmp_path / "saved")
+
+
 def test_an_overlay_is_written_without_a_log(film: tuple[Path, Path], tmp_path: Path) -> None:
     video, setup = film
     made = track_video(video, setup=setup, overlay_path=tmp_path / "overlay.mp4")

@@ -28,7 +28,6 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
-from swimid.swimmer.planar.model import MultilinkModel, prepare
 
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
@@ -71,8 +70,7 @@ def diagnose(
         )
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
-        if isinstance(model, MultilinkModel):
-            prepare(progress)
+        model.prepare(progress)
         effects, own, seed = options.effects, options.own_effects, options.seed
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]

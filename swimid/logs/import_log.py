@@ -80,17 +80,12 @@ def import_log(
     if rules is not None:
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
-        files = tuple(i for i in inputs if isinstance(i, str | Path))
-        output = atomic.check_writable(output, inputs=files)
+        output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
         # a long file is hashed while it is read
         digests = beside.submit(provenance.digests_of, inputs)
-        found = examine(
-            mapping.identity(given, progress=progress)
-            if rules is None
-            else mapping.apply(rules, given, progress=progress),
-            options,
-        )
+        read = mapping.apply(rules, given, progress=progress)
+        found = examine(read, options)
         origin = provenance.collect(
             inputs, settings=options.settings(clean=found.cleaned), digests=digests.result()
         )

@@ -130,8 +130,7 @@ def plot(
     if not given:
         raise UsageError("name at least one log to draw")
     if output is not None:
-        files = tuple(one for one in given if isinstance(one, Path))
-        output = atomic.check_writable(_picture(Path(output)), inputs=files)
+        output = atomic.check_writable(_picture(Path(output)), inputs=given)
     with recorded(repeat=True) as notices:
         names = [f"log {number}" if len(given) > 1 else "log" for number in range(1, len(given) + 1)]
         records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]

@@ -17,7 +17,8 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -49,9 +50,7 @@ from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.model import MultilinkModel, prepare
-from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.trials import Swimmer
+from swimid.swimmer.planar.model import prepare
 
 #: Rows of the design, or trajectories, where nothing else is asked for.
 SAMPLES = {"sobol": 256, "morris": 32, "none": 0}
@@ -129,8 +128,7 @@ def sensitivity(
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
         experiment, applied = _loaded(trials_file, options)
-        model = experiment.model
-        assert isinstance(model, MultilinkModel | MultibodyModel)
+        model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
@@ -216,9 +214,15 @@ def _loaded(trials_file: str | Path, options: SensitivityOptions) -> tuple[Exper
         max_step=options.dt,
     )
     model = loaded.experiment.model
-    if not isinstance(model, MultilinkModel | MultibodyModel):
+    if model.swimmer is None:
         raise UsageError(f"a study needs a robot with links, not the model '{model.name}'")
     return loaded.experiment, loaded.applied
+
+
+def _swimmer(model: Model) -> Swimmer:
+    """The model as that of a robot with links, on which :func:`_loaded` insists."""
+    assert model.swimmer is not None
+    return model.swimmer
 
 
 # ------------------------------------------------------------ what is varied
@@ -342,8 +346,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     NoTrustworthyResult
         When a run breaks down with them.
     """
-    model = experiment.model
-    assert isinstance(model, MultilinkModel | MultibodyModel)
+    model = _swimmer(experiment.model)
     runs, starts, columns, centre = [], [], [], []
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
@@ -366,8 +369,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
     """From coefficients to the outputs, NaN where a simulation breaks down."""
-    known = model or study.applied.model
-    assert isinstance(known, MultilinkModel | MultibodyModel)
+    known = model or _swimmer(study.applied.model)
     places = [known.index(name) for name in study.ranges]
 
     def evaluate(point: Array) -> Array:
@@ -385,8 +387,7 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
 
 def _step_change(study: Study, found: Sobol | Morris) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
-    finer = study.applied.model.refined()
-    assert isinstance(finer, MultilinkModel | MultibodyModel)
+    finer = _swimmer(study.applied.model).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given) - study.centre)
     vary = found.sd > CONSTANT * np.abs(found.mean)
@@ -492,8 +493,7 @@ def _sweep(
     progress: Progress,
 ) -> Sweep:
     """Outputs over the grid with their deviations, by the delta method from the coefficients' covariance."""
-    model = applied.model
-    assert isinstance(model, MultilinkModel | MultibodyModel)
+    model = _swimmer(applied.model)
     axes = [Axis(name=name, values=[float(v) for v in np.linspace(*axis)]) for name, axis in sweep.items()]
     grid = [dict(zip(sweep, point, strict=True)) for point in itertools.product(*(a.values for a in axes))]
     values = applied.values()
@@ -550,8 +550,7 @@ def _measured(
     experiment: Experiment, applied: Applied, sweep: Mapping[str, tuple[float, float, int]]
 ) -> list[Measured]:
     """The actual error of every trial that has the axes of the sweep."""
-    model = experiment.model
-    assert isinstance(model, MultilinkModel | MultibodyModel)
+    model = _swimmer(experiment.model)
     units = {c.name: c.unit for c in model.channels}
     found = []
     for trial in experiment.trials:

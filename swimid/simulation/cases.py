@@ -11,6 +11,7 @@ import numpy as np
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Array, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat
 from swimid.logs.trials import StrokeDrive
@@ -29,10 +30,7 @@ from swimid.simulation.run import Case
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.spatial.stroke import Cycle
-from swimid.swimmer.trials import Swimmer
 
 #: Length and rate of a run where nothing else says.
 DURATION_S, RATE_HZ = 15.0, 50.0
@@ -148,16 +146,18 @@ def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[
         extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
         compute, per_run = None, False
         model = experiment.model
-        if isinstance(model, MultilinkModel | MultibodyModel):
+        swimmer_model = model.swimmer
+        if swimmer_model is not None:
             beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
             if beat is not None:
                 metadata["drive"] = drive_block(beat)
             if stroke is not None:
                 metadata["drive"] = stroke_block(stroke)
-            metadata["dt_s"] = model.max_step
-            extra = commands(model, trial, values)
-            compute = _swim_quantities(model, trial, _frequency(model, trial, values))
-        elif isinstance(model, RecoilModel):
+            metadata["dt_s"] = swimmer_model.max_step
+            extra = commands(swimmer_model, trial, values)
+            frequency = _frequency(swimmer_model, trial, values)
+            compute = _swim_quantities(swimmer_model, trial, frequency)
+        elif model.timed_runs:
             per_run = True
             extra = {
                 "fin": [trial.id] * len(trial.time_s),
@@ -185,7 +185,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
             file=place(options) or robot_format.locate(name, folder),
             column=error.column,
         ) from error
-    experiment = "free-swim" if isinstance(model, MultilinkModel) and model.free_base else "multibody"
+    experiment = "free-swim" if model.free_base and not model.in_space else "multibody"
     metadata = _metadata(options, robot.name, experiment=experiment, dt_s=options.dt)
     pose: dict[str, Any] = {"pose": (0.0,) * len(model.pose)} if model.free_base else {}
     if options.input is not None:
@@ -341,7 +341,7 @@ def _frequency(model: Swimmer, trial: Trial, values: Array) -> float | None:
     return None
 
 
-def _cycle_quantities(model: MultibodyModel, trial: Trial, frequency: float) -> Any:
+def _cycle_quantities(model: Swimmer, trial: Trial, frequency: float) -> Any:
     """A function from parameter vectors to what each cycle comes to."""
     cycles = stroke_cycles.windows(trial.time_s, frequency)
 
@@ -361,7 +361,8 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
     """A function from parameter vectors to the quantities of the last beats; None without a beat."""
     if frequency is None:
         return None
-    if isinstance(model, MultibodyModel):
+    body = model.body
+    if body is None:
         return _cycle_quantities(model, trial, frequency)
     beat = trial.settings.get("beat")
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
@@ -381,7 +382,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
         with np.errstate(over="ignore", invalid="ignore"):
             columns = model.simulate(values, fine)
         last = {name: v[len(lead) :] for name, v in columns.items()}
-        return swim_quantities.quantities(model, values, last, window, told_to_turn=told)
+        return swim_quantities.quantities(body, values, last, window, told_to_turn=told)
 
     return compute
 

@@ -22,8 +22,6 @@ from swimid.simulation.options import RUN, SimulateOptions
 from swimid.simulation.run import Simulated
 from swimid.simulation.simulated import Simulation
 from swimid.swimmer import stroke_cycles
-from swimid.swimmer.planar import geometry
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: A change of speed from beat to beat above this share is told.
 UNSTEADY = 0.005
@@ -71,7 +69,7 @@ def simulate(
     if animate is not None:
         if len(cases) > 1:
             raise UsageError("an animation shows one trial: name it with --trial")
-        if not isinstance(cases[0].applied.model, MultilinkModel):
+        if cases[0].applied.model.body is None:
             raise UsageError("an animation needs a robot with links in one plane")
         if animate.suffix.lower() not in animation.ENDINGS:
             raise UsageError(
@@ -114,12 +112,13 @@ def _insist_on_trials_alone(options: SimulateOptions) -> None:
 
 def _film(done: Simulated) -> animation.Film:
     case = done.case
-    model = case.applied.model
-    assert isinstance(model, MultilinkModel)
-    x, y, heading = geometry.link_frames(model, case.values, done.columns)
-    front, _ = geometry.straight(model, case.values)
-    length = geometry.body_length(model, case.values)
-    passive = {a.link for a in model.assembly.passive}
+    model, body = case.applied.model.swimmer, case.applied.model.body
+    assert model is not None
+    assert body is not None
+    x, y, heading = body.frames(case.values, done.columns)
+    front, _ = body.straight(case.values)
+    length = body.length(case.values)
+    passive = {a.link for a in body.passive}
     drive = case.metadata.get("drive")
     title = model.robot.name
     if isinstance(drive, dict):
@@ -130,13 +129,13 @@ def _film(done: Simulated) -> animation.Film:
         y_m=y,
         heading_rad=heading,
         links=[
-            animation.Link(link.length_m, float(begin), i in passive)
-            for i, (link, begin) in enumerate(zip(model.assembly.links, front, strict=True))
+            animation.Link(own, float(begin), i in passive)
+            for i, (own, begin) in enumerate(zip(body.lengths_m, front, strict=True))
         ],
         length_m=length,
         width_m=model.robot.body.width_m or animation.FULLNESS * length,
         title=title,
-        tapered=model.assembly.free_base,
+        tapered=body.free,
     )
 
 
