@@ -13,6 +13,8 @@ BLIND_CASES ?= 160
 SAMPLES := sample_logs
 # One encoding everywhere, whatever the system's own is.
 export PYTHONUTF8 := 1
+# Files of tests stay whole: what their tests share is made once.
+SPREAD := -n 2 --dist loadfile
 
 .PHONY: demo test check-all lint types bench blind samples reproduction hooks clean
 
@@ -33,12 +35,12 @@ demo: $(VENV)/.ready
 	@echo "open $(OUT)/report.html"
 
 test: $(VENV)/.ready-dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest $(SPREAD)
 
 # Everything: long checks, lint, types, kernels with bounds checking.
 check-all: $(VENV)/.ready-dev lint types
-	$(BIN)/python -m pytest -n 2 -m ""
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest -n 2 -m "kernels"
+	$(BIN)/python -m pytest $(SPREAD) -m ""
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest $(SPREAD) -m "kernels"
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .

@@ -8,10 +8,13 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
+from swimid import __version__
 from tests.conftest import ROOT, SAMPLES
 
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -22,7 +25,7 @@ TOUCHED = {
     "Add an effect": ["swimid/effects/sensing/encoder_ripple.py"],
     "Add a model": ["swimid/rig/glide.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
-    "Add a verb": ["swimid/rig/fit_glide.py", "swimid/cli/glide.py", "swimid/cli/main.py"],
+    "Add a verb": ["swimid/rig/fit_glide.py", "swimid/rig/options.py", "swimid/cli/verbs.py"],
 }
 #: Runs the commands of the manual in the copy.
 RUNNER = """
@@ -120,3 +123,30 @@ def test_its_targets_are_in_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"(?:`|^)make ([a-z-]+)", TEXT, re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_every_place_names_the_same_version() -> None:
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.search(r"^## \[(.+)\] - (unreleased|\d{4}-\d\d-\d\d)$", changes, re.M)
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.M)
+    assert newest is not None
+    assert cited is not None
+    assert newest.group(1) == cited.group(1) == __version__
+
+
+def test_the_matrix_is_what_the_package_claims() -> None:
+    """Every Python and system of the metadata is tried, by the commands of the README."""
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
+    job = workflow["jobs"]["tests"]
+    claimed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
+    pythons = [c.rpartition(" ")[2] for c in claimed if re.search(r"Python :: 3\.\d", c)]
+    assert job["strategy"]["matrix"]["python"] == pythons
+    systems = {name.partition("-")[0] for name in job["strategy"]["matrix"]["os"]}
+    assert systems == {"ubuntu", "macos", "windows"}
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make demo", "make test"]
+
+
+def test_the_hooks_are_lint_format_and_types() -> None:
+    found = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    hooks = [hook["id"] for repository in found["repos"] for hook in repository["hooks"]]
+    assert hooks[:3] == ["ruff", "ruff-format", "mypy"]

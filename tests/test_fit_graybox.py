@@ -36,6 +36,8 @@ Table = dict[str, np.ndarray]
 RATES = {"u_m_s": 0.01, "yaw_rate_rad_s": float(np.radians(1.0))}
 POSE = {"x_m": 0.002, "y_m": 0.002, "yaw_rad": float(np.radians(0.5))}
 TRUTH = {**swimmer.TFISH, "c_ma": 1.0, "c_Ia": 1.45, "c_d0": 4.1, "c_d13": 0.5, "c_f0": 0.02}
+#: Local error of the truth: noise is a thousand times as large.
+FINE = 1e-6
 FRICTIONS = ("c_f0", "c_f13", "c_f4")
 #: One coefficient for all friction, all else as above.
 SHARED = {**TRUTH, **dict.fromkeys(FRICTIONS, 0.02)}
@@ -56,7 +58,7 @@ def _runs(shared: bool = False) -> tuple[swimmer.Run, ...]:
         ("wide", _drive(1.4, 30)),
         ("held", _drive(1.2, 25, 8)),
     ):
-        columns = swimmer.simulate("tfish", truth, drive, 6.0)
+        columns = swimmer.simulate("tfish", truth, drive, 6.0, rtol=FINE)
         found.append(swimmer.Run(name, drive, columns, "validate" if name == "held" else "fit"))
     return tuple(found)
 
@@ -69,7 +71,9 @@ def _published(drag_at: str) -> tuple[swimmer.Run, ...]:
     for k, numbers in enumerate(drives):
         drive = _drive(*numbers)
         found.append(
-            swimmer.Run(f"r{k}", drive, swimmer.simulate("tfish", None, drive, 20.0, drag_at=drag_at))
+            swimmer.Run(
+                f"r{k}", drive, swimmer.simulate("tfish", None, drive, 20.0, rtol=FINE, drag_at=drag_at)
+            )
         )
     return tuple(found)
 
@@ -160,7 +164,9 @@ class TestRecovery:
 
     def test_another_integration_of_the_drag(self, swimid: Swimid, tmp_path: Path) -> None:
         runs = [
-            swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", TRUTH, r.drive, 4.0, drag_at="slices"))
+            swimmer.Run(
+                r.id, r.drive, swimmer.simulate("tfish", TRUTH, r.drive, 4.0, rtol=FINE, drag_at="slices")
+            )
             for r in _runs()[:2]
         ]
         trials = _write(tmp_path, runs, RATES)
@@ -410,7 +416,7 @@ class TestLogs:
     def test_a_drive_that_starts_at_another_phase(self, swimid: Swimid, tmp_path: Path) -> None:
         early = replace(swimmer.tfish(SHARED), lag=np.full(4, -0.4))
         runs = list(_runs(shared=True)[:2])
-        runs[1] = replace(runs[1], columns=swimmer.swim(early, runs[1].drive, 6.0))
+        runs[1] = replace(runs[1], columns=swimmer.swim(early, runs[1].drive, 6.0, rtol=FINE))
         file = _fit(swimid, _write(tmp_path, runs, RATES), "--share", "c_f", "--free", "drive_phase")
         for name, true in (("slow", 0.0), ("fast", 0.4)):
             e = file.parameters[f"drive_phase[{name}]"]
@@ -422,7 +428,7 @@ class TestLogs:
         """30 Hz, a second of rest before the start, gaps, uneven stamps, a heading within half a turn."""
         rng = np.random.default_rng(3)
         runs = [
-            swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", SHARED, r.drive, 8.0, 30.0))
+            swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", SHARED, r.drive, 8.0, 30.0, rtol=FINE))
             for r in _runs()[:2]
         ]
         before = np.arange(-30, 0) / 30.0
@@ -694,7 +700,9 @@ class TestDolphin:
         runs = []
         for k, (frequency, amplitude) in enumerate(((1.2, 30), (2.0, 25), (2.9, 25))):
             drive = _drive(frequency, amplitude)
-            runs.append(swimmer.Run(f"r{k}", drive, swimmer.simulate("dolphin", truth, drive, 6.0)))
+            runs.append(
+                swimmer.Run(f"r{k}", drive, swimmer.simulate("dolphin", truth, drive, 6.0, rtol=FINE))
+            )
         trials = swimmer.write_trials(tmp_path, "dolphin", runs, noise, 1, columns=list(noise))
         file = _fit(swimid, trials)
         whole = {**swimmer.DOLPHIN, **truth}
@@ -792,7 +800,8 @@ def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path
     """Two stiffnesses in one fit of the dolphin: each trial is simulated with its own."""
     drive = {"frequency_hz": 2.5, "amplitude_deg": 27}
     runs = [
-        swimmer.Run(f"k{k}", drive, swimmer.simulate("dolphin", {"K_s": k}, drive, 4.0)) for k in (0.31, 0.8)
+        swimmer.Run(f"k{k}", drive, swimmer.simulate("dolphin", {"K_s": k}, drive, 4.0, rtol=FINE))
+        for k in (0.31, 0.8)
     ]
     path = swimmer.write_trials(tmp_path, "dolphin", runs, {"u_m_s": 0.005}, 3, columns=["u_m_s"])
     lines = path.read_text().splitlines()

@@ -18,17 +18,7 @@ from swimid.cli import (
     simulate,
     track,
 )
-from swimid.cli.verbs import VERBS
-
-#: Commands by purpose, in the order one uses them.
-SECTIONS: list[tuple[str, list[str]]] = [
-    ("Make logs", ["track", "import"]),
-    ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
-    ("Simulate and compare", ["simulate", "compare"]),
-    ("Diagnose", ["diagnose", "sensitivity"]),
-    ("Publish", ["plot", "report", "export"]),
-    ("Help yourself", ["schema", "doctor"]),
-]
+from swimid.cli.verbs import SECTIONS, VERBS
 
 
 class Sectioned(click.Group):

@@ -144,8 +144,8 @@ def imu_command(imu: Path, map_path: Path | None, other: Path | None, shared: Sh
       swimid track imu imu.csv --method paper --motion-mode marching -o paper.csv
     """
     with running("track imu", shared) as run:
+        from swimid.inertial.settings import Settings
         from swimid.inertial.track_imu import track_imu
-        from swimid.inertial.track_imu_options import settings_of
 
         inputs = tuple(path for path in (imu, map_path, other) if path is not None)
         protect(shared.output, shared, inputs=inputs)
@@ -156,7 +156,7 @@ def imu_command(imu: Path, map_path: Path | None, other: Path | None, shared: Sh
                 output=shared.output,
                 map_path=map_path,
                 other=other,
-                settings=settings_of(given),
+                settings=Settings.of_options(given),
                 progress=run.progress,
             )
         )

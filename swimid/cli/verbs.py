@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from swimid.cli.builder import Verb
 
+#: Commands by purpose, in the order one uses them.
+SECTIONS: list[tuple[str, list[str]]] = [
+    ("Make logs", ["track", "import"]),
+    ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
+    ("Simulate and compare", ["simulate", "compare"]),
+    ("Diagnose", ["diagnose", "sensitivity"]),
+    ("Publish", ["plot", "report", "export"]),
+    ("Help yourself", ["schema", "doctor"]),
+]
+
 VERBS = (
     Verb(
         "fit-drag",

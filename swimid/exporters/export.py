@@ -10,7 +10,7 @@ from swimid.exporters import targets
 from swimid.exporters.base import AddedMass, Options
 from swimid.exporters.source import Source
 from swimid.files import atomic, provenance
-from swimid.files.provenance import Held, sha256
+from swimid.files.provenance import digest_of
 from swimid.notices import warn
 from swimid.results import parameters
 from swimid.results.text import Text
@@ -133,7 +133,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
     place = robot.locate(name, folder)
     origin = {
         "file": path.name,
-        "sha256": given.digest() if isinstance(given, Held) else sha256(given),
+        "sha256": digest_of(given),
         "version": swimid.__version__,
         "robot": name,
     }

@@ -57,20 +57,29 @@ class Held:
 Input = str | Path | InMemory
 
 
+def path_of(given: Input) -> Path:
+    """Where an input lies; of one in memory its name."""
+    return Path(given if isinstance(given, str | Path) else given.name)
+
+
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
     """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own."""
     found = {}
     for given in inputs:
-        if not isinstance(given, str | Path):
-            found[given.name] = given.digest()
-        elif (name := os.path.relpath(given)) not in found:
-            found[name] = sha256(given)
+        name = os.path.relpath(given) if isinstance(given, str | Path) else given.name
+        if name not in found:
+            found[name] = digest_of(given)
     return found
 
 
 def files(inputs: Iterable[Input]) -> tuple[Path, ...]:
     """Those inputs that are files."""
     return tuple(Path(given) for given in inputs if isinstance(given, str | Path))
+
+
+def digest_of(given: Input) -> str:
+    """SHA-256 of one input as hexadecimal digits."""
+    return sha256(given) if isinstance(given, str | Path) else given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:

@@ -5,5 +5,6 @@ Interface: ``model`` (parameters, channels, trials), ``hooks`` (what else acts o
 ``levenberg``, ``multistart``, ``restarts``, ``genetic`` (several objectives). Uncertainty: ``noise``,
 ``sandwich`` (covariance), ``identifiability``, ``profile``, ``random_effect``, ``odd_trial``,
 ``start_states``. Judging: ``residual_tests``, ``metrics``, ``warping``. ``fit_result`` is what a search
-found, ``fit_common`` its parameter file, checks and figures, ``fit_model`` the fit of a model of one's own.
+found, ``fit_common`` its parameter file, checks and figures, ``fit_model`` the fit of a model of one's own,
+``options`` what several fits can be told.
 """

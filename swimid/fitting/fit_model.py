@@ -8,6 +8,7 @@ from typing import Any
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
+from swimid.files.provenance import Held
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.model import Model, Trial, chosen
 from swimid.notices import recorded
@@ -24,7 +25,7 @@ def fit_model(
     freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     robot: str = "",
-    inputs: Sequence[str | Path] = (),
+    inputs: Sequence[Path | Held] = (),
     output: str | Path | None = None,
     verb: str = "fit",
     progress: Progress = silent,
@@ -43,8 +44,8 @@ def fit_model(
     bounds : mapping of name to (lower, upper), optional
     robot : str
         Whose parameters they are, for the parameter file.
-    inputs : sequence of paths
-        The files the trials were read from, for the provenance.
+    inputs : sequence of Path or Held
+        What the trials were made of, for the provenance: ``log.source`` of each log.
     output : path, optional
         Parameter file to write, its evidence beside it; nothing is written without.
     verb : str
@@ -69,7 +70,7 @@ def fit_model(
     """
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
-    target = None if output is None else atomic.check_writable(Path(output), inputs=tuple(inputs))
+    target = None if output is None else atomic.check_writable(Path(output), inputs=provenance.files(inputs))
     with recorded(repeat=True) as notices:
         parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)

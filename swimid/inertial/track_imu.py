@@ -15,7 +15,9 @@ from swimid.inertial import (
     aiding,
     alone,
     attitude,
+    evidence,
     fusion,
+    inputs,
     motion,
     mounting,
     oscillation,
@@ -24,77 +26,116 @@ from swimid.inertial import (
     trust,
 )
 from swimid.inertial import faults as recording_faults
-from swimid.inertial import track_imu_evidence as told
 from swimid.inertial.alignment import Poses
+from swimid.inertial.checks import REST_LIMIT
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.motion import Motion
 from swimid.inertial.record import Record
+from swimid.inertial.run import Run
+from swimid.inertial.settings import Settings
 from swimid.inertial.smoother import Smoothed, gravity
-from swimid.inertial.track_imu_checks import REST_LIMIT
-from swimid.inertial.track_imu_input import read_poses, read_record
-from swimid.inertial.track_imu_material import Material, Settings, contradicts, stated_frequency
-from swimid.logs import log, rhythm
-from swimid.logs.rotation import angles
-from swimid.notices import Notice, recorded, warn
+from swimid.logs import log, mapping, rhythm
+from swimid.logs.log import LogLike
+from swimid.logs.logged import Logged
+from swimid.logs.mapping import Mapping
+from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
-from swimid.results import evidence
-from swimid.results.result import Result
 
 
 def track_imu(
-    imu: str | Path,
+    imu: LogLike,
     *,
-    output: str | Path,
-    map_path: str | Path | None = None,
-    other: str | Path | None = None,
+    output: str | Path | None = None,
+    map_path: str | Path | Mapping | dict[str, Any] | None = None,
+    other: LogLike | None = None,
     settings: Settings | None = None,
     progress: Progress = silent,
-) -> Result:
-    """Make motion of an inertial recording and write the log.
+) -> Logged:
+    """Make motion of an inertial recording: velocity, position and attitude with their bands.
 
     Parameters
     ----------
-    imu : path
-        The recording: CSV or Parquet with the columns of ``docs/formats.md``, or anything with a mapping.
-    output : path
-        The log; ``<stem>.evidence.json`` goes beside it.
-    map_path : path, optional
-        ``swimid-mapping/1`` file.
-    other : path, optional
-        Another log of the trial to fuse with: positions, angles, or both.
+    imu : path, Log or DataFrame
+        The recording, shape (n, k), n at least 64: ``t_s``, specific force ``ax_m_s2`` to ``az_m_s2``, turn
+        rate ``wx_rad_s`` to ``wz_rad_s``, in the sensor's axes; ``qw`` to ``qz`` and ``mx`` to ``mz`` where
+        it has them. Anything else with a mapping.
+    output : path, optional
+        The log, CSV or Parquet by its ending; ``<stem>.evidence.json`` goes beside it. Without it nothing is
+        written; :meth:`~swimid.results.result.Result.save` writes the same later.
+    map_path : path, Mapping or dict, optional
+        ``swimid-mapping/1``: names and units of foreign columns.
+    other : path, Log or DataFrame, optional
+        Another log of the trial to fuse with: positions (m), angles (rad), or both.
     settings : Settings, optional
+        Method, rests, mounting, errors of the sensor; SI.
+    progress : Progress
+        Shows reading and smoothing.
+
+    Returns
+    -------
+    Logged
+        ``.frame`` has n rows: position (m), attitude (rad), velocity in the body and in the world (m/s),
+        turn rates (rad/s), accelerations (m/s^2), each with its standard deviation.
 
     Raises
     ------
     InputError
-        A file cannot be used, or a fault of recording cannot be repaired.
+        An input cannot be used, or a fault of recording cannot be repaired.
     NoTrustworthyResult
         The two logs do not move together.
     UsageError
         Settings that do not fit together.
+
+    Notes
+    -----
+    An error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel, 1965,
+    doi:10.2514/3.3166; Groves, 2013, ch. 14); ``Settings(method="paper")`` follows Shang et al. (2012),
+    doi:10.1017/S0263574711001159.
+
+    Examples
+    --------
+    A sensor on a table, which knows that it does not move:
+
+    >>> import numpy as np, pandas as pd
+    >>> t, rng = np.arange(0.0, 8.0, 0.02), np.random.default_rng(1)
+    >>> table = pd.DataFrame({"t_s": t})
+    >>> for axis, gravity in zip("xyz", (0.0, 0.0, 9.80665)):
+    ...     table[f"a{axis}_m_s2"] = gravity + 0.02 * rng.normal(size=len(t))
+    ...     table[f"w{axis}_rad_s"] = 0.002 * rng.normal(size=len(t))
+    >>> made = track_imu(table)
+    >>> bool(made.frame[["vx_m_s", "vy_m_s", "vz_m_s"]].abs().to_numpy().max() < 0.01)
+    True
     """
     settings = settings or Settings()
-    inputs = [Path(p) for p in (imu, map_path, other) if p is not None]
-    output = atomic.check_writable(output, inputs=tuple(inputs))
+    recording = log.unread(imu, name="imu")
+    rules = None if map_path is None else mapping.of(map_path)
+    given: list[provenance.Input] = [recording]
+    if rules is not None:
+        given.append(map_path if isinstance(map_path, str | Path) else rules)
+    if other is not None:
+        given.append(log.unread(other, name="other"))
+    if output is not None:
+        files = tuple(i for i in given if isinstance(i, str | Path))
+        output = atomic.check_writable(output, inputs=files)
     if settings.method == "paper" and other is not None:
         raise UsageError(
             "--method paper fuses with nothing", hint="leave out --with, or take --method smoother"
         )
     with recorded(repeat=True) as notices:
-        record, notes = read_record(inputs[0], None if map_path is None else Path(map_path), progress)
+        named = given[0 if rules is None else 1]
+        record, notes = inputs.read_record(recording, rules, provenance.path_of(named), progress)
         record, findings = recording_faults.mend(record)
-        poses = None if other is None else read_poses(Path(other))
-        material = _prepare(record, findings, settings)
+        poses = None if other is None else inputs.read_poses(log.of(other, name="other"))
+        run = _prepare(record, findings, settings)
         with progress("smoothing", total=None) as step:
-            if settings.method == "paper":
-                material = _by_paper(material)
-            else:
-                material = _by_smoother(material, poses, step)
-        _warn(material, notes)
-        return _write(material, poses, inputs, output, notices)
+            run = _by_paper(run) if settings.method == "paper" else _by_smoother(run, poses, step)
+        _warn(run, notes)
+        origin = provenance.collect(given, settings=run.settings.to_dict())
+        result = evidence.result(run, poses, notices, origin)
+    return result if output is None else result.save(output)
 
 
-def _prepare(record: Record, findings: list[Finding], settings: Settings) -> Material:
+def _prepare(record: Record, findings: list[Finding], settings: Settings) -> Run:
     still = alone.stillness(record, settings.sensor, settings.declared)
     mount, told_by_gravity = mounting.settle(
         record, still.found, settings.mount_deg, level_at_rest=settings.level_at_rest
@@ -106,27 +147,27 @@ def _prepare(record: Record, findings: list[Finding], settings: Settings) -> Mat
     channels = dict(zip((*names_w, *names_a), np.hstack([body_w, body_a]).T, strict=True))
     stroke = rhythm.find(record.time_s, channels)
     cutoff = oscillation.LOWEST_HZ if stroke is None else oscillation.SHARE * stroke.beat.frequency_hz
-    return Material(record, source, still, mount, settings, [*findings, *told_by_gravity], stroke, cutoff)
+    return Run(record, source, still, mount, settings, [*findings, *told_by_gravity], stroke, cutoff)
 
 
-def _by_paper(m: Material) -> Material:
-    turned = m.mount.rotation.inv()
+def _by_paper(run: Run) -> Run:
+    turned = run.mount.rotation.inv()
     body = replace(
-        m.record, acceleration=turned.apply(m.record.acceleration), rate=turned.apply(m.record.rate)
+        run.record, acceleration=turned.apply(run.record.acceleration), rate=turned.apply(run.record.rate)
     )
     found = paper.integrate(
         body,
-        m.source.rotation * m.mount.rotation,
-        m.settings.mode,
-        threshold_m_s2=m.settings.threshold_m_s2,
-        threshold_rad_s=m.settings.threshold_rad_s,
+        run.source.rotation * run.mount.rotation,
+        run.settings.mode,
+        threshold_m_s2=run.settings.threshold_m_s2,
+        threshold_rad_s=run.settings.threshold_rad_s,
     )
-    return replace(m, paper=found)
+    return replace(run, paper=found)
 
 
-def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> Material:
-    settings, fused = m.settings, None
-    common = (m.record, m.source, m.still, m.mount)
+def _by_smoother(run: Run, poses: Poses | None, step: Callable[[], Any]) -> Run:
+    settings, fused = run.settings, None
+    common = (run.record, run.source, run.still, run.mount)
     if poses is None:
         judged = alone.judged(*common, settings.sensor, settings.declared, advance=step)
         smoothed, still, impossible = judged.smoothed, judged.still, judged.impossible
@@ -144,19 +185,19 @@ def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> M
         smoothed, still, impossible = fused.smoothed, fused.still, fused.impossible
         sensor, findings = fused.sensor, fused.findings
     settings = replace(settings, sensor=sensor)
-    m = replace(m, settings=settings, fused=fused, still=still, findings=[*m.findings, *findings])
+    run = replace(run, settings=settings, fused=fused, still=still, findings=[*run.findings, *findings])
     if impossible:
-        return _attitude_alone(m, impossible)
+        return _attitude_alone(run, impossible)
     moved = motion.at_reference(smoothed)
-    surge = oscillation.surge(moved.time_s, moved.velocity, moved.rotation, m.cutoff_hz)
-    surge_sd = oscillation.high_passed_sd(still.noise.acceleration, m.cutoff_hz, sensor.scale_sd, surge)
+    surge = oscillation.surge(moved.time_s, moved.velocity, moved.rotation, run.cutoff_hz)
+    surge_sd = oscillation.high_passed_sd(still.noise.acceleration, run.cutoff_hz, sensor.scale_sd, surge)
     if fused is None:
         moved, impossible = _never_too_fast(moved, settings.declared.top_speed_m_s)
     rest = smoothed.errors.scores.get("rest")
     return replace(
-        m,
+        run,
         motion=moved,
-        trust=_reach(m, moved) if fused is None else None,
+        trust=_reach(run, moved) if fused is None else None,
         surge_osc=surge,
         surge_osc_sd=surge_sd,
         rest_score=None if rest is None else float(np.sqrt(np.nanmean(rest**2))),
@@ -165,21 +206,21 @@ def _by_smoother(m: Material, poses: Poses | None, step: Callable[[], Any]) -> M
     )
 
 
-def _attitude_alone(m: Material, impossible: list[str]) -> Material:
+def _attitude_alone(run: Run, impossible: list[str]) -> Run:
     """No motion that can be: the attitude before smoothing, everything else empty."""
-    turned = m.mount.rotation.inv()
+    turned = run.mount.rotation.inv()
     moved = motion.of_attitude(
-        m.record.time_s,
-        m.source.rotation * m.mount.rotation,
-        turned.apply(m.record.rate - attitude.still_rate(m.record, m.still.found)),
-        m.source.rotation.apply(m.record.acceleration) + gravity(np.zeros(2)),
-        alone.attitude_sd(m.source, m.settings.sensor),
+        run.record.time_s,
+        run.source.rotation * run.mount.rotation,
+        turned.apply(run.record.rate - attitude.still_rate(run.record, run.still.found)),
+        run.source.rotation.apply(run.record.acceleration) + gravity(np.zeros(2)),
+        alone.attitude_sd(run.source, run.settings.sensor),
     )
     return replace(
-        m,
+        run,
         motion=moved,
-        trust=_reach(m, moved) if m.fused is None else None,
-        surge_osc=np.full(len(m.record), np.nan),
+        trust=_reach(run, moved) if run.fused is None else None,
+        surge_osc=np.full(len(run.record), np.nan),
         impossible=tuple(impossible),
     )
 
@@ -197,9 +238,9 @@ def _never_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]:
     return motion.without(moved, fast), [text]
 
 
-def _reach(m: Material, moved: Motion) -> trust.Trust:
-    first = m.still.used[0] if m.still.used and m.still.used[0].first == 0 else None
-    moving_from = m.record.time_s[0 if first is None else first.last - 1]
+def _reach(run: Run, moved: Motion) -> trust.Trust:
+    first = run.still.used[0] if run.still.used and run.still.used[0].first == 0 else None
+    moving_from = run.record.time_s[0 if first is None else first.last - 1]
     return trust.horizon(moved.time_s, moved.position, moved.position_sd, float(moving_from))
 
 
@@ -207,123 +248,62 @@ def _biases(smoothed: Smoothed) -> Any:
     return np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
 
 
-def _warn(m: Material, notes: list[str]) -> None:
-    name = m.record.name
+def _warn(run: Run, notes: list[str]) -> None:
+    name = run.record.name
     for note in notes:
         warn("SWM004", f"{name}: {note}")
-    for finding in m.findings:
+    for finding in run.findings:
         if finding.verdict == "handled":
             warn("SWM080", f"{name}, {finding.fault}: {finding.text}")
-    if m.impossible:
+    if run.impossible:
         warn(
             "SWM086",
-            f"{name}: {'; '.join(m.impossible)}: no such motion can be; its positions and velocities are "
+            f"{name}: {'; '.join(run.impossible)}: no such motion can be; its positions and velocities are "
             "empty. Name the true rests with --still, or fuse a camera log (--with)",
         )
-    if not m.still.found:
+    if not run.still.found:
         warn(
             "SWM082",
             f"{name}: no still period found; the biases are known to data-sheet accuracy only. Let the robot "
             "rest for some seconds before and after a run, or name a rest with --still",
         )
-    if m.trust is not None and m.trust.seconds is not None:
+    if run.trust is not None and run.trust.seconds is not None:
         warn(
             "SWM081",
-            f"{name}: the integrated position is not to be trusted after {m.trust.seconds:.1f} s of motion "
-            f"(at t = {m.trust.until_s:.1f} s its 95 % band exceeds 0.1 m and a tenth of the way)",
+            f"{name}: the integrated position is not to be trusted after {run.trust.seconds:.1f} s of motion "
+            f"(at t = {run.trust.until_s:.1f} s its 95 % band exceeds 0.1 m and a tenth of the way)",
         )
-    if m.fused is not None and m.settings.clock_offset_s is None and m.fused.offset.excludes_zero:
-        o = m.fused.offset
+    if run.fused is not None and run.settings.clock_offset_s is None and run.fused.offset.excludes_zero:
+        o = run.fused.offset
         warn(
             "SWM083",
             f"the clocks differ: {1e3 * o.value_s:.1f} ms to add to the other log "
             f"(95 %: {1e3 * o.low_s:.1f} ... {1e3 * o.high_s:.1f} ms); the output is on the inertial clock",
         )
-    if m.fused is not None and m.fused.stray > fusion.FEW * len(m.fused.fixes.time_s):
+    if run.fused is not None and run.fused.stray > fusion.FEW * len(run.fused.fixes.time_s):
         warn(
             "SWM087",
-            f"{name}: {m.fused.stray} of {len(m.fused.fixes.time_s)} fixes of the other log lie beyond "
+            f"{name}: {run.fused.stray} of {len(run.fused.fixes.time_s)} fixes of the other log lie beyond "
             f"{aiding.GATE:g} deviations of the motion: the two logs contradict each other",
         )
-    if m.fused is not None and m.fused.lasting > fusion.LASTING:
+    if run.fused is not None and run.fused.lasting > fusion.LASTING:
         warn(
             "SWM087",
             f"{name}: many fixes of the other log on end are off by the same (as fused they scatter "
-            f"by {np.max(m.fused.fixes.position_sd[:2]):.3g} m): the logs contradict each other, or its "
-            f"scale or marker is wrong; every band is widened by {m.fused.lasting:.1f}",
+            f"by {np.max(run.fused.fixes.position_sd[:2]):.3g} m): the logs contradict each other, or its "
+            f"scale or marker is wrong; every band is widened by {run.fused.lasting:.1f}",
         )
-    if m.rest_score is not None and m.rest_score > REST_LIMIT:
+    if run.rest_score is not None and run.rest_score > REST_LIMIT:
         warn(
             "SWM084",
             f"{name}: the motion between rests does not close within its band "
-            f"({m.rest_score:.1f} deviations rms): "
+            f"({run.rest_score:.1f} deviations rms): "
             "one of them is no rest of the body, or the sensor is worse than stated",
         )
-    stated = stated_frequency(m)
-    if m.stroke is not None and stated is not None and contradicts(m.stroke, stated):
-        low, high = m.stroke.interval_hz
+    if run.stroke is not None and run.contradicted:
+        low, high = run.stroke.interval_hz
         warn(
             "SWM032",
-            f"{name}: the metadata says frequency_hz {stated:g}, {m.stroke.channel} beats at "
-            f"{m.stroke.beat.frequency_hz:.4g} Hz (95 %: {low:.4g} ... {high:.4g})",
+            f"{name}: the metadata says frequency_hz {run.stated_hz:g}, {run.stroke.channel} beats at "
+            f"{run.stroke.beat.frequency_hz:.4g} Hz (95 %: {low:.4g} ... {high:.4g})",
         )
-
-
-def _columns(m: Material) -> dict[str, Any]:
-    if m.paper is not None:
-        body = m.source.rotation * m.mount.rotation
-        roll, pitch, yaw = angles(body)
-        p, v = m.paper.position, m.paper.velocity
-        u = body.inv().apply(v)
-        return {
-            "t_s": m.record.time_s,
-            "x_m": p[:, 0], "y_m": p[:, 1], "z_m": p[:, 2],
-            "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw,
-            "u_m_s": u[:, 0], "v_m_s": u[:, 1], "w_m_s": u[:, 2],
-            "vx_m_s": v[:, 0], "vy_m_s": v[:, 1], "vz_m_s": v[:, 2],
-            **{f"a{a}_world_m_s2": c for a, c in zip("xyz", m.paper.acceleration.T, strict=True)},
-            **{f"w{a}_world_rad_s": c for a, c in zip("xyz", m.paper.rate.T, strict=True)},
-        }  # fmt: skip
-    found = m.motion
-    assert found is not None
-    roll, pitch, yaw = angles(found.rotation)
-    quaternion = found.rotation.as_quat()
-    out: dict[str, Any] = {"t_s": found.time_s}
-    out |= dict(zip(("x_m", "y_m", "z_m"), found.position.T, strict=True))
-    out |= {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
-    out |= dict(zip(("u_m_s", "v_m_s", "w_m_s"), found.body_velocity.T, strict=True))
-    out |= dict(zip(("vx_m_s", "vy_m_s", "vz_m_s"), found.velocity.T, strict=True))
-    out |= {"roll_rate_rad_s": found.rate[:, 0], "pitch_rate_rad_s": -found.rate[:, 1]}
-    out |= {"yaw_rate_rad_s": found.rate[:, 2], "u_osc_m_s": m.surge_osc}
-    out |= dict(zip(("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"), found.acceleration.T, strict=True))
-    out |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
-    out |= dict(zip(("x_sd_m", "y_sd_m", "z_sd_m"), found.position_sd.T, strict=True))
-    out |= dict(zip(("roll_sd_rad", "pitch_sd_rad", "yaw_sd_rad"), found.angle_sd.T, strict=True))
-    out |= dict(zip(("u_sd_m_s", "v_sd_m_s", "w_sd_m_s"), found.body_velocity_sd.T, strict=True))
-    out |= dict(zip(("vx_sd_m_s", "vy_sd_m_s", "vz_sd_m_s"), found.velocity_sd.T, strict=True))
-    out["u_osc_sd_m_s"] = np.full(len(found.time_s), np.nan if m.surge_osc_sd is None else m.surge_osc_sd)
-    out["bridged"] = (m.record.filled_acceleration | m.record.filled_rate).astype(int)
-    return out
-
-
-def _write(
-    m: Material, poses: Poses | None, inputs: list[Path], output: Path, notices: list[Notice]
-) -> Result:
-    machine = told.result(m)
-    kept = {k: v for k, v in m.record.metadata.items() if isinstance(v, int | float | str | bool)}
-    head = {
-        **kept,
-        "source": m.record.name,
-        "made_by": "swimid track imu",
-        "method": m.settings.method,
-        "attitude_from": m.source.kind,
-        "path_trusted_until_s": None if m.trust is None else m.trust.until_s,
-        "clock_offset_s": None if m.fused is None else m.fused.offset.value_s,
-        "stroke_hz": None if m.stroke is None else m.stroke.beat.frequency_hz,
-    }
-    log.write(output, _columns(m), {k: v for k, v in head.items() if v is not None})
-    proof = evidence.sidecar(output)
-    evidence.write(
-        proof, told.record(m, poses, machine, notices, provenance.collect(inputs, settings=told.settings(m)))
-    )
-    return Result("track imu", told.summary(m, machine), machine, [output, proof])

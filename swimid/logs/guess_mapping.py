@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files import atomic, yamlio
+from swimid.files.provenance import path_of
 from swimid.logs import log, mapping
 from swimid.logs.foreign import Source, open_source
 from swimid.logs.foreign.delimited import DelimitedSource
@@ -67,7 +68,7 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     [('Yaw [deg]', 'yaw_rad', 'deg')]
     """
     given = log.unread(source)
-    path = given.path if isinstance(given, log.Log) else given
+    path = path_of(given)
     opened = open_source(given)
     try:
         columns = _sample(opened)

@@ -19,6 +19,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError, nearest
 from swimid.files import yamlio
+from swimid.files.provenance import path_of
 from swimid.logs import units
 from swimid.logs.foreign import Options, Source, open_source
 from swimid.logs.log import TIME, Log, metadata_of, written_by
@@ -188,13 +189,9 @@ def apply(mapping: Mapping, given: str | Path | Log, *, progress: Progress = sil
     """
     source = open_source(given, mapping.reader)
     try:
-        return _mapped(mapping, _path(given), source, progress)
+        return _mapped(mapping, path_of(given), source, progress)
     finally:
         source.close()
-
-
-def _path(given: str | Path | Log) -> Path:
-    return given.path if isinstance(given, Log) else Path(given)
 
 
 def identity(given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
@@ -205,7 +202,7 @@ def identity(given: str | Path | Log, *, progress: Progress = silent) -> MappedL
     InputError
         As :func:`apply`; also where there is no column ``t_s``.
     """
-    path = _path(given)
+    path = path_of(given)
     source = open_source(given)
     try:
         names = [column.name for column in source.columns]

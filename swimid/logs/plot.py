@@ -56,7 +56,7 @@ class Drawn(Result):
         assert self.evidence is not None
         figures = self.evidence.figures
         if path.suffix.lower() in PAGES:
-            digests = {_key(i): d for i in self.inputs for d in provenance.digests_of([i]).values()}
+            digests = {str(provenance.path_of(one)): provenance.digest_of(one) for one in self.inputs}
             text = page.render(
                 [self.section()],
                 title=self.evidence.title,
@@ -74,7 +74,7 @@ class Drawn(Result):
         """The figures as a section of a report."""
         assert self.evidence is not None
         return Section(
-            path=Path(_key(self.inputs[0])),
+            path=provenance.path_of(self.inputs[0]),
             kind="Log" if len(self.inputs) == 1 else "Logs",
             title=self.evidence.title,
             verdict=_nothing_judged(self.document),
@@ -140,7 +140,8 @@ def plot(
         figures=figures,
         notices=[NoticeRecord(code=n.code, text=n.text) for n in notices],
     )
-    data = {"logs": [_key(one) for one in inputs], "figures": [figure.id for figure in figures]}
+    names = [str(provenance.path_of(one)) for one in inputs]
+    data = {"logs": names, "figures": [figure.id for figure in figures]}
     text = f"{heading}: {', '.join(figure.title for figure in figures)}"
     drawn = Drawn("plot", text, data, evidence=proof, document=records, inputs=inputs, progress=progress)
     return drawn if output is None else drawn.save(output)
@@ -165,7 +166,3 @@ def _picture(path: Path) -> Path:
     if path.suffix.lower() not in (*PAGES, *PICTURES):
         raise UsageError(f"{path}: a picture ends in {', '.join((*PAGES, *PICTURES))}")
     return path
-
-
-def _key(given: provenance.Input) -> str:
-    return str(given) if isinstance(given, str | Path) else given.name

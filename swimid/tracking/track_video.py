@@ -172,8 +172,7 @@ def _track(
     with progress(f"tracking {video.name}") as step:
         run = follow(video, rules, step=step)
     track, info, rules = run.track, run.info, run.setup
-    file = str(source) if isinstance(source, str | Path) else source.name
-    ground = plane.build(rules, info.width, info.height, file=file)
+    ground = plane.build(rules, info.width, info.height, file=str(provenance.path_of(source)))
     _demand_markers(track, rules, run.kept)
     ground = pose.facing(track, rules, ground)
     result = pose.build(track, rules, ground)

@@ -8,8 +8,8 @@ import numpy as np
 
 from swimid.inertial.alignment import Poses
 from swimid.inertial.record import Array
+from swimid.inertial.run import Run
 from swimid.inertial.sensor import DEG
-from swimid.inertial.track_imu_material import Material
 from swimid.inertial.trust import BAND
 from swimid.logs.rotation import angles
 from swimid.results import evidence as ev
@@ -18,15 +18,15 @@ from swimid.results import evidence as ev
 POINTS = 800
 
 
-def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
+def figures(run: Run, poses: Poses | None) -> list[ev.Figure]:
     """The figures of a run."""
-    if m.paper is not None:
-        return [_paper(m)]
-    assert m.motion is not None
-    found = m.motion
+    if run.paper is not None:
+        return [_paper(run)]
+    assert run.motion is not None
+    found = run.motion
     t = found.time_s
-    rest = [ev.Span(start=float(t[r.first]), end=float(t[r.last - 1]), label="rest") for r in m.still.used]
-    times = None if poses is None or m.fused is None else poses.time_s + m.fused.offset.value_s
+    rest = [ev.Span(start=float(t[r.first]), end=float(t[r.last - 1]), label="rest") for r in run.still.used]
+    times = None if poses is None or run.fused is None else poses.time_s + run.fused.offset.value_s
     out = [
         ev.Figure(
             id="velocity",
@@ -56,7 +56,7 @@ def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
                 for k, name in enumerate("xyz")
             ],
         ),
-        _growth(m),
+        _growth(run),
         ev.Figure(
             id="attitude",
             title="Attitude",
@@ -69,17 +69,17 @@ def figures(m: Material, poses: Poses | None) -> list[ev.Figure]:
                 )
             ],
         ),
-        _track(m, poses),
+        _track(run, poses),
     ]
-    if m.surge_osc is not None and m.surge_osc_sd is not None:
-        sd = np.full(len(t), m.surge_osc_sd)
+    if run.surge_osc is not None and run.surge_osc_sd is not None:
+        sd = np.full(len(t), run.surge_osc_sd)
         out.append(
             ev.Figure(
                 id="oscillation",
                 title="Surge within a stroke",
-                caption=f"Surge above {m.cutoff_hz:.2f} Hz with its 95 % band: the part that "
+                caption=f"Surge above {run.cutoff_hz:.2f} Hz with its 95 % band: the part that "
                 f"needs no help from outside.",
-                panels=[_panel(t, "surge (m/s)", m.surge_osc, sd, rest)],
+                panels=[_panel(t, "surge (m/s)", run.surge_osc, sd, rest)],
             )
         )
     return out
@@ -111,16 +111,16 @@ def _panel(
     return ev.Panel(x_label="time (s)", y_label=label, traces=traces, spans=rest)
 
 
-def _growth(m: Material) -> ev.Figure:
-    assert m.motion is not None
-    t = m.motion.time_s
+def _growth(run: Run) -> ev.Figure:
+    assert run.motion is not None
+    t = run.motion.time_s
     traces = []
     for k, name in enumerate("xyz"):
-        x, y = _few(t, np.maximum(BAND * m.motion.position_sd[:, k], 1e-5))
+        x, y = _few(t, np.maximum(BAND * run.motion.position_sd[:, k], 1e-5))
         traces.append(ev.Trace(x=x, y=y, label=name))
     marks = [ev.Mark(at=0.1, label="0.1 m")]
-    if m.trust is not None and m.trust.until_s is not None:
-        marks.append(ev.Mark(at=m.trust.until_s, axis="x", label="trusted until"))
+    if run.trust is not None and run.trust.until_s is not None:
+        marks.append(ev.Mark(at=run.trust.until_s, axis="x", label="trusted until"))
     return ev.Figure(
         id="band",
         title="How far the position can be trusted",
@@ -129,12 +129,12 @@ def _growth(m: Material) -> ev.Figure:
     )
 
 
-def _track(m: Material, poses: Poses | None) -> ev.Figure:
-    assert m.motion is not None
+def _track(run: Run, poses: Poses | None) -> ev.Figure:
+    assert run.motion is not None
     trusted = slice(None)
-    if m.trust is not None and m.trust.until_s is not None:
-        trusted = slice(0, max(int(np.searchsorted(m.motion.time_s, m.trust.until_s)), 2))
-    x, y = _few(*m.motion.position[trusted, :2].T)
+    if run.trust is not None and run.trust.until_s is not None:
+        trusted = slice(0, max(int(np.searchsorted(run.motion.time_s, run.trust.until_s)), 2))
+    x, y = _few(*run.motion.position[trusted, :2].T)
     traces = [ev.Trace(x=x, y=y, label="estimate", group=0)]
     if poses is not None and np.isfinite(poses.position[:, :2]).all(axis=1).any():
         there = np.isfinite(poses.position[:, :2]).all(axis=1)
@@ -148,14 +148,14 @@ def _track(m: Material, poses: Poses | None) -> ev.Figure:
     )
 
 
-def _paper(m: Material) -> ev.Figure:
-    assert m.paper is not None
-    t = m.record.time_s
+def _paper(run: Run) -> ev.Figure:
+    assert run.paper is not None
+    t = run.record.time_s
     panels: list[Any] = []
     for label, values in (
-        ("acceleration (m/s²)", m.paper.acceleration),
-        ("velocity (m/s)", m.paper.velocity),
-        ("position (m)", m.paper.position),
+        ("acceleration (m/s²)", run.paper.acceleration),
+        ("velocity (m/s)", run.paper.velocity),
+        ("position (m)", run.paper.position),
     ):
         traces = []
         for k, name in enumerate("xyz"):

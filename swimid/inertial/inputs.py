@@ -1,4 +1,4 @@
-"""What ``swimid track imu`` reads: the record of the inertial unit, and another log of the trial."""
+"""The record of an inertial unit, and another log of the trial to fuse it with."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.files.delimited import missing_column
+from swimid.files.provenance import path_of
 from swimid.inertial.alignment import Poses
 from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, rotations
 from swimid.logs import log, mapping, track_cleaning
-from swimid.logs.mapping import MappedLog
+from swimid.logs.log import Log
+from swimid.logs.mapping import MappedLog, Mapping
 from swimid.logs.rotation import angles
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
@@ -21,23 +23,27 @@ from swimid.progress import Progress
 LEAST = 64
 
 
-def read_record(path: Path, map_path: Path | None, progress: Progress) -> tuple[Record, list[str]]:
-    """The record as it stands in the file, faults and all, and what to know of how it was read.
+def read_record(
+    given: Path | Log, rules: Mapping | None, named: Path, progress: Progress
+) -> tuple[Record, list[str]]:
+    """The record as it stands in the file or table, faults and all, and what to know of how it was read.
+
+    ``named`` is what says which column is which: the mapping, or the recording itself.
 
     Raises
     ------
     InputError
         The file or the mapping cannot be used, or a column is missing.
     """
-    if map_path is None:
-        mapped = mapping.identity(path, progress=progress)
+    path = path_of(given)
+    if rules is None:
+        mapped = mapping.identity(given, progress=progress)
     else:
-        mapped = mapping.apply(mapping.read(map_path), path, progress=progress)
+        mapped = mapping.apply(rules, given, progress=progress)
     columns = mapped.columns
     for name in (*ACCELERATION, *RATE):
         if name not in columns:
-            where = path if map_path is None else map_path
-            raise missing_column(name, list(columns), where, None, "an inertial log needs this column")
+            raise missing_column(name, list(columns), named, None, "an inertial log needs this column")
     if len(mapped) < LEAST:
         raise InputError(f"has {len(mapped)} samples; at least {LEAST} are needed", file=path)
     record = Record(
@@ -62,7 +68,7 @@ def _together(mapped: MappedLog, names: tuple[str, ...]) -> Array:
     return np.column_stack([mapped.columns[name] for name in names])
 
 
-def read_poses(path: Path) -> Poses:
+def read_poses(read: Log) -> Poses:
     """Positions and angles of another log; bridged samples count as missing.
 
     Where a log keeps what was measured beside what was smoothed (``x_raw_m``), the measured is taken.
@@ -70,9 +76,8 @@ def read_poses(path: Path) -> Poses:
     Raises
     ------
     InputError
-        The file cannot be used, or holds neither positions nor angles.
+        It holds neither positions nor angles.
     """
-    read = log.read(path)
     bridged = np.zeros(len(read), dtype=bool)
     if "found" in read:
         bridged |= read["found"] == 0
@@ -98,14 +103,14 @@ def read_poses(path: Path) -> Poses:
         raise InputError(
             "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, "
             "pitch_rad, yaw_rad) to fuse with",
-            file=path,
+            file=read.path,
             hint="tracks in pixels need a scale in their setup",
         )
     _take_out(read, position, [a for a in (roll, pitch, yaw) if a is not None])
     return Poses(read.time_s, position, roll, pitch, _unwrapped(yaw))
 
 
-def _take_out(read: log.Log, position: Array, angle_columns: list[Array]) -> None:
+def _take_out(read: Log, position: Array, angle_columns: list[Array]) -> None:
     """Empty the samples of a dense track that repeat a picture or jump away from it."""
     far = (np.abs(position) > FARTHEST_M).any(axis=1)
     position[far] = np.nan

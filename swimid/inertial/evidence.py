@@ -1,0 +1,329 @@
+"""What ``swimid track imu`` says of a run: log, summary, checks, tables and methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from swimid.inertial.alignment import Poses
+from swimid.inertial.checks import checks
+from swimid.inertial.errorstate import LEVER
+from swimid.inertial.figures import figures
+from swimid.inertial.run import Run
+from swimid.inertial.sensor import DEG, MILLI_G
+from swimid.inertial.trust import BAND
+from swimid.logs import log
+from swimid.logs.log import Log
+from swimid.logs.logged import Logged
+from swimid.notices import Notice
+from swimid.results import evidence as ev
+
+
+def result(run: Run, poses: Poses | None, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
+    """The log of a run with its evidence."""
+    columns, data = run.columns(), _facts(run)
+    kept = {k: v for k, v in run.record.metadata.items() if isinstance(v, int | float | str | bool)}
+    head = {
+        **kept,
+        "source": run.record.name,
+        "made_by": "swimid track imu",
+        "method": run.settings.method,
+        "attitude_from": run.source.kind,
+        "path_trusted_until_s": None if run.trust is None else run.trust.until_s,
+        "clock_offset_s": None if run.fused is None else run.fused.offset.value_s,
+        "stroke_hz": None if run.stroke is None else run.stroke.beat.frequency_hz,
+    }
+    metadata = {k: v for k, v in head.items() if v is not None}
+    return Logged(
+        "track imu",
+        _summary(run, data),
+        data,
+        evidence=_record(run, poses, data, notices, provenance),
+        document=Log(Path(run.record.name).with_suffix(".csv"), metadata, log.numeric(columns), None),
+        table=columns,
+    )
+
+
+def _facts(run: Run) -> dict[str, Any]:
+    """The run for machines."""
+    t = run.record.time_s
+    out: dict[str, Any] = {
+        "method": run.settings.method,
+        "samples": len(t),
+        "duration_s": float(t[-1] - t[0]),
+        "sample_time_s": run.record.step_s,
+        "attitude_from": run.source.kind,
+        "still_periods": [
+            {
+                "from_s": float(t[r.first]),
+                "to_s": float(t[r.last - 1]),
+                "at": r.at,
+                "used_as_rest": r in run.still.used,
+            }
+            for r in run.still.found
+        ],
+        "noise": {
+            "acceleration_m_s2_per_rt_hz": run.still.noise.acceleration,
+            "rate_rad_s_per_rt_hz": run.still.noise.rate,
+            "source": run.still.noise.source,
+        },
+        "faults": [
+            {"fault": f.fault, "verdict": f.verdict, "text": f.text, "count": f.count} for f in run.findings
+        ],
+        "mounting": _mounting(run),
+        "stroke": _stroke(run),
+    }
+    if run.paper is not None:
+        out["motion_mode"] = run.settings.mode
+        out["constant_part"] = {
+            "acceleration_m_s2": run.paper.removed_acceleration.tolist(),
+            "rate_rad_s": run.paper.removed_rate.tolist(),
+        }
+        return out
+    assert run.motion is not None
+    if run.bias is not None:
+        out["bias"] = {"acceleration_m_s2": run.bias[:3].tolist(), "rate_rad_s": run.bias[3:].tolist()}
+    out["empty_share"] = float(np.mean(np.isnan(run.motion.velocity[:, 0])))
+    out["impossible"] = list(run.impossible)
+    out["surge_oscillation"] = {
+        "rms_m_s": None if run.surge_osc is None else _largest(np.sqrt(np.mean(np.square(run.surge_osc)))),
+        "sd_m_s": run.surge_osc_sd,
+        "above_hz": run.cutoff_hz,
+    }
+    out["largest_band_95"] = {
+        "position_m": _largest(BAND * run.motion.position_sd),
+        "velocity_m_s": _largest(BAND * run.motion.velocity_sd),
+        "yaw_rad": _largest(BAND * run.motion.angle_sd[:, 2]),
+    }
+    if run.trust is not None:
+        out["path_trusted"] = {"until_s": run.trust.until_s, "seconds": run.trust.seconds}
+    if run.rest_score is not None:
+        out["rest_innovation_rms"] = run.rest_score
+    if run.fused is not None:
+        out["fusion"] = _fusion(run)
+    return out
+
+
+def _largest(values: Any) -> float | None:
+    """None where there is none."""
+    there = np.asarray(values)[np.isfinite(values)]
+    return float(there.max()) if there.size else None
+
+
+def _mounting(run: Run) -> dict[str, Any]:
+    roll, pitch = run.tilt
+    out: dict[str, Any] = {"by": run.mount.by, "roll_at_rest_rad": roll, "pitch_at_rest_rad": pitch}
+    if run.fused is not None:
+        path = run.fused.smoothed.path
+        out["body_to_sensor_rotation_vector_rad"] = run.body_to_sensor.as_rotvec().tolist()
+        out["lever_m"] = (-run.body_to_sensor.inv().apply(path.lever)).tolist()
+        out["lever_sd_m"] = np.sqrt(np.diag(run.fused.smoothed.errors.covariance[-1])[LEVER]).tolist()
+        out["world_tilt_rad"] = path.tilt.tolist()
+    return out
+
+
+def _stroke(run: Run) -> dict[str, Any] | None:
+    if run.stroke is None:
+        return None
+    beat = run.stroke.beat
+    return {
+        "channel": run.stroke.channel,
+        "frequency_hz": beat.frequency_hz,
+        "stderr_hz": beat.stderr_hz,
+        "harmonics": [
+            {"frequency_hz": h.order * beat.frequency_hz, "amplitude": h.amplitude, "stderr": h.stderr}
+            for h in run.stroke.harmonics
+        ],
+        "stated_hz": run.stated_hz,
+        "contradicts": run.contradicted,
+    }
+
+
+def _fusion(run: Run) -> dict[str, Any]:
+    assert run.fused is not None
+    offset, before = run.fused.offset, run.fused.clocks
+    scores = run.fused.smoothed.errors.scores
+    return {
+        "clock_offset_s": offset.value_s,
+        "clock_offset_95_s": [offset.low_s, offset.high_s],
+        "before_fusing": {
+            "by": before.by,
+            "clock_offset_s": before.offset.value_s,
+            "clock_offset_95_s": [before.offset.low_s, before.offset.high_s],
+            "explained": before.offset.explained,
+        },
+        "fix_sd_m": run.fused.fixes.position_sd.tolist(),
+        "fix_sd_rad": None if run.fused.fixes.rotation is None else run.fused.fixes.rotation_sd,
+        "innovation_rms": {k: float(np.sqrt(np.nanmean(v**2))) for k, v in scores.items()},
+        "fixes_used": len(scores.get("position", ())),
+        "fixes_stray": run.fused.stray,
+        "clocks_agree": run.fused.agree,
+        "widened_by_lasting_errors": run.fused.lasting,
+        "held_out": None
+        if run.fused.held_out is None
+        else {
+            "fixes": run.fused.held_out.count,
+            "rms_m": _largest(run.fused.held_out.rms_m),
+            "deviations": run.fused.held_out.deviations,
+        },
+    }
+
+
+# ---------------------------------------------------------------- for readers
+
+
+def _summary(run: Run, data: dict[str, Any]) -> str:
+    """The run for the terminal: what can be trusted first."""
+    n, d = data["samples"], data["duration_s"]
+    lines = [
+        f"{run.record.name}: {n} samples over {d:.1f} s, method "
+        f"{run.settings.method}, attitude from {run.source.kind}"
+    ]
+    lines += [f"  {_reach(run)}"]
+    if run.motion is not None and run.surge_osc is not None:
+        rms = data["surge_oscillation"]["rms_m_s"]
+        if run.surge_osc_sd is not None and rms is not None:
+            lines.append(
+                f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
+                f"rms, ± {BAND * run.surge_osc_sd:.4f}"
+            )
+    for check in checks(run):
+        lines.append(
+            f"  {check.verdict:4}  {check.name}: {check.value}"
+            + (f"  ({check.limit})" if check.limit else "")
+        )
+    return "\n".join(line for line in lines if line)
+
+
+def _reach(run: Run) -> str:
+    if run.paper is not None:
+        mode = run.settings.mode
+        return f"the paper's way, {mode} mode: it states no uncertainty; its velocity ends as it began"
+    assert run.motion is not None
+    if not np.isfinite(run.motion.position).any():
+        return "no motion that can be: positions and velocities are empty, the attitude is the filter's"
+    if run.fused is not None:
+        half = BAND * np.max(run.motion.position_sd[:, :2], axis=1)
+        usual, worst = np.median(half), np.max(half)
+        return f"position to ± {usual:.4f} m (median of the 95 % band), ± {worst:.3f} m at worst"
+    assert run.trust is not None
+    if run.trust.seconds is None:
+        widest = run.trust.widest_m
+        return f"path: the 95 % band stays within 0.1 m or a tenth of the way (widest ± {widest:.3f} m)"
+    return (
+        f"path: NOT to be trusted after {run.trust.seconds:.1f} s of motion (t = {run.trust.until_s:.1f} s); "
+        f"95 % band at worst ± {run.trust.widest_m:.1f} m"
+    )
+
+
+def _record(
+    run: Run,
+    poses: Poses | None,
+    data: dict[str, Any],
+    notices: Sequence[Notice],
+    provenance: dict[str, Any],
+) -> ev.Evidence:
+    """Everything the report shows of a run."""
+    found = checks(run)
+    doubts = [c.name.lower() for c in found if c.verdict in ("warn", "fail")]
+    text = _reach(run)[0].upper() + _reach(run)[1:]
+    failed = any(c.verdict == "fail" for c in found)
+    level: Literal["good", "caution", "bad"] = (
+        "bad" if failed else "caution" if doubts or run.paper is not None else "good"
+    )
+    return ev.Evidence(
+        verb="track imu",
+        title=f"Motion of {run.record.name}",
+        verdict=ev.Verdict(
+            level=level, text=text + (f". Look at: {', '.join(dict.fromkeys(doubts))}." if doubts else ".")
+        ),
+        checks=found,
+        tables=_tables(run, data),
+        figures=figures(run, poses),
+        notices=[ev.NoticeRecord(code=n.code, text=n.text) for n in notices],
+        methods=_methods(run),
+        references=_references(run),
+        provenance=provenance,
+    )
+
+
+def _tables(run: Run, data: dict[str, Any]) -> list[ev.Table]:
+    rows: list[list[Any]] = [
+        [p["from_s"], p["to_s"], p["at"], "yes" if p["used_as_rest"] else "no"] for p in data["still_periods"]
+    ]
+    tables = [
+        ev.Table(
+            id="still",
+            title="Still periods",
+            columns=["from (s)", "to (s)", "where", "taken as rest"],
+            rows=rows,
+        )
+    ]
+    if run.bias is not None:
+        tables.append(
+            ev.Table(
+                id="biases",
+                title="Biases at the end",
+                columns=["axis", "accelerometer (mg)", "gyroscope (deg/s)"],
+                rows=[
+                    [a, float(run.bias[i] / MILLI_G), float(run.bias[3 + i] / DEG)]
+                    for i, a in enumerate("xyz")
+                ],
+                caption="Sensor axes. At rest in one attitude a horizontal bias and a tilt "
+                "cannot be told apart.",
+            )
+        )
+    return tables
+
+
+def _methods(run: Run) -> list[str]:
+    if run.paper is not None:
+        return [
+            "Velocity and position were computed from accelerations as by Shang et "
+            "al. (2012): means removed for "
+            f"{run.settings.mode} mode, readings below {run.settings.threshold_m_s2:g} m/s² and "
+            f"{run.settings.threshold_rad_s:g} rad/s set to zero, rotation to earth "
+            f"axes (Eqs 10 and 11), trapezoidal "
+            "integration (Eqs 12 and 13)."
+        ]
+    used = "an inertial unit" if run.fused is None else "an inertial unit and a second log of the trial"
+    text = [
+        f"Motion was estimated from {used} by an error-state Kalman filter and "
+        f"Rauch-Tung-Striebel smoother over "
+        "position, velocity, attitude and sensor biases"
+        + (", mounting, lever arm and clock offset" if run.fused is not None else "")
+        + f"; attitude from {run.source.kind}.",
+    ]
+    if run.settings.declared.zero_mean:
+        text.append(
+            f"Declared: mean {' and '.join(run.settings.declared.zero_mean)} of zero "
+            f"over {run.settings.declared.window_s:g} s."
+        )
+    return text
+
+
+def _references(run: Run) -> list[str]:
+    shang = (
+        "Shang, L., Wang, S., Tan, M., Cheng, L. (2012). Swimming locomotion "
+        "modeling for biomimetic underwater "
+        "vehicle with two undulating long-fins. Robotica 30, 913-923. doi:10.1017/S0263574711001159"
+    )
+    rauch = (
+        "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood "
+        "estimates of linear dynamic systems. "
+        "AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
+    )
+    groves = (
+        "Groves, P. D. (2013). Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, "
+        "2nd ed. Artech House."
+    )
+    vqf = (
+        "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation "
+        "estimation with bias estimation and "
+        "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
+    )
+    filtered = [] if run.record.quaternion is not None else [vqf]
+    return [shang, *filtered] if run.paper is not None else [rauch, groves, *filtered]

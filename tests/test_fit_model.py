@@ -1,0 +1,83 @@
+"""``fit_model``: any model, any trials, in memory, with all the evidence of a fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files.provenance import Held
+from swimid.fitting.fit_model import fit_model
+from swimid.fitting.model import Trial
+from swimid.results.fitted import Fitted
+from tests.toy_models import DECAY, TRUTH, Toy, decay, trials
+
+NOISE = {"y": 0.01}
+
+
+@pytest.fixture
+def model() -> Toy:
+    return Toy(decay, DECAY, ("y", "v"))
+
+
+@pytest.fixture
+def swings(model: Toy, rng: np.random.Generator) -> list[Trial]:
+    return trials(model, TRUTH, NOISE, rng)
+
+
+def test_the_truth_comes_back_with_its_evidence(model: Toy, swings: list[Trial]) -> None:
+    fitted = fit_model(model, swings)
+    for parameter, truth in zip(DECAY, TRUTH, strict=True):
+        estimate = fitted[parameter.name]
+        assert estimate.stderr is not None
+        assert estimate.value == pytest.approx(truth, abs=3.5 * estimate.stderr)
+    assert fitted.verdict == "good"
+    assert {"overlay-y", "residuals-y"} <= set(fitted.figure_names)
+    assert {"converged", "identifiable", "trials agree"} <= set(fitted.checks()["name"])
+    assert fitted.summary().startswith("toy: 3 trials, 600 samples\n")
+    assert fitted.section().title == "Fit of toy"
+
+
+def test_choices_are_applied_and_recorded(model: Toy, swings: list[Trial]) -> None:
+    fitted = fit_model(model, swings, fixed={"rate": 0.3}, bounds={"size": (0.0, 2.0)}, robot="swing")
+    assert fitted["rate"].status == "fixed"
+    assert fitted["size"].bounds == (0.0, 2.0)
+    assert fitted.file.robot == "swing"
+    settings = fitted.file.provenance["settings"]
+    assert settings == {"fixed": {"rate": 0.3}, "freed": [], "bounds": {"size": [0.0, 2.0]}}
+
+
+def test_held_out_trials_are_scored_not_fitted(model: Toy, swings: list[Trial]) -> None:
+    *kept, last = swings
+    held_out = Trial(last.id, "validate", last.time_s, {"y": last.measured["y"] + 1.0})
+    alone = fit_model(model, kept)
+    beside = fit_model(model, [*kept, held_out])
+    assert beside["rate"].value == alone["rate"].value
+    assert beside.verdict == "bad"
+    assert alone.verdict == "good"
+
+
+def test_nothing_is_written_unless_asked(
+    model: Toy, swings: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    fitted = fit_model(model, swings, inputs=[Held("swings", "abc")])
+    assert list(tmp_path.iterdir()) == []
+    assert fitted.file.provenance["inputs"] == {"swings": "abc"}
+    written = fit_model(model, swings, output=tmp_path / "toy.yaml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["toy.evidence.json", "toy.yaml"]
+    assert written.outputs == [tmp_path / "toy.yaml", tmp_path / "toy.evidence.json"]
+    assert Fitted.load(tmp_path / "toy.yaml").parameters.equals(written.parameters)
+
+
+def test_what_cannot_be_fitted(model: Toy, swings: list[Trial], rng: np.random.Generator) -> None:
+    with pytest.raises(UsageError, match="there is no trial to fit"):
+        fit_model(model, [])
+    with pytest.raises(UsageError, match="there is no parameter 'rat'"):
+        fit_model(model, swings, fixed={"rat": 1.0})
+    blind = Toy(lambda values, t: {"y": 0.0 * values.sum() + 0.0 * t}, DECAY)
+    noise = [Trial("noise", "fit", swings[0].time_s, {"y": rng.normal(0.0, 1.0, len(swings[0].time_s))})]
+    with pytest.raises(NoTrustworthyResult):
+        fit_model(blind, noise)
