@@ -27,7 +27,7 @@ from swimid.fitting import fit_common
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import numbers, parameters
+from swimid.results import blocks, numbers, parameters
 from swimid.results.fitted import Fitted
 
 #: Rows of the trajectory kept when no stride is given.
@@ -130,7 +130,7 @@ def rwls(
             tests=tests,
             file=file,
         ),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
     )
     outputs = fit_common.save(output, file, shown)
     result = file.model_dump(mode="python")

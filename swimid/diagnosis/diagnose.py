@@ -20,9 +20,9 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import digests_of
-from swimid.fitting import fit_common
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
@@ -147,7 +147,7 @@ def diagnose(
         provenance=origin,
     )
     evidence = diagnose_evidence.evidence(
-        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+        gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
     outputs: list[Path] = []
     if output is not None:
