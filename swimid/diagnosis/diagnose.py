@@ -20,10 +20,10 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import digests_of
-from swimid.fitting import fit_common
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
@@ -116,7 +116,7 @@ def diagnose(
         provenance=origin,
     )
     evidence = diagnose_evidence.evidence(
-        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+        gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
     outputs: list[Path] = []
     if output is not None:

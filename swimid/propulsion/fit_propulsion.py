@@ -14,6 +14,7 @@ from swimid.propulsion import cruise as propulsion_cruise
 from swimid.propulsion import surge as propulsion_surge
 from swimid.propulsion import trials as experiment_module
 from swimid.propulsion.options import FitPropulsionOptions
+from swimid.results import blocks
 from swimid.results.fitted import Fitted, rows
 
 
@@ -68,12 +69,12 @@ def fit_propulsion(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
     file, evidence = page
-    evidence.notices = fit_common.notices(notices)
+    evidence.notices = blocks.notices(notices)
     summary = "\n".join(
         [
             f"{experiment.name} of {experiment.robot.name}",
             rows(fit_common.brief(file)),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
         ]
     )
     return fit_common.fitted("fit-propulsion", summary, file, evidence, output)

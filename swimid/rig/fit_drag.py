@@ -18,8 +18,8 @@ from swimid.fitting.profile import profile_interval
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.fitted import Fitted, rows
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
@@ -91,11 +91,11 @@ def fit_drag(
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=_tables(experiment, file, pair, result),
         figures=fit_common.figures(result) + _speed_figure(pair),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -377,5 +377,5 @@ def _summary(
                 for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
             )
         )
-    lines.append(f"{evidence.verdict.level.upper()}: " + fit_common.judgement(evidence))
+    lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
     return "\n".join(lines)

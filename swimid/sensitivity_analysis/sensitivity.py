@@ -15,13 +15,13 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
@@ -175,7 +175,7 @@ def sensitivity(
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
             file.measured = _measured(experiment, applied, sweep)
             checks += sensitivity_evidence.sweep_checks(file.sweep, bool(applied.uncertain()[0]))
-    verdict = fit_common.verdict(checks, sensitivity_evidence.answer(file))
+    verdict = blocks.verdict(checks, sensitivity_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="sensitivity",
@@ -184,7 +184,7 @@ def sensitivity(
         checks=checks,
         tables=sensitivity_evidence.tables(file),
         figures=sensitivity_evidence.figures(file),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=sensitivity_evidence.methods(file),
         references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
         provenance=origin,

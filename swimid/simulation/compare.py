@@ -12,13 +12,12 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.simulation import (
     catalogue,
@@ -92,7 +91,7 @@ def compare(
         file = _file(experiment, done, options.params, origin)
         file.profiles = [p.record for p in profiles]
         checks = _checks(file)
-    verdict = fit_common.verdict(checks, _answer(file))
+    verdict = blocks.verdict(checks, _answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="compare",
@@ -104,7 +103,7 @@ def compare(
             *compare_strokes_evidence.figures(profiles, buoyancy),
             *compare_evidence.figures(experiment, done, file),
         ],
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=[
             *_methods(experiment, done, options.params),
             *compare_strokes_evidence.methods(profiles, buoyancy),

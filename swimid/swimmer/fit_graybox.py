@@ -22,6 +22,7 @@ from swimid.logs import trials as trials_format
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.fitted import Fitted, rows
@@ -132,11 +133,11 @@ def fit_graybox(
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=tables,
         figures=figures,
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=methods,
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -178,7 +179,7 @@ def fit_graybox(
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
             *_next(checks, trials_file, output),
         ]
     )
