@@ -183,7 +183,8 @@ class Declared:
         """Its default as the docs say it."""
         if self.required:
             return "required"
-        return "" if self.default in (None, (), {}, False) else f"`{self.default}`"
+        nothing = self.default is None or self.default is False or self.default in ((), {})
+        return "" if nothing else f"`{self.default}`"
 
     def type_text(self) -> str:
         """Its type as a docstring says it."""

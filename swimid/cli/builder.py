@@ -107,17 +107,20 @@ def _option(entry: Declared) -> click.Option:
         shown = "/" in entry.flags and entry.default is not None
         return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
     word = parsing.word_of(entry)
-    single = not word.multiple
+    default = None if word.multiple else entry.default
+    # a required option that has a default, None even, is not asked for
+    given: dict[str, Any] = (
+        {} if entry.required else {"default": default, "show_default": default is not None}
+    )
     return click.Option(
         names,
         type=word.type,
         nargs=word.nargs,
         multiple=word.multiple,
-        default=entry.default if single else None,
-        show_default=single and entry.default is not None,
         required=entry.required,
         metavar=entry.metavar,
         help=entry.help,
+        **given,
     )
 
 

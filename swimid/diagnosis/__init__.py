@@ -6,6 +6,6 @@ effects, ``gram`` compares them on held-out trials, ``remainder`` and ``generic`
 explains, ``floor`` says how large the noise is, ``dropouts`` which samples are none, ``places`` where the
 gap is, ``shrinkage`` how far it closes, ``advice`` names the next experiment. ``chain`` strings them
 together, ``conclusion`` and ``answer`` say what was found, as ``result``. ``diagnose`` is the verb,
-``diagnosed`` its result, with ``gap_file``, ``file``, ``section``, ``summary``, ``evidence`` and
-``figures``.
+``options`` what it can be told, ``diagnosed`` its result, with ``gap_file``, ``file``, ``section``,
+``summary``, ``evidence`` and ``figures``.
 """

@@ -2,8 +2,8 @@
 
 ``source`` is what is exported, with every quantity evaluated; one module per target turns it into text and
 names everything it cannot carry: ``mjcf``, ``gazebo``, ``stonefish``, ``plain`` (JSON), on ``base`` and
-``common``. ``export`` is the verb. A new target is a module with ``export(source, options)`` and a line in
-:func:`targets`.
+``common``. ``export`` is the verb, with ``options``. A new target is a module with ``export(source,
+options)`` and a line in :func:`targets`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 ``result`` is the base of all results, ``fitted`` that of every fit, ``text`` one that is a text;
 ``evidence`` holds verdict, checks, tables and figures as data, ``parameters`` the parameter file,
 ``numbers`` how numbers and units are written. ``reader`` finds the module ``section`` of each room, which
-turns a result file into the blocks of ``sections``; ``report`` puts them together, ``page`` as HTML,
-``documents`` as Markdown and JSON. Drawing: ``figures`` and ``sheet`` (matplotlib), ``looks`` (how traces
-differ), ``heat`` (shaded tables), ``svg``.
+turns a result file into the blocks of ``sections``; ``report`` (with ``options``) puts them together,
+``page`` as HTML, ``documents`` as Markdown and JSON. Drawing: ``figures`` and ``sheet`` (matplotlib),
+``looks`` (how traces differ), ``heat`` (shaded tables), ``svg``.
 """

@@ -6,7 +6,8 @@ marker in a small window by its ``colour``; ``search`` looks for it in a window 
 ``run`` does so from the first to the last; ``plane`` turns pixels into metres; ``smooth`` filters with
 process noise estimated from the data; ``pose`` puts them together; ``checks``, ``camera`` and ``motion``
 judge. ``track_video`` is one verb (``swim``: what a run comes to; ``pictures``, ``overlay``),
-``track_setup`` the other: it drafts a ``setup`` (``propose``, ``pick``, ``census``, ``draft``).
+``track_setup`` the other: it drafts a ``setup`` (``propose``, ``pick``, ``census``, ``draft``). ``options``
+are those of both.
 
 Frames of reference
 -------------------
