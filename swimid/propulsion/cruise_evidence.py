@@ -71,9 +71,7 @@ def tables(
             experiment.robot.fins[t.id].height_m,
             experiment.robot.fins[t.id].length_m,
             experiment.robot.fins[t.id].area_m2,
-            None
-            if t.settings.get("inertia_kg_m2") is None
-            else numbers.number(1e7 * t.settings["inertia_kg_m2"], 5),
+            None if t.cruise.inertia_kg_m2 is None else numbers.number(1e7 * t.cruise.inertia_kg_m2, 5),
         ]
         for t in experiment.trials
     ]
