@@ -429,8 +429,8 @@ def _effects_plane(told: Sequence[Output]) -> ev.Figure:
     return ev.Figure(
         id="plane",
         title="Elementary effects",
-        caption="Far right: the output is sensitive to the coefficient. High up: its effect depends on where it and "
-        "the others are, by curvature or interaction.",
+        caption="Far right: the output is sensitive to the coefficient. High up: its effect depends on where "
+        "it and the others are, by curvature or interaction.",
         panels=panels,
         columns=2,
     )
