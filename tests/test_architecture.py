@@ -24,8 +24,8 @@ LEVELS = (
     {"results", "robots"},
     {"logs"},
     {"tracking", "inertial", "fitting"},
-    {"rig", "propulsion", "swimmer", "blackbox"},
-    {"simulation", "effects", "exporters"},
+    {"rig", "propulsion", "swimmer", "blackbox", "effects"},
+    {"simulation", "exporters"},
     {"diagnosis", "sensitivity_analysis"},
     {"cli"},
 )

@@ -5,6 +5,8 @@ Also the models the long-fin paper published (Tables II and III), ready to run.
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +80,7 @@ class Arma(Model):
 
     name = NAME
     offers = frozenset({"command", "output", "clock"})
+    has_gaps = True
 
     def __init__(
         self,
@@ -146,6 +149,25 @@ class Arma(Model):
             gain_unit=parameters.parameters["b1"].unit,
         )
 
+    def commanded(self, trial: Trial) -> bool:
+        """Whether the input column is a command, not a measured joint angle."""
+        return not self.source.startswith("joint")
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """The input where it is there; its rate is not known beyond its samples."""
+        time = np.asarray(trial.time_s, dtype=float)
+        signal = self.input_of(trial, time)
+        there = np.isfinite(signal)
+        yield time[there], signal[there], 0.0
+
+    def onset(self, trial: Trial) -> float:
+        """Always: the input moves no body that would start from rest."""
+        return -np.inf
+
+    def beats(self, trials: Sequence[Trial]) -> list[float]:
+        """The frequency of the sine, Hz, where no column holds the input."""
+        return [] if self.sine is None else [self.sine[1]]
+
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Free run of one trial.
 
@@ -182,6 +204,28 @@ class Arma(Model):
             there = piece.rows >= 0
             result[piece.rows[there]] = run[there] + self.output_level
         return {self.output: result}
+
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[Arma, dict[str, float]]:
+        """A model of deviations from a working point, at the level this trial's output has.
+
+        The run is linear in the level, so two runs give the one with the least squared error.
+        """
+        if not (self.output_level or self.source_level):
+            return self, {}
+        runs = []
+        for level in (self.output_level, self.output_level + 1.0):
+            runs.append(self._at_level(level).simulate(values, trial)[self.output])
+        gain, left = runs[1] - runs[0], trial.measured[self.output] - runs[0]
+        there = np.isfinite(gain) & np.isfinite(left)
+        power = float(np.sum(gain[there] ** 2))
+        shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
+        level = self.output_level + shift
+        return self._at_level(level), {"output_level": level}
+
+    def _at_level(self, level: float) -> Arma:
+        moved = copy.copy(self)
+        moved.output_level = level
+        return moved
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """The same with what else acts (see :meth:`Model.hooked`): on the input column, and on the output.

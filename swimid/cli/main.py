@@ -6,16 +6,9 @@ import click
 
 import swimid
 from swimid.cli import (
-    diagnose,
     doctor,
-    export,
-    fit_graybox,
     import_log,
-    plot,
-    report,
     schema,
-    sensitivity,
-    simulate,
     track,
 )
 from swimid.cli.verbs import SECTIONS, VERBS
@@ -52,13 +45,6 @@ def main() -> None:
 for command in (
     track.track,
     import_log.command,
-    fit_graybox.command,
-    simulate.command,
-    diagnose.command,
-    sensitivity.command,
-    plot.command,
-    report.command,
-    export.command,
     schema.command,
     doctor.command,
 ):

@@ -279,7 +279,7 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
     if "force" in model.offers and dynamic:
         mass, arm, axes = _size(model, trials)
         push = 0.02 * mass * speed**2 / max(arm, 1e-3)
-        if not hasattr(model, "assembly"):
+        if model.body is None:
             spans = [c for c in channels if not c.endswith(("_s", "_s2"))]
             span = max((top(c, 1e-3) for c in spans), default=1.0)
             pushes = [abs(float(t.settings.get("force", 0.0))) for t in trials]
@@ -303,12 +303,9 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
 
 def _size(model: Model, trials: Sequence[Trial]) -> tuple[float, float, list[str]]:
     """Mass (kg), length (m) and the axes along which a residual force may act."""
-    assembly = getattr(model, "assembly", None)
-    if assembly is None:
+    body = model.body
+    if body is None:
         inertia = [float(t.settings["inertia"]) for t in trials if "inertia" in t.settings]
         return float(np.median(inertia)) if inertia else 1.0, 1.0, ["surge"]
-    values = np.array([p.start for p in model.parameters])[: len(assembly.names)]
-    inertia = assembly.tables(values)["inertia"]
-    length = sum(link.length_m for link in assembly.links)
-    axes = ["surge", "sway", "yaw"] if assembly.free_base else []
-    return float(inertia[:, 0].sum()), length, axes
+    axes = ["surge", "sway", "yaw"] if body.free else []
+    return model.scales(trials).inertia, sum(body.lengths_m), axes

@@ -119,5 +119,4 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
 
 def apart(model: Model, trials: Sequence[Trial]) -> list[Trial]:
     """Trials that are tables of runs, one trial a run; others as they are."""
-    split = getattr(model, "apart", None)
-    return [t for trial in trials for t in (split(trial) if split is not None else [trial])]
+    return [run for trial in trials for run in model.apart(trial)]

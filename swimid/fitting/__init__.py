@@ -1,7 +1,9 @@
 """Identification of any model: the model interface, and output error by maximum likelihood.
 
-Interface: ``model`` (parameters, channels, trials), ``hooks`` (what else acts on a model), ``experiment``
-(a model and its trials), ``tied`` (parameters that share a value). Search: ``output_error``, ``problem``,
+Interface: ``model`` (parameters, channels, trials), ``swimmer`` (what models of robots with links have in
+common), ``body`` (links of a robot in a plane, and how its tables are changed), ``scales`` (typical sizes of
+trials), ``hooks`` (what else acts on a model), ``experiment`` (a model and its trials), ``tied`` (parameters
+that share a value). Search: ``output_error``, ``problem``,
 ``levenberg``, ``multistart``, ``restarts``, ``genetic`` (several objectives). Uncertainty: ``noise``,
 ``sandwich`` (covariance), ``identifiability``, ``profile``, ``random_effect``, ``odd_trial``,
 ``start_states``. Judging: ``residual_tests``, ``metrics``, ``warping``. ``fit_result`` is what a search

@@ -9,15 +9,21 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, nearest, suggestion
+from swimid.fitting.body import Body
 from swimid.fitting.hooks import Hooks
+from swimid.fitting.scales import Scales
+from swimid.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from swimid.fitting.swimmer import Swimmer
 
 Array = NDArray[np.float64]
 
@@ -121,8 +127,31 @@ class Trial:
     stamps_uncertain: bool = False
 
 
+@dataclass(frozen=True)
+class Rig:
+    """The one coordinate of a body on a test rig.
+
+    Attributes
+    ----------
+    displacement, speed : Channel
+    rotation : bool
+        It turns about the coordinate, otherwise it moves along it.
+    swings : bool
+        A restoring force brings it back (free decay), otherwise it is pulled from place to place.
+    """
+
+    displacement: Channel
+    speed: Channel
+    rotation: bool
+    swings: bool
+
+
 class Model(ABC):
-    """What a fit, a comparison and a diagnosis need of a model."""
+    """What a fit, a comparison and a diagnosis need of a model.
+
+    What models differ in beyond that they say themselves: whether they move on a :attr:`rig` or have a
+    :attr:`body` of links, along which :attr:`axes`, on which :meth:`scales` and by which :meth:`commands`.
+    """
 
     #: Name in the parameter file.
     name: str
@@ -132,6 +161,77 @@ class Model(ABC):
     abscissa: str = "time (s)"
     #: Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` obeys.
     offers: frozenset[str] = frozenset({"output", "clock"})
+    #: Unit of the forces in its equation: N, N m of an angle, m/s^2 where it is per mass.
+    force_unit: str = "N"
+    #: Its trials are tables of runs timed over ``distance_m``; the one channel is their mean speed.
+    timed_runs: bool = False
+    #: Its output may be missing by design, where the input is.
+    has_gaps: bool = False
+    #: A robot with links that moves in space, stroke by stroke, not in a plane.
+    in_space: bool = False
+
+    @property
+    def rig(self) -> Rig | None:
+        """The one coordinate it has on a test rig; None elsewhere."""
+        return None
+
+    @property
+    def body(self) -> Body | None:
+        """The links of a planar robot; None where there are none, or where they move in space."""
+        return None
+
+    @property
+    def swimmer(self) -> Swimmer | None:
+        """Itself where it is a robot with links; None elsewhere."""
+        return None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the world along which the body moves from place to place."""
+        return ("x",)
+
+    def scales(self, trials: Sequence[Trial]) -> Scales:
+        """Typical sizes of trials."""
+        return Scales(self, trials)
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Where a trial's positions start, by channel; at zero for those that are not named."""
+        return {}
+
+    def stated(self) -> dict[str, float]:
+        """What a robot file says of its parameters; a fit starts elsewhere."""
+        return {}
+
+    # -------------------------------------------------------- what drives it
+
+    def commanded(self, trial: Trial) -> bool:
+        """Whether a trial's actuators follow a command; a measured joint angle is past them already."""
+        return True
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """Time (s), command and its fastest known rate (per s) of each actuator that follows one."""
+        return iter(())
+
+    def onset(self, trial: Trial) -> float:
+        """When the actuators begin to move, s: a drive at time zero, a recorded command with its log."""
+        return 0.0 if "beat" in trial.settings else float(trial.time_s[0])
+
+    def beats(self, trials: Sequence[Trial]) -> list[float]:
+        """Frequencies of the drive as far as they are known, Hz."""
+        return [float(t.settings["beat"].frequency_hz) for t in trials if "beat" in t.settings]
+
+    def given(self, trial: Trial) -> list[str]:
+        """Channels that a trial's run is driven by as they were measured: it does not predict them."""
+        return []
+
+    # -------------------------------------------------------- simulation
+
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
+        """The model at the working point of one trial, and what was estimated for it; itself without one."""
+        return self, {}
+
+    def prepare(self, progress: Progress = silent) -> None:  # noqa: B027
+        """Compile what it needs to be fast, under a bar that says so."""
 
     @abstractmethod
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -173,6 +273,21 @@ class Model(ABC):
     def coarser(self) -> Model | None:
         """The same model integrated with twice the step, for searches; None where that gains nothing."""
         return None
+
+    def apart(self, trial: Trial) -> list[Trial]:
+        """A trial that is a table of runs as one trial for each of them; others as they are."""
+        return [trial]
+
+    # -------------------------------------------------------- parameters
+
+    def start(self, *names: str) -> float:
+        """Start value of the first of these parameters that it has; 0 where it has none."""
+        found = {p.name: p.start for p in self.parameters}
+        return next((found[name] for name in names if name in found), 0.0)
+
+    def estimates(self, *names: str) -> bool:
+        """Whether one of these parameters is free."""
+        return any(p.name in names and p.free for p in self.parameters)
 
     def index(self, name: str) -> int:
         """Position of a parameter by name.

@@ -115,8 +115,7 @@ def track_imu(
     if other is not None:
         given.append(log.unread(other, name="other"))
     if output is not None:
-        files = tuple(i for i in given if isinstance(i, str | Path))
-        output = atomic.check_writable(output, inputs=files)
+        output = atomic.check_writable(output, inputs=given)
     if settings.method == "paper" and other is not None:
         raise UsageError(
             "--method paper fuses with nothing", hint="leave out --with, or take --method smoother"

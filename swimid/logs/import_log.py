@@ -85,19 +85,13 @@ def import_log(
     if rules is not None:
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
-        files = tuple(i for i in inputs if isinstance(i, str | Path))
-        output = atomic.check_writable(output, inputs=files)
+        output = atomic.check_writable(output, inputs=inputs)
     request = request or Request()
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
         # a long file is hashed while it is read
         digests = beside.submit(provenance.digests_of, inputs)
-        found = examine(
-            mapping.identity(given, progress=progress)
-            if rules is None
-            else mapping.apply(rules, given, progress=progress),
-            clean=clean,
-            request=request,
-        )
+        read = mapping.apply(rules, given, progress=progress)
+        found = examine(read, clean=clean, request=request)
         origin = provenance.collect(
             inputs, settings={"clean": found.cleaned, **request.settings()}, digests=digests.result()
         )

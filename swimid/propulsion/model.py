@@ -12,8 +12,9 @@ import numpy as np
 
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.scales import MEAN_SPEED, Scales
 
-SPEED = "mean_speed_m_s"
+SPEED = MEAN_SPEED
 #: Longest step in which the surge is integrated where it has no closed form, s.
 STEP_S = 0.05
 #: Steps of Newton's method; convex functions approached from above need fewer.
@@ -136,6 +137,31 @@ def strouhal(frequency_hz: Array, amplitude_rad: Array, lever_m: Array, terminal
     return frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s
 
 
+class RecoilScales(Scales):
+    """Typical sizes of cruising runs."""
+
+    model: RecoilModel
+
+    @property
+    def inertia(self) -> float:
+        """The moving mass, kg."""
+        return self.model.drag_area_kg_m / self.model.b1
+
+    @property
+    def force(self) -> float:
+        """Drag at the typical speed, N."""
+        return self.model.drag_area_kg_m * self.speed**2
+
+
+class SurgeScales(Scales):
+    """Typical sizes of straight swimming, per mass."""
+
+    @property
+    def force(self) -> float:
+        """Drag at the typical speed, m/s2."""
+        return max(self.model.start("surge_drag"), 0.1) * self.speed**2
+
+
 class RecoilModel(Model):
     """Average speed of cruising runs under the energy recoil law (Eqs 5, 25-27).
 
@@ -151,6 +177,7 @@ class RecoilModel(Model):
     channels = (Channel(SPEED, "m/s", "average speed"),)
     abscissa = "run of the fin"
     offers = frozenset({"stroke", "coefficients", "flow", "output"})
+    timed_runs = True
 
     def __init__(
         self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
@@ -207,6 +234,10 @@ class RecoilModel(Model):
         power = self._power(values, trial, inputs["frequency_hz"], inputs["amplitude_rad"], inertia)
         terminal = np.cbrt(power / self.drag_area_kg_m)
         return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
+
+    def scales(self, trials: Sequence[Trial]) -> RecoilScales:
+        """Typical sizes of trials."""
+        return RecoilScales(self, trials)
 
     def _inertia(self, values: Array, trial: Trial) -> float:
         inertia = trial.settings.get("inertia_kg_m2")
@@ -309,6 +340,7 @@ class SurgeModel(Model):
     name = "surge-propulsion"
     channels = (Channel("u_m_s", "m/s", "beat-averaged surge"),)
     offers = frozenset({"stroke", "coefficients", "flow", "output"})
+    force_unit = "m/s^2"
 
     def __init__(
         self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
@@ -349,6 +381,10 @@ class SurgeModel(Model):
         _, drag, _, _, u0 = values
         a = self._thrust(values, trial.settings["amplitude_rad"], trial.settings["frequency_hz"])
         return {"u_m_s": _closed_form(trial.time_s - trial.settings["start_s"], a, drag, u0)}
+
+    def scales(self, trials: Sequence[Trial]) -> SurgeScales:
+        """Typical sizes of trials."""
+        return SurgeScales(self, trials)
 
     def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
         thrust, _, n, m, _ = values

@@ -12,7 +12,7 @@ For a rotation, moments of inertia take the place of masses and moments that of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,8 @@ import numba
 import numpy as np
 
 from swimid.fitting.hooks import MOST_FORCES, Hooks, no_force
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Trial
+from swimid.fitting.scales import Scales
 from swimid.rig.dry_friction import MOST_EVENTS, breakaway
 from swimid.rig.forced import integrate_forced, step_ends
 
@@ -205,6 +206,54 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
     return x, v
 
 
+class RigScales(Scales):
+    """Typical sizes of a rig's trials."""
+
+    model: RigModel
+
+    def __init__(self, model: RigModel, trials: Sequence[Trial]) -> None:
+        super().__init__(model, trials)
+        self.places = (model.coordinate,)
+
+    @property
+    def speed(self) -> float:
+        """Typical speed; of a decay, the extent of the motion times its natural frequency."""
+        if not self.model.rig.swings:
+            return super().speed
+        rate = math.sqrt(max(self.model.start("stiffness"), 1e-12) / self.inertia)
+        return self.span * rate or 0.1
+
+    @property
+    def inertia(self) -> float:
+        """The known inertia and the added, kg or kg m2; 1 where nothing tells."""
+        known = [float(t.settings["inertia"]) for t in self.trials if "inertia" in t.settings]
+        return float(np.median(known)) + self.model.start("added_mass", "added_inertia") if known else 1.0
+
+    @property
+    def force(self) -> float:
+        """The pull, or the restoring force over the extent of the motion, N or N m."""
+        if self.model.rig.swings:
+            return max(self.model.start("stiffness"), 1e-12) * self.span
+        known = [
+            float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.settings.get("force", 0.0))))))
+            for t in self.trials
+        ]
+        return float(np.median(known)) or 0.1 if known else 0.1
+
+    @property
+    def brake(self) -> float:
+        """A tenth of the force; a hundredth in a free decay, where losses add up over many swings."""
+        return (0.01 if self.model.rig.swings else 0.1) * self.force
+
+    @property
+    def quadratic(self) -> float:
+        """The quadratic drag at the start values, the least of all trials."""
+        start = np.array([p.start for p in self.model.parameters])
+        return min(
+            (self.model.coefficients(start, t.settings)["quadratic"] for t in self.trials), default=0.0
+        )
+
+
 class RigModel(Model):
     """A rig experiment of one robot.
 
@@ -227,8 +276,28 @@ class RigModel(Model):
         self.coordinate = coordinate
         self.speed = "u_m_s" if not rotation else coordinate.replace("_rad", "_rate_rad_s")
         self.channels = (Channel(coordinate, unit, "displacement"), Channel(self.speed, speed_unit, "speed"))
+        self.force_unit = "N m" if rotation else "N"
         self.max_step = max_step
         self._at = {p.name: i for i, p in enumerate(parameters)}
+
+    @property
+    def rig(self) -> Rig:
+        """Its coordinate."""
+        displacement, speed = self.channels
+        return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axis along which it moves; none for a rotation."""
+        return () if self.rig.rotation else (self.coordinate.removesuffix("_m"),)
+
+    def scales(self, trials: Sequence[Trial]) -> RigScales:
+        """Typical sizes of trials."""
+        return RigScales(self, trials)
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Where a trial's displacement starts."""
+        return {self.coordinate: float(trial.settings.get("x0", 0.0))}
 
     def _value(self, values: Array, *names: str) -> float:
         for name in names:

@@ -13,15 +13,13 @@ from scipy.interpolate import CubicSpline
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import metrics
 from swimid.fitting.model import Array, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.simulation import swim_quantities
 from swimid.simulation.applied import Quantity
 from swimid.simulation.swim_quantities import PER_BEAT
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer.planar.drive import Beat
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.spatial.stroke import Cycle
-from swimid.swimmer.trials import Swimmer
 
 #: How the cycles of a trial become one number; what is not here is averaged.
 OVER_CYCLES: dict[str, Callable[[list[float]], Any]] = {
@@ -85,7 +83,7 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
         return Run(fine, 0, begin, None, measured)
     step = 1.0 / (beat.frequency_hz * PER_BEAT)
     ramp = max(begin, beat.ramp_s)
-    if isinstance(model, MultilinkModel):
+    if not model.in_space:
         window = swim_quantities.last_beats(ramp, end, beat.frequency_hz)
         beats, anchor = (window.beats if window else 0), end
     else:
@@ -109,7 +107,7 @@ def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         columns = model.simulate(values, run.trial)
     found: dict[str, Quantity] = {}
-    if isinstance(model, MultibodyModel):
+    if model.in_space:
         if model.free_base:
             found |= _in_space(columns, run)
     else:
@@ -130,7 +128,7 @@ def _last(run: Run) -> slice:
     return slice(-(run.beats * PER_BEAT + 1), None) if run.beats else slice(None)
 
 
-def _in_plane(model: MultilinkModel, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
+def _in_plane(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
     if not model.free_base:
         return {}
     last = _last(run)

@@ -13,8 +13,6 @@ from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Array, Model
 from swimid.notices import warn
 from swimid.results.parameters import ParameterFile
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 
 #: Derivatives are taken over this share of a standard error, and of a parameter's size at most.
 STEP, SMALLEST = 0.05, 1e-3
@@ -59,11 +57,8 @@ class Applied:
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.model.parameters]
-        body = None
-        if isinstance(self.model, MultilinkModel | MultibodyModel):
-            body = self.model.robot.multibody or self.model.robot.multilink
         #: What a robot file says of its coefficients; a fit starts elsewhere.
-        self.stated = {name: c.value for name, c in body.coefficients.items()} if body else {}
+        self.stated = self.model.stated()
         for name, value in self.chosen.items():
             if name not in names:
                 hint = suggestion(name, names)

@@ -8,15 +8,14 @@ from typing import TypeVar
 
 import numpy as np
 
+from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
-from swimid.propulsion.model import RecoilModel
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.simulation import compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, CycleTable, TrialComparison
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Trials drawn one by one.
 MAX_TRIALS = 8
@@ -168,11 +167,11 @@ def figures(experiment: Experiment, done: Sequence[Compared], file: ComparisonFi
     missing = "" if len(shown) == len(done) else f" {len(shown)} of {len(done)} trials are shown."
     speeds = _speed_figure(file)
     found = [speeds] if speeds else []
-    draw = _runs if isinstance(experiment.model, RecoilModel) else _overlay
+    draw = _runs if experiment.model.timed_runs else _overlay
     found += [draw(experiment, d, missing) for d in shown if d.pairs]
     model = experiment.model
-    if isinstance(model, MultilinkModel):
-        found += _paths(model, shown, missing)
+    if model.body is not None:
+        found += _paths(model.body, shown, missing)
         found += _stroke_figures(file, missing)
     return found
 
@@ -298,11 +297,11 @@ def _speed_figure(file: ComparisonFile) -> ev.Figure | None:
     )
 
 
-def _paths(model: MultilinkModel, shown: Sequence[Compared], missing: str) -> list[ev.Figure]:
-    names = model.plane.pose[:2]
+def _paths(body: Body, shown: Sequence[Compared], missing: str) -> list[ev.Figure]:
+    names = body.pose[:2]
     panels = []
     for d in shown:
-        if not model.assembly.free_base or any(n not in d.pairs for n in names):
+        if not body.free or any(n not in d.pairs for n in names):
             continue
         step = max(1, len(d.trial.time_s) // 800)
         x, y = (d.pairs[n] for n in names)

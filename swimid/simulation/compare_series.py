@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from swimid.blackbox.model import Arma
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import metrics, start_states
+from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.logs.beat import find_beat
 from swimid.logs.derivative import slope
 from swimid.notices import warn
@@ -23,8 +23,6 @@ from swimid.simulation import cases as simulate_cases
 from swimid.simulation import cycles, swim_quantities
 from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import ChannelScore, CycleTable, PhaseTable, Speed, TrialComparison
-from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
@@ -102,17 +100,15 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     """
     model: Model = experiment.model
     values, start, found = start_of(applied, trial, refit)
-    if isinstance(model, Arma) and refit and (model.output_level or model.source_level):
-        model, level = _about_own_level(model, values, trial)
-        start, found = "estimated", {"output_level": level}
+    if refit:
+        model, level = model.at_own_level(values, trial)
+        if level:
+            start, found = "estimated", level
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         simulated = model.simulate(values, trial)
     logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
-    if trial.settings.get("joints") is not None and isinstance(model, MultilinkModel | MultibodyModel):
-        # measured joints that drive the run are no prediction of it
-        for axis in model.driven:
-            if axis.driven is not None and axis.driven.servo is None:
-                logged.pop(axis.column, None)
+    for channel in model.given(trial):
+        logged.pop(channel, None)
     pairs = {
         c.name: Pair(c.name, c.unit, c.meaning, "logged", trial.time_s, logged[c.name], simulated[c.name])
         for c in model.channels
@@ -120,15 +116,16 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     }
     for pair in pairs.values():
         lost = np.isfinite(pair.measured) & ~np.isfinite(pair.simulated)
-        if lost.any() and model.name != "arma":
+        if lost.any() and not model.has_gaps:
             where = trial.time_s[int(np.argmax(lost))]
             raise NoTrustworthyResult(
                 f"the simulation of '{trial.id}' breaks down at t = {where:.4g} s",
                 hint="check the parameters' signs and units and the drive, or take a smaller --dt",
             )
-    frequency = _frequency(model, trial, values, pairs) if isinstance(model, MultilinkModel) else None
-    if isinstance(model, MultilinkModel):
-        pairs = _with_velocities(model, trial, pairs, frequency)
+    frequency = None
+    if model.swimmer is not None and model.body is not None:
+        frequency = _frequency(model.swimmer, model.body, trial, values, pairs)
+        pairs = _with_velocities(model, model.body, trial, pairs, frequency)
     return Compared(trial, start, found, frequency, pairs, values)
 
 
@@ -140,11 +137,12 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     if any(applied.knows(p.name, trial.id) for p in own):
         return values, "file", {}
     estimated = applied.fitted_per_trial()
+    coefficients = model.swimmer.coefficients if model.swimmer is not None else []
     names = {
         p.name
         for p in own
         if (p.free or p.name in estimated)
-        and (p.name.startswith(STARTS) or p.name in getattr(model, "coefficients", ()))
+        and (p.name.startswith(STARTS) or p.name in coefficients)
         and p.name not in applied.chosen
     }
     if not refit or not names:
@@ -199,25 +197,6 @@ def _cost(
     return total if math.isfinite(total) else math.inf
 
 
-def _about_own_level(model: Arma, values: Array, trial: Trial) -> tuple[Arma, float]:
-    """A model of deviations from a working point, at the level this trial's output has.
-
-    The run is linear in the level, so two runs give the one with the least squared error.
-    """
-    runs = []
-    for level in (model.output_level, model.output_level + 1.0):
-        moved = copy.copy(model)
-        moved.output_level = level
-        runs.append(moved.simulate(values, trial)[model.output])
-    gain, left = runs[1] - runs[0], trial.measured[model.output] - runs[0]
-    there = np.isfinite(gain) & np.isfinite(left)
-    power = float(np.sum(gain[there] ** 2))
-    shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
-    moved = copy.copy(model)
-    moved.output_level = model.output_level + shift
-    return moved, moved.output_level
-
-
 def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     """Noise of the channels a start state is estimated from: those the parameters were fitted to.
 
@@ -233,16 +212,18 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     return found
 
 
-def _frequency(model: MultilinkModel, trial: Trial, values: Array, pairs: dict[str, Pair]) -> float | None:
+def _frequency(
+    model: Swimmer, body: Body, trial: Trial, values: Array, pairs: dict[str, Pair]
+) -> float | None:
     beat = trial.settings.get("beat")
     if beat is not None:
         return float(beat.frequency_hz)
     commands = simulate_cases.commands(model, trial, values)
     series = [(trial.time_s, c) for c in commands.values()]
-    if model.assembly.free_base:
+    if body.free:
         series += [
             (p.time_s, p.measured)
-            for name in (model.plane.velocity[2], model.plane.pose[2])
+            for name in (body.velocity[2], body.pose[2])
             if (p := pairs.get(name)) is not None
         ]
     for time, angle in series:
@@ -253,19 +234,19 @@ def _frequency(model: MultilinkModel, trial: Trial, values: Array, pairs: dict[s
 
 
 def _with_velocities(
-    model: MultilinkModel, trial: Trial, pairs: dict[str, Pair], frequency: float | None
+    model: Model, body: Body, trial: Trial, pairs: dict[str, Pair], frequency: float | None
 ) -> dict[str, Pair]:
     """Surge, sway and turning rate from the pose, where the log has no such columns."""
-    if not model.assembly.free_base or not all(name in pairs for name in model.plane.pose):
+    if not body.free or not all(name in pairs for name in body.pose):
         return pairs
     half = WINDOW_BEATS / frequency if frequency else WINDOW_S
     made = {
-        side: _velocities([getattr(pairs[name], side) for name in model.plane.pose], trial.time_s, half)
+        side: _velocities([getattr(pairs[name], side) for name in body.pose], trial.time_s, half)
         for side in ("measured", "simulated")
     }
     known = {c.name: c for c in model.channels}
     found = dict(pairs)
-    for k, name in enumerate(model.plane.velocity):
+    for k, name in enumerate(body.velocity):
         if name not in pairs and np.isfinite(made["measured"][k]).sum() > 8:
             c = known[name]
             found[name] = Pair(
@@ -310,14 +291,14 @@ def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
     )
 
 
-def mean_speed(done: Compared, model: MultilinkModel) -> Speed | None:
+def mean_speed(done: Compared, body: Body) -> Speed | None:
     """Mean speed over the last whole beats, measured and simulated by the same rule."""
-    if done.frequency_hz is None or not model.assembly.free_base:
+    if done.frequency_hz is None or not body.free:
         return None
     beat = done.trial.settings.get("beat")
     begin = max(float(done.trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
-    pose = [done.pairs.get(name) for name in model.plane.pose[:2]]
-    surge = done.pairs.get(model.plane.velocity[0])
+    pose = [done.pairs.get(name) for name in body.pose[:2]]
+    surge = done.pairs.get(body.velocity[0])
     series = [p for p in pose if p is not None] if None not in pose else [surge] if surge else []
     if not series:
         return None
@@ -350,12 +331,13 @@ def _beat_means(time: Array, values: Array, edges: Array) -> Array:
     return found
 
 
-def record(done: Compared, model: Any) -> TrialComparison:
+def record(done: Compared, model: Model) -> TrialComparison:
     """A trial as the comparison file holds it."""
+    body = model.body
     cycle_tables, phase_tables = {}, {}
     if done.frequency_hz is not None:
         for name, p in done.pairs.items():
-            if name in model.plane.pose and model.assembly.free_base:
+            if body is not None and body.free and name in body.pose:
                 continue  # a position has no mean of a stroke worth comparing
             each = cycles.cycles(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
             cycle_tables[name] = CycleTable(**vars(each))
@@ -371,5 +353,5 @@ def record(done: Compared, model: Any) -> TrialComparison:
         channels={name: scored([p], done.frequency_hz) for name, p in done.pairs.items()},
         cycles=cycle_tables,
         phases=phase_tables,
-        mean_speed=mean_speed(done, model) if isinstance(model, MultilinkModel) else None,
+        mean_speed=None if body is None else mean_speed(done, body),
     )

@@ -10,11 +10,11 @@ import numpy as np
 
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
+from swimid.fitting.swimmer import Swimmer
 from swimid.logs.derivative import slope
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.comparison_file import CycleComparison, ProfileComparison
 from swimid.swimmer import stroke_cycles
-from swimid.swimmer.spatial.model import MultibodyModel
 
 #: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
@@ -80,11 +80,12 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
     buoyancy : float
         The band's half width, as a share of the buoyancy; 0 for none.
     """
-    model = experiment.model
-    if not isinstance(model, MultibodyModel):
+    model = experiment.model.swimmer
+    if model is None or not model.in_space:
         return []
     names = experiment.facts["profiles"]
-    others = [model.with_buoyancy(1.0 + k * buoyancy) for k in (-1, 1)] if buoyancy and model.buoyant else []
+    factors = [1.0 + k * buoyancy for k in (-1, 1)] if buoyancy else []
+    others = [other for k in factors if (other := model.with_buoyancy(k)) is not None]
     seen = {d.trial.id: _Seen.of(d, others) for d in done if d.pairs}
     found = []
     for name in dict.fromkeys(names[trial] for trial in seen):
@@ -109,7 +110,7 @@ class _Seen:
     band: list[dict[str, Array]]
 
     @classmethod
-    def of(cls, done: Compared, others: Sequence[MultibodyModel]) -> _Seen:
+    def of(cls, done: Compared, others: Sequence[Swimmer]) -> _Seen:
         """As logged, or derived from the pose on every side alike."""
         sides = {side: {n: getattr(p, side) for n, p in done.pairs.items()} for side in SIDES}
         band = []

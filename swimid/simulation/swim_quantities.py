@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swimid.fitting.body import Body
 from swimid.fitting.model import Array
 from swimid.simulation.applied import Quantity
-from swimid.swimmer.planar import geometry
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Whole beats at the end of a run over which it is judged, and samples of each.
 BEATS, PER_BEAT = 4, 64
@@ -57,7 +56,7 @@ def last_beats(begin_s: float, end_s: float, frequency_hz: float) -> Window | No
 
 
 def quantities(
-    model: MultilinkModel, values: Array, columns: Mapping[str, Array], window: Window, *, told_to_turn: bool
+    body: Body, values: Array, columns: Mapping[str, Array], window: Window, *, told_to_turn: bool
 ) -> dict[str, Quantity]:
     """Quantities of the last whole beats.
 
@@ -75,18 +74,17 @@ def quantities(
         time, its arc between two beats taken as one of a circle.
     """
     found: dict[str, Quantity] = {}
-    if model.assembly.free_base:
-        found |= _speeds(model, values, columns, window, told_to_turn)
-    for axis in model.assembly.passive:
-        name = axis.joint.name
-        found[f"amplitude_{name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column])), "rad")
+    if body.free:
+        found |= _speeds(body, values, columns, window, told_to_turn)
+    for axis in body.passive:
+        found[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column])), "rad")
     return found
 
 
 def _speeds(
-    model: MultilinkModel, values: Array, columns: Mapping[str, Array], window: Window, told_to_turn: bool
+    body: Body, values: Array, columns: Mapping[str, Array], window: Window, told_to_turn: bool
 ) -> dict[str, Quantity]:
-    pose, velocity = model.plane.pose, model.plane.velocity
+    pose, velocity = body.pose, body.velocity
     turn = pose[2].removesuffix("_rad")
     x, y, heading = (columns[name] for name in pose)
     whole = slice(None, None, PER_BEAT)
@@ -95,7 +93,7 @@ def _speeds(
     arc = chord / np.sinc(bend / (2 * np.pi))
     duration = window.end_s - window.begin_s
     speed = float(arc.sum()) / duration
-    length = geometry.body_length(model, values)
+    length = body.length(values)
     rate = float(heading[-1] - heading[0]) / duration
     surge = columns[velocity[0]]
     found = {
@@ -114,16 +112,16 @@ def _speeds(
         if rate:
             found["turning_radius_m"] = Quantity(speed / abs(rate), "m")
     if speed > SLOWEST * length and np.max(np.abs(bend)) < STRAIGHT:
-        wake = _tail_excursion(model, values, columns)
+        wake = _tail_excursion(body, values, columns)
         found["tail_excursion_m"] = Quantity(wake, "m")
         found["strouhal"] = Quantity(window.frequency_hz * wake / speed, "1")
     return found
 
 
-def _tail_excursion(model: MultilinkModel, values: Array, columns: Mapping[str, Array]) -> float:
+def _tail_excursion(body: Body, values: Array, columns: Mapping[str, Array]) -> float:
     """Peak-to-peak excursion of the rearmost point across the path, mean over the beats, m."""
-    rear = int(np.argmax(geometry.straight(model, values)[1]))
-    x, y = geometry.rear_ends(model, geometry.link_frames(model, values, columns))
+    rear = int(np.argmax(body.straight(values)[1]))
+    x, y = body.rear_ends(body.frames(values, columns))
     excursions = []
     for first in range(0, len(x[rear]) - PER_BEAT, PER_BEAT):
         beat = slice(first, first + PER_BEAT + 1)

@@ -4,40 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, nearest
 from swimid.fitting.model import Parameter
-from swimid.robots.planar import Coefficient, Driven
+from swimid.robots.planar import Coefficient
 from swimid.swimmer.polynomial import Polynomial, Table
-
-
-class Moving(Protocol):
-    """A joint that moves: its name, its column in a log, its link, and how it follows the drive."""
-
-    @property
-    def name(self) -> str:
-        """Of the joint."""
-        ...
-
-    @property
-    def column(self) -> str:
-        """Of its angle in a log."""
-        ...
-
-    @property
-    def link(self) -> int:
-        """The one it turns."""
-        ...
-
-    @property
-    def driven(self) -> Driven | None:
-        """How it follows the drive; None where it yields."""
-        ...
-
 
 #: Keys that hold words, not quantities.
 WORDS = {

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.logs import course
 from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
@@ -28,8 +29,6 @@ from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.spatial.stroke import Cycle
 
-#: A model of a robot with links.
-Swimmer = MultilinkModel | MultibodyModel
 #: The start state is estimated when a log's first stretch moves faster than this share of its top
 #: speed, by more than this many standard errors.
 MOVING, CERTAIN = 0.05, 4.0

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -50,6 +50,21 @@ class Track(Logged):
     pose: Pose | None = None
     setup: Setup | None = None
     heading: str = ""
+
+    def save(self, path: str | Path) -> Self:
+        """Write log, evidence and plot; what the evidence says of speeds no swimmer reaches names the file.
+
+        Raises
+        ------
+        InputError
+            When the folder does not exist or cannot be written.
+        """
+        old, named, proof = f"{self.log.name}, '", Path(path), self.evidence
+        if proof is not None and any(notice.text.startswith(old) for notice in proof.notices):
+            text = proof.model_dump_json().replace(old, f"{named.name}, '")
+            proof = evidence.Evidence.model_validate_json(text)
+        renamed = replace(self, document=replace(self.log, path=named), evidence=proof)
+        return super(Track, renamed).save(path)
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
@@ -130,13 +145,11 @@ def track_video(
         raise UsageError(f"--max-gap {max_gap_s:g} must not be negative")
     swim.check_window(window_s)
     video = Path(video)
-    inputs = [video, *([setup] if isinstance(setup, str | Path) else [])]
     if output is not None:
-        output = atomic.check_writable(output, inputs=tuple(inputs))
+        output = atomic.check_writable(output, inputs=(video, setup))
         stills.check_output(video, output)
-        inputs.append(output)
     if overlay_path is not None:
-        overlay_path = atomic.check_writable(overlay_path, inputs=tuple(inputs))
+        overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
     rules = setup_format.of(setup)
     changed = {"frame_rate_hz": fps, "max_gap_s": max_gap_s}
     source = setup if isinstance(setup, str | Path) else rules

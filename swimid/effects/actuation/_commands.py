@@ -8,14 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from swimid.blackbox.model import Arma
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Command, Hooks
 from swimid.fitting.model import Array, Model, Trial
-from swimid.swimmer.planar.model import MultilinkModel, joint_motion
 
-#: Grid on which a drive's command is read, s.
-GRID = 0.0025
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3
 
@@ -27,18 +23,7 @@ class Actuation(Effect, ABC):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where some trial is driven by a command."""
-        return [self] if self.needs & model.offers and any(commanded(model, t) for t in trials) else []
-
-
-def commanded(model: Model, trial: Trial) -> bool:
-    """Whether a trial's actuators follow a command; a measured joint angle is past them already."""
-    if isinstance(model, Arma):
-        return not model.source.startswith("joint")
-    if not isinstance(model, MultilinkModel):
-        return True
-    if trial.settings.get("joints") is None:
-        return "beat" in trial.settings
-    return bool(trial.settings.get("commanded"))
+        return [self] if self.needs & model.offers and any(model.commanded(t) for t in trials) else []
 
 
 def hooks(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
@@ -48,7 +33,7 @@ def hooks(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -
         return bridged(change, time_s, angle)
 
     found: Command = command
-    return Hooks(command=(found,)) if commanded(model, trial) else Hooks()
+    return Hooks(command=(found,)) if model.commanded(trial) else Hooks()
 
 
 def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
@@ -65,18 +50,8 @@ def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Arra
 def _signals(model: Model, trials: Sequence[Trial]) -> Iterator[tuple[Array, Array, float]]:
     """Time, command and its fastest known rate, of each driven joint of each trial."""
     for trial in trials:
-        if not commanded(model, trial):
-            continue
-        if isinstance(model, Arma):
-            time = np.asarray(trial.time_s, dtype=float)
-            signal = model.input_of(trial, time)
-            there = np.isfinite(signal)
-            yield time[there], signal[there], 0.0
-        elif isinstance(model, MultilinkModel):
-            time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + GRID, GRID)
-            for number, axis in enumerate(model.assembly.driven):
-                angle, rate, _ = joint_motion(axis, number, trial.settings, time, 0.0)
-                yield time, angle, float(np.max(np.abs(rate)))
+        if model.commanded(trial):
+            yield from model.commands(trial)
 
 
 def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
@@ -114,9 +89,5 @@ def fastest(model: Model, trials: Sequence[Trial]) -> float:
 
 def period(model: Model, trials: Sequence[Trial]) -> float:
     """Typical period of the beat, s; one second where none is known."""
-    beats = [t.settings["beat"].frequency_hz for t in trials if "beat" in t.settings]
-    if isinstance(model, Arma) and model.sine is not None:
-        beats.append(model.sine[1])
-    beats.extend(_strokes(trials)[0])
-    beats = [f for f in beats if f > 0]
+    beats = [f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0]
     return 1.0 / float(np.median(beats)) if beats else 1.0

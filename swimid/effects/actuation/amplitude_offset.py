@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.blackbox.model import Arma
 from swimid.effects.actuation import _commands
 from swimid.effects.base import Effect
+from swimid.fitting.easing import eased
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
 EASE_S = 0.5
@@ -34,8 +32,7 @@ class AmplitudeOffset(_commands.Actuation):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Nothing where the model estimates its own offset."""
-        own = any(p.name == "amplitude_offset_deg" and p.free for p in model.parameters)
-        return [] if own else super().variants(model, trials)
+        return [] if model.estimates("amplitude_offset_deg") else super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The angle, of each driven joint, in the unit of its command."""
@@ -49,20 +46,17 @@ class AmplitudeOffset(_commands.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The command with the trim; less amplitude of a steady beat."""
         offset = float(values[0])
-        driven = model.assembly.driven if isinstance(model, MultilinkModel) else []
-        moved = [axis.joint.driven is not None and axis.joint.driven.gain != 0 for axis in driven]
-        # a drive starts at time zero, a recorded command where its log begins
-        begin = 0.0 if "beat" in trial.settings else float(trial.time_s[0])
+        driven = model.body.driven if model.body is not None else []
+        moved = [axis.driven is not None and axis.driven.gain != 0 for axis in driven]
+        begin = model.onset(trial)
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
-            if isinstance(model, Arma):
-                return angle + offset
             if moved and not moved[joint]:
                 return angle
-            return angle + offset * drive.eased(time_s - begin, EASE_S)
+            return angle + offset * eased(time_s - begin, EASE_S)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
         found = Hooks(stroke=(beaten,))
-        return found + Hooks(command=(command,)) if _commands.commanded(model, trial) else found
+        return found + Hooks(command=(command,)) if model.commanded(trial) else found

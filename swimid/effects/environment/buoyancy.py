@@ -12,8 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
-from swimid.swimmer.planar.model import MultilinkModel
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -37,27 +35,29 @@ class Buoyancy(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Free swimmers in the vertical plane; rigs along z whose rest position is known."""
-        if isinstance(model, RigModel):
-            known = not common.estimated(model, "rest_position")
-            return [self] if model.coordinate == "z_m" and known else []
-        return [self] if common.swims_freely(model) and common.vertical(model) else []
+        if model.rig is not None:
+            known = not model.estimates("rest_position")
+            return [self] if model.axes == ("z",) and known else []
+        body = common.free_body(model)
+        return [self] if body is not None and body.vertical else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force upwards, N, and righting moment, N m."""
-        inf, size = math.inf, 0.03 * common.force(model, trials)
+        inf, size = math.inf, 0.03 * model.scales(trials).force
         force = Parameter("force_N", "N", -inf, inf, 0.0, size, meaning="buoyancy beyond weight")
-        if isinstance(model, RigModel):
+        body = model.body
+        if body is None:
             return (force,)
-        assert isinstance(model, MultilinkModel)
-        lever = model.assembly.links[common.hull(model)].length_m
+        lever = body.lengths_m[body.hull]
         words = "righting moment per sine of pitch"
         return force, Parameter("righting_N_m", "N m", -inf, inf, 0.0, size * lever, meaning=words)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A constant force, and a moment."""
-        if isinstance(model, MultilinkModel):
-            hull = common.hull(model)
-            x, y = common.centre(model, hull)
+        body = model.body
+        if body is not None:
+            hull = body.hull
+            x, y = body.centre(hull)
             return Hooks(force=(Force(rise, np.array(values, dtype=float), hull, x, y),))
 
         def change(c: dict[str, float]) -> None:

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Largest current, in typical speeds of the robot.
 MOST = 3.0
@@ -28,13 +26,11 @@ class Current(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models of a body that moves from place to place."""
-        if common.rotates(model) or (isinstance(model, MultilinkModel) and not model.assembly.free_base):
-            return []
-        return super().variants(model, trials)
+        return super().variants(model, trials) if model.axes else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Its components in the world, m/s."""
-        size = common.speed(model, trials)
+        size = model.scales(trials).speed
         return tuple(
             Parameter(
                 f"c{axis}_m_s",
@@ -45,7 +41,7 @@ class Current(Effect):
                 0.1 * size,
                 meaning=f"velocity of the water along {axis}",
             )
-            for axis in common.axes(model)
+            for axis in model.axes
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

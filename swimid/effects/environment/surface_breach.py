@@ -12,7 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Height over which the force sets in, m.
 ROUND = 0.002
@@ -50,14 +49,15 @@ class SurfaceBreach(Effect):
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Free swimmers in the vertical plane whose height is measured."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
-        if not (common.swims_freely(model) and common.vertical(model) and heights):
+        body = common.free_body(model)
+        if body is None or not body.vertical or not heights:
             return []
         values = np.concatenate(heights)
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per height, N/m, and level of the reference point, m."""
-        size = 0.2 * common.span(model, [_heights(t) for t in trials])
+        size = 0.2 * model.scales([_heights(t) for t in trials]).span
         return (
             Parameter(
                 "force_N_m",
@@ -65,7 +65,7 @@ class SurfaceBreach(Effect):
                 0.0,
                 math.inf,
                 0.0,
-                0.1 * common.force(model, trials) / size,
+                0.1 * model.scales(trials).force / size,
                 meaning="buoyancy lost per height",
             ),
             Parameter(
@@ -85,11 +85,11 @@ class SurfaceBreach(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force and its moment on the heaviest link."""
-        assert isinstance(model, MultilinkModel)
-        hull = common.hull(model)
-        x, y = common.centre(model, hull)
-        a, b = common.reference(model) if hull == 0 else (x, y)
-        quarter = 0.25 * model.assembly.links[hull].length_m
+        body = common.links(model)
+        hull = body.hull
+        x, y = body.centre(hull)
+        a, b = body.reference_m if hull == 0 else (x, y)
+        quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
         return Hooks(force=(Force(sink, constants, hull, x, y),))
 

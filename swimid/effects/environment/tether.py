@@ -12,9 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.propulsion.model import RecoilModel
-from swimid.rig.model import RigModel
-from swimid.swimmer.planar.model import MultilinkModel
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -48,14 +45,13 @@ class Tether(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Falling weights, towed bodies, cruises and free swimmers."""
-        rig = isinstance(model, RigModel) and model.name != "free-decay"
-        return [self] if rig or isinstance(model, RecoilModel) or common.swims_freely(model) else []
+        return [self] if common.pulled(model) or model.timed_runs or common.free_body(model) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Stiffness, N/m, slack, m; drag of the line, N s2/m3, for what moves in time; for a swimmer the
         distance of the anchor behind the start, m.
         """
-        size = _reach(model, trials)
+        scales, size = model.scales(trials), _reach(model, trials)
         pull = (
             Parameter(
                 "stiffness_N_m",
@@ -63,18 +59,18 @@ class Tether(Effect):
                 0.0,
                 math.inf,
                 0.0,
-                0.3 * common.force(model, trials) / size,
+                0.3 * scales.force / size,
                 meaning="pull of the tether per length",
             ),
             Parameter("slack_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="length before it pulls"),
         )
-        if isinstance(model, RecoilModel):
+        if model.timed_runs:
             return pull
-        drag = 0.3 * common.force(model, trials) / (size * common.speed(model, trials) ** 2)
+        drag = 0.3 * scales.force / (size * scales.speed**2)
         line = Parameter(
             "line_drag_N_s2_m3", "N s^2/m^3", 0.0, math.inf, 0.0, drag, meaning="drag of the line per length"
         )
-        if not isinstance(model, MultilinkModel):
+        if model.body is None:
             return (*pull, line)
         behind = Parameter(
             "behind_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="distance of the anchor behind the start"
@@ -91,7 +87,7 @@ class Tether(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the base, or on the mean of a run."""
-        if isinstance(model, RecoilModel):
+        if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
 
@@ -99,11 +95,11 @@ class Tether(Effect):
                 c["dry"] += mean
 
             return Hooks(coefficients=(change,))
-        if isinstance(model, MultilinkModel):
+        if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.settings.get("pose", (0.0, 0.0, 0.0))[:3]
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
-            x, y = common.reference(model)
+            x, y = model.body.reference_m
             return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
         origin = float(trial.settings.get("x0", 0.0))
         return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
@@ -111,7 +107,7 @@ class Tether(Effect):
 
 def _reach(model: Model, trials: Sequence[Trial]) -> float:
     """Typical distance from the start, m."""
-    if isinstance(model, RecoilModel):
+    if model.timed_runs:
         ways = [w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])]
         return float(np.median(ways)) or 1.0
-    return common.span(model, trials)
+    return model.scales(trials).span

@@ -12,8 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
 STEEPEST = 2.0
@@ -68,11 +66,11 @@ class Wall(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """One per side for free swimmers; the far end for falling weights and towed bodies."""
-        if common.swims_freely(model):
-            names = tuple(f"{axis}_m" for axis in common.axes(model))
+        names = tuple(f"{axis}_m" for axis in model.axes)
+        if common.free_body(model):
             ends: tuple[str, ...] = ("max", "min")
-        elif isinstance(model, RigModel) and model.name != "free-decay":
-            names, ends = (model.coordinate,), ("max",)
+        elif common.pulled(model):
+            ends = ("max",)
         else:
             return []
         found: list[Effect] = []
@@ -87,14 +85,14 @@ class Wall(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
         inf = math.inf
-        if isinstance(model, MultilinkModel):
-            length = sum(link.length_m for link in model.assembly.links)
-            size = 0.05 * common.force(model, trials)
+        if model.body is not None:
+            length = sum(model.body.lengths_m)
+            size = 0.05 * model.scales(trials).force
             first = Parameter(
                 f"{self.side}_force_N", "N", -inf, inf, 0.0, size, meaning="push of the wall at the extreme"
             )
         else:
-            length = 0.4 * common.span(model, trials)
+            length = 0.4 * model.scales(trials).span
             first = Parameter(
                 f"{self.side}_gain", "1", 0.0, inf, 0.0, 1.0, meaning="relative growth of drag at the extreme"
             )
@@ -116,11 +114,12 @@ class Wall(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force at the centre of mass of the heaviest link."""
-        if isinstance(model, MultilinkModel):
+        body = model.body
+        if body is not None:
             axis, end = self.side.split("_")
             place = [0.0 if axis == "x" else 1.0, 1.0 if end == "max" else -1.0, self.extreme_m]
-            hull = common.hull(model)
-            x, y = common.centre(model, hull)
+            hull = body.hull
+            x, y = body.centre(hull)
             return Hooks(force=(Force(push_off, np.array([*values, *place]), hull, x, y),))
         constants = np.array([0.0, *values, self.extreme_m])
 

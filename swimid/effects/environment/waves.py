@@ -7,11 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 #: Frequencies looked at, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
@@ -48,14 +46,13 @@ class Waves(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """One per axis and line of the track, for a body that moves in time from place to place."""
-        in_time = isinstance(model, RigModel) and not common.rotates(model)
-        if not (in_time or common.swims_freely(model)):
-            return []
-        return [Waves(axis, line) for axis in common.axes(model) for line in lines(model, trials, axis)]
+        if "force" not in model.offers:
+            return []  # an average over beats or runs has no motion within a wave's period
+        return [Waves(axis, line) for axis in model.axes for line in lines(model, trials, axis)]
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
-        size = 0.1 * common.speed(model, trials)
+        size = 0.1 * model.scales(trials).speed
         inf = math.inf
         return (
             Parameter(
@@ -64,7 +61,7 @@ class Waves(Effect):
                 0.5 * LOWEST,
                 2.0 * HIGHEST,
                 self.frequency_hz,
-                0.2 / common.duration(trials),
+                0.2 / model.scales(trials).duration,
                 meaning="frequency of the waves",
             ),
             *(
@@ -124,7 +121,7 @@ def lines(model: Model, trials: Sequence[Trial], axis: str) -> tuple[float, ...]
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
     if not use:
         return ()
-    length = common.duration(use)
+    length = model.scales(use).duration
     count = min(max(int((HIGHEST - LOWEST) * 2.0 * length), 8), FINEST)
     grid = np.linspace(max(LOWEST, 1.5 / length), HIGHEST, count)
     power, weight = np.zeros(count), np.zeros(count)

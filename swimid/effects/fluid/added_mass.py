@@ -10,8 +10,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: The least of the inertia that may be left, as a share of the rigid body's.
 LEAST = 0.5
@@ -33,13 +31,14 @@ class AddedMass(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs and free swimmers."""
-        return [self] if isinstance(model, RigModel) or common.swims_freely(model) else []
+        return [self] if model.rig is not None or common.free_body(model) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Added mass along and across all links, kg; or that of the rig's coordinate."""
-        if isinstance(model, MultilinkModel):
-            masses = _masses(model)
-            own, across = sum(masses), model.plane.words[4]
+        body = model.body
+        if body is not None:
+            masses = body.masses_kg
+            own, across = sum(masses), body.words[4]
             return tuple(
                 Parameter(name, "kg", -least, math.inf, 0.0, 0.05 * own, meaning=f"{words} added mass")
                 for name, least, words in (
@@ -49,8 +48,8 @@ class AddedMass(Effect):
                 )
             )
         rotation = common.rotates(model)
-        size = common.inertia(model, trials)
-        own = size - common.start(model, "added_mass", "added_inertia")
+        size = model.scales(trials).inertia
+        own = size - model.start("added_mass", "added_inertia")
         return (
             Parameter(
                 "added_kg_m2" if rotation else "added_kg",
@@ -65,15 +64,16 @@ class AddedMass(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
-        if isinstance(model, MultilinkModel):
-            masses = _masses(model)
-            points = [common.centre(model, link) for link in range(len(masses))]
+        body = model.body
+        if body is not None:
+            masses = body.masses_kg
+            points = [body.centre(link) for link in range(len(masses))]
 
             def carry(tables: dict[str, Any]) -> None:
                 for link, (mass, at) in enumerate(zip(masses, points, strict=True)):
                     share = mass / sum(masses)
-                    common.weigh(tables, link, at, share * values[0], share * values[1])
-                common.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
+                    body.weigh(tables, link, at, share * values[0], share * values[1])
+                body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
 
@@ -81,7 +81,3 @@ class AddedMass(Effect):
             c["inertia"] += values[0]
 
         return Hooks(coefficients=(change,))
-
-
-def _masses(model: MultilinkModel) -> list[float]:
-    return [float(common.rigid(model, link)[0]) for link in range(len(model.assembly.links))]

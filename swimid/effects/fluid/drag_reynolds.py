@@ -12,7 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -50,13 +49,14 @@ class DragReynolds(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs and free swimmers with quadratic drag, about the typical speed of the trials."""
-        if isinstance(model, MultilinkModel):
-            fits = model.assembly.free_base and common.axial_drag(common.tables(model)) > 0
+        body = model.body
+        if body is not None:
+            fits = body.free and body.axial_drag(body.tables()) > 0
         else:
             fits = "force" in model.offers
-        typical = common.speed(model, trials)
+        typical = model.scales(trials).speed
         found: list[Effect] = [DragReynolds(typical)] if fits else []
-        if fits and isinstance(model, MultilinkModel) and len(trials) > 1:
+        if fits and body is not None and len(trials) > 1:
             found.append(DragReynolds(typical, whole=True))
         return found
 
@@ -67,20 +67,22 @@ class DragReynolds(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds the difference to the model's own quadratic drag, or changes its coefficients."""
+        body = model.body
         if self.whole:
-            factor = (common.speed(model, [trial]) / self.reference_m_s) ** -float(values[0])
+            whole = common.links(model)
+            factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
 
             def change(tables: dict[str, Any]) -> None:
-                tables["drag"][:, [2, 3, 6]] *= factor
+                whole.drag_times(tables, factor)
 
             return Hooks(tables=(change,))
         constants = np.array([0.0, values[0], self.reference_m_s])
-        if isinstance(model, MultilinkModel):
-            hull = common.hull(model)
-            x, y = common.centre(model, hull)
+        if body is not None:
+            hull = body.hull
+            x, y = body.centre(hull)
 
             def read(tables: dict[str, Any]) -> None:
-                constants[0] = common.axial_drag(tables)
+                constants[0] = body.axial_drag(tables)
 
             return Hooks(tables=(read,), force=(Force(changed_drag, constants, hull, x, y),))
 

@@ -6,16 +6,17 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.propulsion.model import SurgeModel
-from swimid.swimmer.planar.model import MultilinkModel
 
 OWN = ("linear_drag", "linear_damping")
+#: Name and unit of a force per speed, by the unit of the force.
+UNITS = {
+    "N": ("linear_N_s_m", "N s/m"),
+    "N m": ("linear_N_m_s_rad", "N m s/rad"),
+    "m/s^2": ("linear_1_s", "1/s"),
+}
 
 
 class LinearDrag(Effect):
@@ -30,41 +31,37 @@ class LinearDrag(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models that do not estimate it and whose body moves."""
-        if common.estimated(model, *OWN):
+        if model.estimates(*OWN):
             return []
-        if isinstance(model, MultilinkModel) and not model.assembly.free_base:
+        if model.body is not None and not model.body.free:
             return []
         return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per speed, N s/m; moment per rate for an angle, 1/s where the model is per mass."""
-        name, unit = "linear_N_s_m", "N s/m"
-        if common.rotates(model):
-            name, unit = "linear_N_m_s_rad", "N m s/rad"
-        if isinstance(model, SurgeModel):
-            name, unit = "linear_1_s", "1/s"
+        name, unit = UNITS[model.force_unit]
+        scales = model.scales(trials)
         return (
             Parameter(
                 name,
                 unit,
-                -common.start(model, *OWN),
+                -model.start(*OWN),
                 math.inf,
                 0.0,
-                common.brake(model, trials) / common.speed(model, trials),
+                scales.brake / scales.speed,
                 meaning="drag per speed",
             ),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the linear drag."""
-        if isinstance(model, MultilinkModel):
-            hull = common.hull(model)
-            x, y = common.centre(model, hull)
-            row = [x, y, 0.0, 0.0, values[0], values[0], 0.0, 0.0]
+        body = model.body
+        if body is not None:
+            hull = body.hull
+            at = body.centre(hull)
 
             def add(tables: dict[str, Any]) -> None:
-                tables["drag_link"] = np.append(tables["drag_link"], hull)
-                tables["drag"] = np.vstack([tables["drag"], row])
+                body.drag_more(tables, hull, at, values[0])
 
             return Hooks(tables=(add,))
 

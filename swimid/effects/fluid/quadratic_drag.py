@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 OWN = ("quadratic_drag", "quadratic_damping", "drag_coefficient")
 
@@ -31,19 +28,19 @@ class QuadraticDrag(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs whose model does not estimate it."""
-        return [self] if isinstance(model, RigModel) and not common.estimated(model, *OWN) else []
+        return [self] if model.rig is not None and not model.estimates(*OWN) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per squared speed, N s2/m2; moment per squared rate for an angle."""
-        rotation = common.rotates(model)
+        rotation, scales = common.rotates(model), model.scales(trials)
         return (
             Parameter(
                 "quadratic_N_m_s2_rad2" if rotation else "quadratic_N_s2_m2",
                 "N m s^2/rad^2" if rotation else "N s^2/m^2",
-                -_own(model, trials),
+                -scales.quadratic,
                 math.inf,
                 0.0,
-                common.brake(model, trials) / common.speed(model, trials) ** 2,
+                scales.brake / scales.speed**2,
                 meaning="drag per squared speed",
             ),
         )
@@ -55,10 +52,3 @@ class QuadraticDrag(Effect):
             c["quadratic"] += values[0]
 
         return Hooks(coefficients=(change,))
-
-
-def _own(model: Model, trials: Sequence[Trial]) -> float:
-    """The model's own quadratic drag, the least of all trials."""
-    assert isinstance(model, RigModel)
-    start = np.array([p.start for p in model.parameters])
-    return min((model.coefficients(start, t.settings)["quadratic"] for t in trials), default=0.0)

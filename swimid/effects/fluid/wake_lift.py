@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
+from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Most added mass per length, in those of the plate that gives the scale.
 MOST = 10.0
@@ -33,14 +31,12 @@ class WakeLift(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers of several links."""
-        fits = isinstance(model, MultilinkModel) and len(model.assembly.links) > 1
-        return [self] if fits else []
+        return [self] if model.body is not None and model.body.last > 0 else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Added mass per length at the edge, kg/m, against a plate as high as the last link is long."""
-        assert isinstance(model, MultilinkModel)
-        chord = model.assembly.links[-1].length_m
-        plate = 0.25 * math.pi * model.robot.fluid.density_kg_m3 * chord**2
+        body = common.links(model)
+        plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         return (
             Parameter(
                 "added_mass_kg_m",
@@ -55,12 +51,9 @@ class WakeLift(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds a trailing edge."""
-        assert isinstance(model, MultilinkModel)
-        last = len(model.assembly.links) - 1
-        row = [-model.assembly.links[last].length_m, 0.0, 0.5 * values[0]]
+        body = common.links(model)
 
         def add(tables: dict[str, Any]) -> None:
-            tables["wake_link"] = np.append(tables["wake_link"], last)
-            tables["wake"] = np.vstack([tables["wake"], row])
+            body.shed(tables, float(values[0]))
 
         return Hooks(tables=(add,))

@@ -9,7 +9,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import COORDINATES, RigModel
 
 
 class InitialSpeed(Effect):
@@ -24,12 +23,12 @@ class InitialSpeed(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs whose model does not estimate it."""
-        return [self] if isinstance(model, RigModel) and not common.estimated(model, "initial_speed") else []
+        return [self] if model.rig is not None and not model.estimates("initial_speed") else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The speed, m/s or rad/s."""
-        assert isinstance(model, RigModel)
-        unit = COORDINATES[model.coordinate][1]
+        assert model.rig is not None
+        unit = model.rig.speed.unit
         return (
             Parameter(
                 "speed_rad_s" if common.rotates(model) else "speed_m_s",
@@ -37,7 +36,7 @@ class InitialSpeed(Effect):
                 -math.inf,
                 math.inf,
                 0.0,
-                0.1 * common.speed(model, trials),
+                0.1 * model.scales(trials).speed,
                 meaning="speed at release",
             ),
         )

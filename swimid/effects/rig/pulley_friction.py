@@ -9,7 +9,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 OWN = ("pulley_friction", "dry_friction")
 
@@ -33,7 +32,7 @@ class PulleyFriction(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs whose model does not estimate it."""
-        if not isinstance(model, RigModel) or common.estimated(model, *OWN):
+        if model.rig is None or model.estimates(*OWN):
             return []
         return [PulleyFriction(everywhere=not _pulley(trials))]
 
@@ -44,10 +43,10 @@ class PulleyFriction(Effect):
             Parameter(
                 "friction_N_m" if rotation else "friction_N",
                 "N m" if rotation else "N",
-                -common.start(model, *OWN),
+                -model.start(*OWN),
                 math.inf,
                 0.0,
-                common.brake(model, trials),
+                model.scales(trials).brake,
                 meaning="dry friction beyond the model's",
             ),
         )

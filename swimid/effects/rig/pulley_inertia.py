@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 
 class PulleyInertia(Effect):
@@ -28,7 +26,7 @@ class PulleyInertia(Effect):
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs with a pulley."""
         pulley = any(t.settings.get("pulley", False) for t in trials)
-        return [self] if isinstance(model, RigModel) and pulley else []
+        return [self] if model.rig is not None and pulley else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Equivalent mass, kg."""
@@ -39,7 +37,7 @@ class PulleyInertia(Effect):
                 0.0,
                 math.inf,
                 0.0,
-                0.05 * common.inertia(model, trials),
+                0.05 * model.scales(trials).inertia,
                 meaning="inertia of the pulley over its radius squared",
             ),
         )

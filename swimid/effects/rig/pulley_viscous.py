@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 OWN = ("linear_drag", "linear_damping")
 
@@ -26,20 +24,21 @@ class PulleyViscous(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs with a pulley whose model estimates no linear drag."""
-        if not isinstance(model, RigModel) or common.estimated(model, *OWN):
+        if model.rig is None or model.estimates(*OWN):
             return []
         return [self] if any(t.settings.get("pulley", False) for t in trials) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per speed, N s/m."""
+        scales = model.scales(trials)
         return (
             Parameter(
                 "viscous_N_s_m",
                 "N s/m",
-                -common.start(model, *OWN),
+                -model.start(*OWN),
                 math.inf,
                 0.0,
-                0.1 * common.force(model, trials) / common.speed(model, trials),
+                0.1 * scales.force / scales.speed,
                 meaning="friction of the pulley per speed",
             ),
         )

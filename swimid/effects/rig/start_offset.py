@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import COORDINATES, RigModel
 
 
 class StartOffset(Effect):
@@ -24,13 +22,13 @@ class StartOffset(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs whose model does not estimate it."""
-        return [self] if isinstance(model, RigModel) and not common.estimated(model, "start_offset") else []
+        return [self] if model.rig is not None and not model.estimates("start_offset") else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The displacement, m or rad."""
-        assert isinstance(model, RigModel)
-        unit = COORDINATES[model.coordinate][0]
-        size = 0.01 * common.span(model, trials)
+        assert model.rig is not None
+        unit = model.rig.displacement.unit
+        size = 0.01 * model.scales(trials).span
         return (
             Parameter(
                 f"offset_{unit}",

@@ -12,7 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
 
 #: Gravity that turns a pulling force into the mass of the weight, m/s2.
 GRAVITY = 9.81
@@ -75,12 +74,12 @@ class StringStretch(Effect):
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Falling weights on a pulley."""
         pulley = any(t.settings.get("pulley", False) for t in trials)
-        fits = isinstance(model, RigModel) and model.name == "falling-weight"
-        return [self] if fits and pulley else []
+        return [self] if common.pulled(model) and pulley else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
-        scale = 0.01 * common.span(model, trials) / common.force(model, trials)
+        scales = model.scales(trials)
+        scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
         return (
             Parameter(
@@ -105,11 +104,11 @@ class StringStretch(Effect):
         weight = float(trial.settings.get("force", 0.0)) / GRAVITY
         if compliance <= 0 or weight <= 0 or not trial.settings.get("pulley", False):
             return Hooks()
-        assert isinstance(model, RigModel)
+        assert model.rig is not None
         omega = 1.0 / math.sqrt(compliance * weight)
         start = -unloaded * compliance * weight * GRAVITY
         release = float(trial.settings.get("release_s", 0.0))
-        coordinate, rate = model.coordinate, model.speed
+        coordinate, rate = model.rig.displacement.name, model.rig.speed.name
 
         def shown(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             after = time_s > release

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 
 class CameraRotation(Effect):
@@ -24,9 +24,9 @@ class CameraRotation(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where both positions are measured and the model does not estimate it."""
-        if not isinstance(model, MultilinkModel) or _channels.estimates(model, "camera_rotation"):
+        if model.body is None or model.estimates("camera_rotation"):
             return []
-        both = len(_channels.measured(model.plane.pose[:2], trials)) == 2
+        both = len(_channels.measured(model.body.pose[:2], trials)) == 2
         return super().variants(model, trials) if both else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
@@ -45,10 +45,9 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Turned positions."""
-        assert isinstance(model, MultilinkModel)
         angle = float(values[0])
-        first, second, _ = model.plane.pose
-        origin = _channels.origin(model, trial)
+        first, second, _ = common.links(model).pose
+        origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             a, b = channels[first] - origin[first], channels[second] - origin[second]

@@ -40,7 +40,7 @@ class CameraScale(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Scaled positions and speeds."""
         error = float(values[0])
-        origin = _channels.origin(model, trial)
+        origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             found = dict(channels)

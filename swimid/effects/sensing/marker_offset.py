@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 #: Farthest a marker may be off, m.
 FARTHEST_M = 0.5
@@ -33,10 +33,11 @@ class MarkerOffset(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where a pose or a velocity of the body is measured."""
-        if not isinstance(model, MultilinkModel) or not model.assembly.free_base:
+        body = common.free_body(model)
+        if body is None:
             return []
-        body = _channels.measured((*model.plane.pose, *model.plane.velocity[:2]), trials)
-        return super().variants(model, trials) if body else []
+        seen = _channels.measured((*body.pose, *body.velocity[:2]), trials)
+        return super().variants(model, trials) if seen else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
@@ -51,9 +52,9 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Pose and velocity of the tracked point."""
-        assert isinstance(model, MultilinkModel)
+        body = common.links(model)
         along, across, turn = (float(v) for v in values)
-        (first, second, heading), (ahead, beside, rate) = model.plane.pose, model.plane.velocity
+        (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             yaw, r = channels[heading], channels[rate]

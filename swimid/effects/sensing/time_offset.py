@@ -11,7 +11,7 @@ from swimid.effects.base import Effect
 from swimid.effects.sensing import _channels
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.propulsion.model import SPEED, RecoilModel
+from swimid.fitting.scales import MEAN_SPEED
 
 #: Channels of a camera.
 POSES = (*_channels.POSITIONS, "yaw_rad", "pitch_rad")
@@ -46,9 +46,9 @@ class TimeOffset(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Where there is a clock the model does not estimate; the camera's alone beside it."""
-        if isinstance(model, RecoilModel):
+        if model.timed_runs:
             return [self]
-        if _channels.estimates(model, "clock_offset"):
+        if model.estimates("clock_offset"):
             return []
         measured = {c for t in trials for c in t.measured}
         apart = measured & set(POSES) and any(c.endswith("_rate_rad_s") for c in measured)
@@ -57,7 +57,7 @@ class TimeOffset(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The time by which the log is late, s."""
-        typical = 0.1 if isinstance(model, RecoilModel) else 0.03
+        typical = 0.1 if model.timed_runs else 0.03
         return (
             Parameter(
                 "camera_offset_s" if self.camera else "offset_s",
@@ -82,16 +82,16 @@ class TimeOffset(Effect):
                 return {**channels, **dict(zip(poses, seen.T, strict=True))}
 
             return Hooks(output=(late,) if offset != 0.0 and len(trial.time_s) > 3 else ())
-        if not isinstance(model, RecoilModel):
+        if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            speed = channels[SPEED]
+            speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
                 # no watch reads less than a tenth of the run
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
-            return {**channels, SPEED: speed / longer}
+            return {**channels, MEAN_SPEED: speed / longer}
 
         return Hooks(output=(seen,))
 

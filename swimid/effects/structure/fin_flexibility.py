@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numba import cfunc
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.model import MultilinkModel
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -59,31 +57,33 @@ class FinFlexibility(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers whose last link has drag or lift across it, and models of the stroke."""
-        if isinstance(model, MultilinkModel):
-            return [self] if sum(_fin(model, common.tables(model))[:2]) > 0 else []
+        body = model.body
+        if body is not None:
+            return [self] if sum(body.fin(body.tables())[:2]) > 0 else []
         return [FinFlexibility(*_typical(trials))] if "stroke" in model.offers else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Chord angle per force, rad/N; or loss per load, 1."""
-        if isinstance(model, MultilinkModel):
-            quadratic, lift, _ = _fin(model, common.tables(model))
-            across = _stroke_speed(model, trials)
-            load = (quadratic * across + lift * common.speed(model, trials)) * across
+        body = model.body
+        if body is not None:
+            quadratic, lift, _ = body.fin(body.tables())
+            across = _stroke_speed(model, body.lengths_m[-1], trials)
+            load = (quadratic * across + lift * model.scales(trials).speed) * across
             words = "angle by which the fin bends per force across it"
             return (Parameter("compliance_rad_N", "rad/N", 0.0, 30.0 / load, 0.0, 0.1 / load, meaning=words),)
         return (Parameter("loss", "1", 0.0, 20.0, 0.0, 0.2, meaning="loss of thrust at the typical load"),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the last link, or a factor on the thrust."""
-        if isinstance(model, MultilinkModel):
+        body = model.body
+        if body is not None:
             constants = np.array([values[0], 0.0, 0.0])
-            x, y = _fin(model, common.tables(model))[2]
+            x, y = body.fin(body.tables())[2]
 
             def read(tables: dict[str, Any]) -> None:
-                constants[1:3] = _fin(model, tables)[:2]
+                constants[1:3] = body.fin(tables)[:2]
 
-            last = len(model.assembly.links) - 1
-            return Hooks(tables=(read,), force=(Force(bent_fin, constants, last, x, y),))
+            return Hooks(tables=(read,), force=(Force(bent_fin, constants, body.last, x, y),))
 
         def weaken(stroke: Stroke) -> Stroke:
             inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
@@ -98,26 +98,11 @@ class FinFlexibility(Effect):
         return Hooks(stroke=(weaken,))
 
 
-def _fin(model: MultilinkModel, tables: dict[str, Any]) -> tuple[float, float, tuple[float, float]]:
-    """Gains of the last link's normal force on |w| w and on |u| w, and the point it acts at."""
-    last = len(model.assembly.links) - 1
-    drag = tables["drag"][tables["drag_link"] == last]
-    foil = tables["foil"][tables["foil_link"] == last]
-    quadratic = np.concatenate([drag[:, 3], 2.0 * foil[:, 2] * foil[:, 5]])
-    lift = np.concatenate([np.zeros(len(drag)), 2.0 * foil[:, 2] * foil[:, 3]])
-    weight = quadratic + lift
-    if weight.sum() <= 0:
-        return 0.0, 0.0, (0.0, 0.0)
-    place = weight @ np.concatenate([drag[:, :2], foil[:, :2]]) / weight.sum()
-    return float(quadratic.sum()), float(lift.sum()), (float(place[0]), float(place[1]))
-
-
-def _stroke_speed(model: MultilinkModel, trials: Sequence[Trial]) -> float:
-    """Typical speed of the fin across itself, m/s."""
-    length = model.assembly.links[-1].length_m
+def _stroke_speed(model: Model, length: float, trials: Sequence[Trial]) -> float:
+    """Typical speed of a fin of this length (m) across itself, m/s."""
     beats = [t.settings["beat"] for t in trials if t.settings.get("beat") is not None]
     found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
-    return (float(np.median(found)) if found else 0.0) or common.speed(model, trials)
+    return (float(np.median(found)) if found else 0.0) or model.scales(trials).speed
 
 
 def _typical(trials: Sequence[Trial]) -> tuple[float, float]:

@@ -12,10 +12,6 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.engine import PASSIVE
-from swimid.swimmer.planar.model import MultilinkModel
-
-COLUMN = PASSIVE.index("damping")
 
 
 class JointDamping(Effect):
@@ -30,22 +26,20 @@ class JointDamping(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers with a passive joint."""
-        return [self] if isinstance(model, MultilinkModel) and model.assembly.passive else []
+        return [self] if model.body is not None and model.body.passive else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
-        assert isinstance(model, MultilinkModel)
-        found = common.tables(model)
-        own = found["passive"][:, COLUMN]
+        body = common.links(model)
+        found, joints = body.tables(), range(len(body.passive))
         sizes = [
-            math.sqrt(max(common.joint_stiffness(found, k), 1e-6) * common.joint_inertia(model, found, k))
-            for k in range(len(own))
+            math.sqrt(max(body.stiffness(found, k), 1e-6) * body.joint_inertia(found, k)) for k in joints
         ]
         return (
             Parameter(
                 "damping_N_m_s_rad",
                 "N m s/rad",
-                -float(own.min()),
+                -min(body.damping(found, k) for k in joints),
                 math.inf,
                 0.0,
                 0.1 * float(np.median(sizes)),
@@ -55,10 +49,10 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the damping."""
+        body = common.links(model)
 
         def damp(tables: dict[str, Any]) -> None:
-            passive = tables["passive"].copy()
-            passive[:, COLUMN] += values[0]
-            tables["passive"] = passive
+            for k in range(len(body.passive)):
+                body.stiffen(tables, k, damping=values[0])
 
         return Hooks(tables=(damp,))

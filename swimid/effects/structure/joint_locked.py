@@ -9,10 +9,7 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.swimmer.planar.engine import PASSIVE
-from swimid.swimmer.planar.model import MultilinkModel
 
-COLUMN = PASSIVE.index("stiffness")
 #: The most a joint may be locked, and how much stiffer than its own spring half a lock makes it.
 MOST, STIFFER = 0.97, 10.0
 #: Largest ``omega h`` of a locked joint, well inside the stability of the integration.
@@ -42,13 +39,13 @@ class JointLocked(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """One for each passive joint, and each driven one that is told to move and not measured."""
-        if not isinstance(model, MultilinkModel):
+        if model.body is None:
             return []
-        columns = [axis.column for axis in model.assembly.passive]
+        columns = [axis.column for axis in model.body.passive]
         given = any(t.settings.get("commanded") for t in trials)
         beaten = any(t.settings.get("joints") is None for t in trials)
-        for axis in model.assembly.driven:
-            law = axis.joint.driven
+        for axis in model.body.driven:
+            law = axis.driven
             assert law is not None
             if given or (beaten and (law.gain != 0.0 or law.bias_gain)):
                 columns.append(axis.column)
@@ -61,9 +58,9 @@ class JointLocked(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Holds the joint."""
-        assert isinstance(model, MultilinkModel)
+        body = common.links(model)
         lock = float(values[0])
-        driven = [axis.column for axis in model.assembly.driven]
+        driven = [axis.column for axis in body.driven]
         if self.column in driven:
             number = driven.index(self.column)
 
@@ -71,15 +68,12 @@ class JointLocked(Effect):
                 return angle[0] + (1.0 - lock) * (angle - angle[0]) if joint == number else angle
 
             return Hooks(command=(hold,))
-        number = [axis.column for axis in model.assembly.passive].index(self.column)
-        step = model.max_step
+        number = [axis.column for axis in body.passive].index(self.column)
 
         def stiffen(tables: dict[str, Any]) -> None:
-            passive = tables["passive"].copy()
-            own = max(common.joint_stiffness(tables, number), 0.0)
-            limit = (STABLE / step) ** 2 * common.joint_inertia(model, tables, number) * (1.0 - MOST) / MOST
+            own = max(body.stiffness(tables, number), 0.0)
+            limit = (STABLE / body.step_s) ** 2 * body.joint_inertia(tables, number) * (1.0 - MOST) / MOST
             gain = min(STIFFER * own, limit) if own > 0 else limit
-            passive[number, COLUMN] += gain * lock / (1.0 - lock)
-            tables["passive"] = passive
+            body.stiffen(tables, number, stiffness=gain * lock / (1.0 - lock))
 
         return Hooks(tables=(stiffen,))

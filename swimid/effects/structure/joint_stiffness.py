@@ -7,15 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.rig.model import RigModel
-from swimid.swimmer.planar.engine import PASSIVE
-from swimid.swimmer.planar.model import MultilinkModel
-
-LINEAR, CUBIC = PASSIVE.index("stiffness"), PASSIVE.index("cubic")
 
 
 class JointStiffness(Effect):
@@ -32,20 +26,17 @@ class JointStiffness(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
-        if isinstance(model, MultilinkModel):
-            found = common.tables(model)
-            return (
-                [self]
-                if any(common.joint_stiffness(found, k) > 0 for k in range(len(found["passive"])))
-                else []
-            )
-        held = isinstance(model, RigModel) and model.name == "free-decay"
-        return [self] if held and not common.estimated(model, "stiffness") else []
+        body = model.body
+        if body is not None:
+            found = body.tables()
+            return [self] if any(body.stiffness(found, k) > 0 for k in range(len(body.passive))) else []
+        held = model.rig is not None and model.rig.swings
+        return [self] if held and not model.estimates("stiffness") else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The relative change, and for a swimmer's joints the hardening."""
         change = Parameter("change", "1", -0.95, 6.0, 0.0, 0.2, meaning="relative change of stiffness")
-        if not isinstance(model, MultilinkModel):
+        if model.body is None:
             return (change,)
         hardening = Parameter(
             "hardening_rad_2", "rad^-2", -10.0, 60.0, 0.0, 2.0, meaning="relative growth with squared angle"
@@ -59,18 +50,17 @@ class JointStiffness(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the springs."""
+        body = model.body
+        if body is not None:
 
-        def springs(tables: dict[str, Any]) -> None:
-            passive = tables["passive"].copy()
-            for k in range(len(passive)):
-                own = common.joint_stiffness(tables, k)
-                passive[k, LINEAR] += own * values[0]
-                passive[k, CUBIC] += own * values[1]
-            tables["passive"] = passive
+            def springs(tables: dict[str, Any]) -> None:
+                for k in range(len(body.passive)):
+                    own = body.stiffness(tables, k)
+                    body.stiffen(tables, k, stiffness=own * values[0], cubic=own * values[1])
+
+            return Hooks(tables=(springs,))
 
         def restoring(c: dict[str, float]) -> None:
             c["stiffness"] *= 1.0 + values[0]
 
-        if isinstance(model, MultilinkModel):
-            return Hooks(tables=(springs,))
         return Hooks(coefficients=(restoring,))

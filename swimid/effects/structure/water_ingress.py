@@ -10,8 +10,9 @@ from swimid.effects import common
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.propulsion.model import SurgeModel
-from swimid.swimmer.planar.model import MultilinkModel
+
+#: Unit of the forces of a model that has no inertia of its own.
+PER_MASS = "m/s^2"
 
 
 class WaterIngress(Effect):
@@ -26,8 +27,8 @@ class WaterIngress(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Models with an inertia: not those per mass, nor of a base that is held."""
-        held = isinstance(model, MultilinkModel) and not model.assembly.free_base
-        if held or isinstance(model, SurgeModel):
+        held = model.body is not None and not model.body.free
+        if held or model.force_unit == PER_MASS:
             return []
         return super().variants(model, trials)
 
@@ -41,19 +42,20 @@ class WaterIngress(Effect):
                 0.0,
                 math.inf,
                 0.0,
-                0.05 * common.inertia(model, trials),
+                0.05 * model.scales(trials).inertia,
                 meaning="inertia of the water inside" if rotation else "mass of the water inside",
             ),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
-        if isinstance(model, MultilinkModel):
-            hull = common.hull(model)
-            at = common.centre(model, hull)
+        body = model.body
+        if body is not None:
+            hull = body.hull
+            at = body.centre(hull)
 
             def carry(tables: dict[str, Any]) -> None:
-                common.weigh(tables, hull, at, values[0], values[0])
+                body.weigh(tables, hull, at, values[0], values[0])
 
             return Hooks(tables=(carry,))
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.optimize import minimize_scalar
 
+from swimid.fitting.easing import eased
 from swimid.fitting.model import Array
 
 #: Angle, rate and acceleration at given times.
@@ -151,14 +152,8 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
 
 
-def eased(time_s: Array, ramp_s: float) -> Array:
-    """Quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
-    s = np.clip(time_s / ramp_s, 0.0, 1.0)
-    return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
-
-
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """The ease-in (:func:`eased`) with its first two derivatives; a step where ``ramp_s`` is zero."""
+    """The ease-in of :func:`eased` with its first two derivatives; a step where ``ramp_s`` is zero."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swimid.fitting.model import Array
-from swimid.swimmer.planar.model import MultilinkModel
+
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.model import MultilinkModel
 
 
 def link_frames(

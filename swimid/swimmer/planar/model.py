@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,25 @@ from typing import Any
 import numpy as np
 
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
-from swimid.progress import Progress
+from swimid.fitting.model import Array, Channel, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
+from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
+from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly, Axis
+from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Moving, coefficients
+from swimid.swimmer.tree import coefficients
 
 #: Largest integration step, s.
-DEFAULT_STEP = 0.005
+DEFAULT_STEP = STEP_S
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
 KEPT = 4
 #: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
 TABLES = 12
+#: Grid on which the command of a drive is read, s.
+READ_S = 0.0025
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,7 @@ class Trajectory:
     driven: Array
 
 
-class MultilinkModel(Model):
+class MultilinkModel(Swimmer):
     """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
 
     A trial's settings give ``beat`` (a :class:`drive.Beat`) or ``joints`` (a motion for each
@@ -97,8 +102,7 @@ class MultilinkModel(Model):
         self.assembly = Assembly(robot.multilink, robot.fluid)
         self.plane = PLANES[robot.multilink.plane]
         self.pose, self.velocity = self.plane.pose, self.plane.velocity
-        self.driven: Sequence[Moving] = self.assembly.driven
-        self.passive: Sequence[Moving] = self.assembly.passive
+        self.driven, self.passive = self.assembly.driven, self.assembly.passive
         self.free_base = self.assembly.free_base
         self.coefficients = self.assembly.names
         #: Per-trial offsets of the start pose.
@@ -116,6 +120,42 @@ class MultilinkModel(Model):
         self._lock = threading.Lock()
 
     # -------------------------------------------------------- what it offers
+
+    @property
+    def body(self) -> PlanarBody:
+        """Its links."""
+        return PlanarBody(self)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the plane of motion; none where the base is held."""
+        return tuple(name.removesuffix("_m") for name in self.pose[:2]) if self.free_base else ()
+
+    def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
+        """Typical sizes of trials."""
+        return SwimmerScales(self, trials)
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Pose at the first sample."""
+        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        return dict(zip(self.pose, (float(p) for p in pose), strict=True))
+
+    def commanded(self, trial: Trial) -> bool:
+        """Whether a drive or a recorded command moves the joints, not their measured angles."""
+        if trial.settings.get("joints") is None:
+            return "beat" in trial.settings
+        return bool(trial.settings.get("commanded"))
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """What each driven joint is told to do."""
+        time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
+        for number, axis in enumerate(self.assembly.driven):
+            angle, rate, _ = joint_motion(axis, number, trial.settings, time, 0.0)
+            yield time, angle, float(np.max(np.abs(rate)))
+
+    def prepare(self, progress: Progress = silent) -> None:
+        """Compile the kernels where that has not been done on this machine."""
+        prepare(progress)
 
     def _start(self) -> list[Parameter]:
         inf, found = math.inf, []
@@ -259,33 +299,7 @@ class MultilinkModel(Model):
         """What a driven joint is told to do, rad."""
         return joint_motion(self.assembly.driven[number], number, settings, time_s, phase_rad)[0]
 
-    def refined(self) -> MultilinkModel:
-        """The same model with half the integration step."""
-        return self._stepping(0.5 * self.max_step)
-
-    def coarser(self) -> MultilinkModel:
-        """The same model with twice the integration step."""
-        return self._stepping(2.0 * self.max_step)
-
-    def _stepping(self, max_step: float) -> MultilinkModel:
-        other = MultilinkModel(self.robot, max_step=max_step)
-        other.parameters = self.parameters
-        return other
-
     # -------------------------------------------------------- simulation
-
-    def of_trial(self, values: Array, trial: Trial) -> Array:
-        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
-        own = trial.settings.get("coefficients")
-        if not own:
-            return values
-        values = values.copy()
-        for name, value in own.items():
-            values[self._at[name]] = value
-        return values
-
-    def _value(self, values: Array, name: str) -> float:
-        return float(values[self._at[name]]) if name in self._at else 0.0
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
         """The run on its own step grid, from the world's origin; relative to the water where that flows.

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.logs.rotation import angles, from_angles
 from swimid.robots.file import Robot
 from swimid.robots.spatial import Hydrostatics
@@ -24,7 +25,7 @@ from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly, Axis
 from swimid.swimmer.spatial.planar import Lifted
 from swimid.swimmer.spatial.stroke import Cycle
-from swimid.swimmer.tree import Moving, coefficients
+from swimid.swimmer.tree import coefficients
 
 #: Pose and velocity of the reference point, as logs hold them.
 POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
@@ -54,7 +55,7 @@ class Tree(Protocol):
         ...
 
 
-class MultibodyModel(Model):
+class MultibodyModel(Swimmer):
     """A robot with links in space (:mod:`swimid.swimmer.spatial.engine`).
 
     A trial's settings give ``beat`` (a :class:`drive.Beat`), ``stroke`` (a
@@ -72,6 +73,7 @@ class MultibodyModel(Model):
 
     name = "multibody"
     offers = frozenset({"command", "tables", "output", "clock"})
+    in_space = True
 
     def __init__(self, robot: Robot, *, max_step: float = DEFAULT_STEP) -> None:
         self.robot = robot
@@ -85,8 +87,7 @@ class MultibodyModel(Model):
             self.tree = Lifted(robot.multilink, robot.fluid)
             known = robot.multilink.coefficients
         self.pose, self.velocity = POSE, VELOCITY
-        self.driven: Sequence[Moving] = self.tree.driven
-        self.passive: Sequence[Moving] = self.tree.passive
+        self.driven, self.passive = self.tree.driven, self.tree.passive
         self.free_base = self.tree.free_base
         self.coefficients = self.tree.names
         #: Per-trial offsets of the start pose.
@@ -182,24 +183,11 @@ class MultibodyModel(Model):
         """What a driven hinge is told to do, rad."""
         return hinge_motion(self.tree.driven[number], number, settings, time_s, phase_rad)[0]
 
-    def refined(self) -> MultibodyModel:
-        """The same model with half the integration step."""
-        return self._stepping(0.5 * self.max_step)
-
-    def coarser(self) -> MultibodyModel:
-        """The same model with twice the integration step."""
-        return self._stepping(2.0 * self.max_step)
-
-    @property
-    def buoyant(self) -> bool:
-        """Whether volumes of its robot file displace water."""
+    def with_buoyancy(self, factor: float) -> MultibodyModel | None:
+        """The same model with every volume that displaces water multiplied; None where none does."""
         body = self.robot.multibody
-        return body is not None and any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements)
-
-    def with_buoyancy(self, factor: float) -> MultibodyModel:
-        """The same model with every volume that displaces water multiplied."""
-        body = self.robot.multibody
-        assert body is not None
+        if body is None or not any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements):
+            return None
         elements = [
             e.model_copy(update={"volume_m3": _times(factor, e.volume_m3)})
             if isinstance(e, Hydrostatics)
@@ -211,30 +199,12 @@ class MultibodyModel(Model):
         other.parameters = self.parameters
         return other
 
-    def _stepping(self, max_step: float) -> MultibodyModel:
-        other = MultibodyModel(self.robot, max_step=max_step)
-        other.parameters = self.parameters
-        return other
-
     # -------------------------------------------------------- simulation
-
-    def _value(self, values: Array, name: str) -> float:
-        return float(values[self._at[name]]) if name in self._at else 0.0
 
     def _posed(self, values: Array, trial: Trial) -> Array:
         """Pose of the reference point at the first sample, shape (6,)."""
         pose = np.array(trial.settings.get("pose", (0.0,) * 6), dtype=float)
         return pose + [self._value(values, name) for name in self.starts]
-
-    def of_trial(self, values: Array, trial: Trial) -> Array:
-        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
-        own = trial.settings.get("coefficients")
-        if not own:
-            return values
-        values = values.copy()
-        for name, value in own.items():
-            values[self._at[name]] = value
-        return values
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Pose, velocity and joint angles at the trial's samples (see :meth:`Model.simulate`)."""

@@ -1,0 +1,117 @@
+"""What models of robots with links have in common, in a plane or in space."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Self
+
+from swimid.fitting.body import Moving
+from swimid.fitting.model import Array, Model, Trial
+from swimid.robots.file import Robot
+
+
+class Swimmer(Model):
+    """A robot with links: driven and passive joints, on a base that moves or is held.
+
+    Attributes
+    ----------
+    robot : Robot
+    max_step : float
+        Longest step of the integration, s.
+    pose, velocity : tuple of str
+        Channels of the reference point.
+    driven, passive : sequence of Moving
+    free_base : bool
+    coefficients : list of str
+        Those of the robot file, the first of the parameters.
+    starts : tuple of str
+        Per-trial offsets of the start pose.
+    """
+
+    robot: Robot
+    max_step: float
+    pose: tuple[str, ...]
+    velocity: tuple[str, ...]
+    driven: Sequence[Moving]
+    passive: Sequence[Moving]
+    free_base: bool
+    coefficients: list[str]
+    starts: tuple[str, ...]
+    _at: dict[str, int]
+
+    @abstractmethod
+    def __init__(self, robot: Robot, *, max_step: float) -> None: ...
+
+    @property
+    def swimmer(self) -> Swimmer:
+        """Itself."""
+        return self
+
+    @abstractmethod
+    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Velocities at the first sample, by parameter, as channels show them.
+
+        Parameters
+        ----------
+        seen : callable
+            Value (0) or rate (1) of a channel there; None where it does not tell.
+        """
+
+    @abstractmethod
+    def initial(self, measured: Collection[str]) -> list[str]:
+        """The start velocities, angles and rates that these channels can tell."""
+
+    @abstractmethod
+    def check(self, values: Array) -> None:
+        """Refuse coefficients that make masses no body has.
+
+        Raises
+        ------
+        InputError
+        """
+
+    @abstractmethod
+    def command(self, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float) -> Array:
+        """What a driven joint is told to do, rad."""
+
+    def with_buoyancy(self, factor: float) -> Swimmer | None:
+        """The same model with every volume that displaces water multiplied; None where none does."""
+        return None
+
+    def stated(self) -> dict[str, float]:
+        """The robot file's values of its coefficients."""
+        body = self.robot.multibody or self.robot.multilink
+        return {name: c.value for name, c in body.coefficients.items()} if body else {}
+
+    def given(self, trial: Trial) -> list[str]:
+        """Measured joints that drive the run where no servo follows them."""
+        if trial.settings.get("joints") is None:
+            return []
+        return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
+
+    def of_trial(self, values: Array, trial: Trial) -> Array:
+        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
+        own = trial.settings.get("coefficients")
+        if not own:
+            return values
+        values = values.copy()
+        for name, value in own.items():
+            values[self._at[name]] = value
+        return values
+
+    def refined(self) -> Self:
+        """The same model with half the integration step."""
+        return self._stepping(0.5 * self.max_step)
+
+    def coarser(self) -> Self:
+        """The same model with twice the integration step."""
+        return self._stepping(2.0 * self.max_step)
+
+    def _stepping(self, max_step: float) -> Self:
+        other = type(self)(self.robot, max_step=max_step)
+        other.parameters = self.parameters
+        return other
+
+    def _value(self, values: Array, name: str) -> float:
+        return float(values[self._at[name]]) if name in self._at else 0.0

@@ -1,0 +1,178 @@
+"""The body of a planar robot as effects ask for it, and the typical sizes of its trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swimid.fitting.body import Array, Body, Frames, Point
+from swimid.fitting.scales import Scales
+from swimid.swimmer.planar import engine, geometry
+from swimid.swimmer.polynomial import Polynomial
+
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.model import MultilinkModel
+
+STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
+WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
+QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
+#: Angle at which a joint counts as straight, rad.
+SMALL = 1e-4
+
+
+class PlanarBody(Body):
+    """The links of a :class:`~swimid.swimmer.planar.model.MultilinkModel`; columns as :mod:`engine` has them.
+
+    Parameters
+    ----------
+    model : MultilinkModel
+    """
+
+    def __init__(self, model: MultilinkModel) -> None:
+        robot = model.robot.multilink
+        assert robot is not None
+        self._model = model
+        self.free = model.free_base
+        self.pose, self.velocity, self.words = model.plane.pose, model.plane.velocity, model.plane.words
+        self.lengths_m = tuple(link.length_m for link in model.assembly.links)
+        self.reference_m = (-robot.reference.station_m, robot.reference.offset_m)
+        self.density_kg_m3 = model.robot.fluid.density_kg_m3
+        self.step_s = model.max_step
+        self.driven, self.passive = model.driven, model.passive
+
+    def mass(self, link: int) -> tuple[float, Point]:
+        """Mass (kg) and centre of mass (m, in its axes) of a link, without water."""
+        own = self._model.assembly.links[link]
+        values = {p.name: p.start for p in self._model.parameters}
+        mass, com, y = (Polynomial.of(q).at(values) for q in (own.mass_kg, own.com_m, own.com_offset_m))
+        return float(mass), (float(-mass * com / mass), float(mass * y / mass))
+
+    def tables(self) -> dict[str, Any]:
+        """The engine's tables."""
+        assembly = self._model.assembly
+        start = [p.start for p in self._model.parameters[: len(assembly.names)]]
+        return assembly.tables(np.array(start))
+
+    # -------------------------------------------------------- where its links are
+
+    def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
+        """Front end and heading of every link (:func:`geometry.link_frames`)."""
+        return geometry.link_frames(self._model, values, columns)
+
+    def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
+        """Rear end of every link (:func:`geometry.rear_ends`)."""
+        return geometry.rear_ends(self._model, frames)
+
+    def straight(self, values: Array) -> tuple[Array, Array]:
+        """Where the links end when all joints are straight (:func:`geometry.straight`)."""
+        return geometry.straight(self._model, values)
+
+    def length(self, values: Array) -> float:
+        """Length of the robot, m (:func:`geometry.body_length`)."""
+        return geometry.body_length(self._model, values)
+
+    # -------------------------------------------------------- what tables say
+
+    def axial_mass(self, tables: dict[str, Any]) -> float:
+        """Mass of all links along their axes, water included, kg."""
+        return float(tables["inertia"][:, 0].sum())
+
+    def axial_drag(self, tables: dict[str, Any]) -> float:
+        """Quadratic drag of all links along their axes, N s2/m2."""
+        return float(tables["drag"][:, 2].sum() + tables["foil"][:, 2] @ tables["foil"][:, 4])
+
+    def fin(self, tables: dict[str, Any]) -> tuple[float, float, Point]:
+        """Gains of the last link's normal force on ``|w| w`` and on ``|u| w``, and the point it acts at."""
+        drag = tables["drag"][tables["drag_link"] == self.last]
+        foil = tables["foil"][tables["foil_link"] == self.last]
+        quadratic = np.concatenate([drag[:, 3], 2.0 * foil[:, 2] * foil[:, 5]])
+        lift = np.concatenate([np.zeros(len(drag)), 2.0 * foil[:, 2] * foil[:, 3]])
+        weight = quadratic + lift
+        if weight.sum() <= 0:
+            return 0.0, 0.0, (0.0, 0.0)
+        place = weight @ np.concatenate([drag[:, :2], foil[:, :2]]) / weight.sum()
+        return float(quadratic.sum()), float(lift.sum()), (float(place[0]), float(place[1]))
+
+    def stiffness(self, tables: dict[str, Any], joint: int) -> float:
+        """Stiffness of a passive joint where it is straight, its wire and spring included, N m/rad."""
+        row = tables["passive"][joint]
+        wire = row[WIRE]
+        taut = -engine.tendon_torque(SMALL, *wire) / SMALL if wire[0] != 0.0 else 0.0
+        return float(row[STIFFNESS] + taut)
+
+    def damping(self, tables: dict[str, Any], joint: int) -> float:
+        """Torque per rate of a passive joint, N m s/rad."""
+        return float(tables["passive"][joint, DAMPING])
+
+    def joint_inertia(self, tables: dict[str, Any], joint: int) -> float:
+        """Inertia about a passive joint of the link it carries, water included, kg m2."""
+        return float(tables["inertia"][self.passive[joint].link, 5])
+
+    # -------------------------------------------------------- what changes them
+
+    def weigh(self, tables: dict[str, Any], link: int, at: Point, along: float, across: float) -> None:
+        """Add a mass (kg) at a point of a link; it may differ by direction."""
+        x, y = at
+        rows = tables["inertia"].copy()
+        rows[link] += (along, 0.0, -along * y, across, across * x, along * y * y + across * x * x)
+        tables["inertia"] = rows
+
+    def shift(self, tables: dict[str, Any], link: int, by: Point) -> None:
+        """Move the centre of mass of a link and the weight that acts there, m."""
+        mass, (x, y) = self.mass(link)
+        self.weigh(tables, link, (x, y), -mass, -mass)
+        self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
+        force = tables["force"].copy()
+        for row, owner in zip(force, tables["force_link"], strict=True):
+            down = row[4] == 1.0 and row[3] < 0.0
+            if owner == link and down and np.allclose(row[:2], (x, y), atol=1e-9):
+                row[:2] += by
+        tables["force"] = force
+
+    def drag_more(self, tables: dict[str, Any], link: int, at: Point, linear: float) -> None:
+        """Add a drag in proportion to the speed at a point of a link, N s/m."""
+        tables["drag_link"] = np.append(tables["drag_link"], link)
+        tables["drag"] = np.vstack([tables["drag"], [*at, 0.0, 0.0, linear, linear, 0.0, 0.0]])
+
+    def drag_times(self, tables: dict[str, Any], factor: float) -> None:
+        """Multiply every quadratic drag coefficient of the links."""
+        tables["drag"][:, QUADRATIC] *= factor
+
+    def shed(self, tables: dict[str, Any], mass_kg_m: float) -> None:
+        """Add a trailing edge at the rear end of the last link, added mass per length in kg/m."""
+        tables["wake_link"] = np.append(tables["wake_link"], self.last)
+        tables["wake"] = np.vstack([tables["wake"], [-self.lengths_m[-1], 0.0, 0.5 * mass_kg_m]])
+
+    def stiffen(
+        self,
+        tables: dict[str, Any],
+        joint: int,
+        *,
+        stiffness: float = 0.0,
+        cubic: float = 0.0,
+        damping: float = 0.0,
+    ) -> None:
+        """Add to the law of a passive joint: N m/rad, N m/rad3 and N m s/rad."""
+        passive = tables["passive"].copy()
+        passive[joint, [STIFFNESS, CUBIC, DAMPING]] += stiffness, cubic, damping
+        tables["passive"] = passive
+
+
+class SwimmerScales(Scales):
+    """Typical sizes of a planar robot's trials."""
+
+    model: MultilinkModel
+
+    @property
+    def inertia(self) -> float:
+        """Mass of all links along their axes, water included, kg."""
+        body = self.model.body
+        return body.axial_mass(body.tables())
+
+    @property
+    def force(self) -> float:
+        """Drag at the typical speed, and what gets the body up to it, N."""
+        body, speed = self.model.body, self.speed
+        return body.axial_drag(body.tables()) * speed**2 + self.inertia * speed / self.duration
