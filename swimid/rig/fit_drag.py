@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -243,48 +242,40 @@ def _tables(
     pair: two_point.TwoPointResult | None,
     result: output_error.FitResult,
 ) -> list[ev.Table]:
-    tables = []
-    rows: list[list[Any]] = []
+    rows: list[dict[str, blocks.Cell]] = []
     names = ("drag_coefficient", "added_mass", "pulley_friction")
     estimates = theory.estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
     for name in dict.fromkeys([*names, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
-        e = fitted[name]
-        row: list[Any] = [
-            name,
-            "not identifiable"
-            if e.status == "unidentifiable"
-            else numbers.measured(e.value, e.stderr, e.unit),
+        e, known = fitted[name], "not identifiable"
+        if e.status != "unidentifiable":
+            known = numbers.measured(e.value, e.stderr, e.unit)
+        two, bias = "", ""
+        if pair is not None and name in pair.stderr:
+            two = numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        if pair is not None and name in pair.bias:
+            bias = numbers.number(pair.bias[name], 2, e.unit)
+        by_theory = [
+            f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
         ]
-        row.append(
-            ""
-            if pair is None or name not in pair.stderr
-            else numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        rows.append(
+            {
+                "parameter": name,
+                "maximum likelihood": known,
+                "two-point": two,
+                "two-point bias": bias,
+                "theory": "; ".join(by_theory),
+            }
         )
-        row.append(
-            "" if pair is None or name not in pair.bias else numbers.number(pair.bias[name], 2, e.unit)
-        )
-        row.append(
-            "; ".join(
-                f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
-            )
-        )
-        rows.append(row)
-    if rows:
-        tables.append(
-            ev.Table(
-                id="methods",
-                title="Both methods and theory side by side",
-                columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
-                rows=rows,
-                caption="The two-point method takes the moving mass as equal for all pulling "
-                "weights; its bias is "
-                "what it gives on perfect data computed at its own answer, and is part of its stated error.",
-            )
-        )
-    return tables
+    if not rows:
+        return []
+    caption = (
+        "The two-point method takes the moving mass as equal for all pulling weights; its bias is what it "
+        "gives on perfect data computed at its own answer, and is part of its stated error."
+    )
+    return [blocks.table("methods", "Both methods and theory side by side", rows, caption)]
 
 
 def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
@@ -307,13 +298,14 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
         traces.append(ev.Trace(x=grams[order], y=line, group=i))
     return [
-        ev.Figure(
-            id="speed-squared",
-            title="Squared speed against pulling mass",
-            caption="Speeds read off at two displacements, with straight lines (Eq 13). Where the "
-            "points do not lie "
+        blocks.figure(
+            "speed-squared",
+            "Squared speed against pulling mass",
+            "Speeds read off at two displacements, with straight lines (Eq 13). Where the points do not lie "
             "on lines, the friction or the drag changes with speed.",
-            panels=[ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)],
+            "pulling mass (g)",
+            "squared speed (m²/s²)",
+            traces,
         )
     ]
 
