@@ -163,7 +163,7 @@ def _two_point(
 ) -> two_point.TwoPointResult | None:
     """The paper's method, where it applies; raises only when it was asked for."""
     body, rig = experiment.robot.body, experiment.robot.rig
-    pulled = [t for t in experiment.trials if t.settings.get("pulley") and t.role == "fit"]
+    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
     reason = None
     if experiment.name != "falling-weight" or len(pulled) < 3:
         reason = "it needs a falling-weight experiment with at least three pulling masses"
@@ -179,9 +179,9 @@ def _two_point(
             [
                 two_point.Drop(
                     t.id,
-                    t.settings["force"] / gravity,
-                    t.time_s - t.settings["release_s"],
-                    t.measured["x_m"] - t.settings["x0"],
+                    t.rig.pull / gravity,
+                    t.time_s - t.rig.begin_s,
+                    t.measured["x_m"] - t.rig.x0,
                 )
                 for t in pulled
             ],
