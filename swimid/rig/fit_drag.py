@@ -14,6 +14,7 @@ from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.fitting.profile import profile_interval
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -30,7 +31,7 @@ from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd
 
 @takes(FitDragOptions)
 def fit_drag(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitDragOptions,
     output: Path | None = None,
@@ -43,7 +44,8 @@ def fit_drag(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
 
@@ -55,7 +57,7 @@ def fit_drag(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(trials_file, coordinate=options.coordinate)
+        experiment = rig_experiment.load(source, coordinate=options.coordinate)
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
