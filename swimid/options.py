@@ -26,6 +26,8 @@ Returned = TypeVar("Returned")
 
 #: Characters of a refused value that a message quotes.
 LONGEST = 60
+#: A refused value is shown in a message up to this many characters.
+LONGEST = 60
 #: A file, or in its place what would be in it; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
@@ -203,7 +205,8 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
     """Give a function the options of a model as keyword arguments.
 
     The function itself takes them as one argument ``options``. Its signature shows each, its docstring
-    describes each, and one that does not exist is refused with the nearest that does.
+    describes each, and one that does not exist is refused with the nearest that does. Who has them as a model
+    already gives that: ``options=...``.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -214,6 +217,8 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
+            if isinstance(given.get("options"), options) and len(given) == 1:
+                return function(*args, **given, **mine)
             known = [*options.model_fields, *keywords]
             for name in given:
                 if name not in known:

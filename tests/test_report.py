@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.report import command
+from swimid.cli.main import main
 from swimid.errors import InputError, UsageError
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
@@ -392,16 +392,16 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ([], 2, "RESULT"),
     ]
     for arguments, code, text in table:
-        result = run.invoke(command, arguments)
+        result = run.invoke(main, ["report", *arguments])
         assert result.exit_code == code, (arguments, result.output)
         assert text in result.output, (arguments, result.output)
     assert (tmp_path / "r.md").read_text().startswith("# Drag and added mass")
-    machine = json.loads(run.invoke(command, ["drag.yaml", "--json"]).stdout)
+    machine = json.loads(run.invoke(main, ["report", "drag.yaml", "--json"]).stdout)
     assert machine["ok"] is True
     assert machine["result"]["results"][0]["file"] == "drag.yaml"
     (tmp_path / "mine.html").write_text("<p>my own page</p>")
-    assert run.invoke(command, ["drag.yaml", "-o", "mine.html"]).exit_code == 2
-    assert run.invoke(command, ["drag.yaml", "-o", "mine.html", "--force"]).exit_code == 0
+    assert run.invoke(main, ["report", "drag.yaml", "-o", "mine.html"]).exit_code == 2
+    assert run.invoke(main, ["report", "drag.yaml", "-o", "mine.html", "--force"]).exit_code == 0
 
 
 # ---------------------------------------------------------------- size and odd figures

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.report import command as report
+from swimid.cli.main import main
 from swimid.cli.track import track
 from swimid.results import evidence
 from tests.generators import clutter_video as clutter
@@ -68,7 +68,7 @@ def test_speed_and_stroke_with_intervals(film, unit, factor):
         assert acceleration["high"] / factor >= -0.3
     proof = evidence.read(film / f"{unit}.evidence.json")
     assert proof.tables[0].id == "swimming"
-    page = CliRunner().invoke(report, [str(film / f"{unit}.csv"), "-o", str(film / f"{unit}.md")])
+    page = CliRunner().invoke(main, ["report", str(film / f"{unit}.csv"), "-o", str(film / f"{unit}.md")])
     assert page.exit_code == 0
     assert "steady speed" in (film / f"{unit}.md").read_text()
 

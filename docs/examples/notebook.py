@@ -53,9 +53,7 @@ ideal.checks()
 # out?
 
 # %%
-gap = swimid.diagnose(
-    trials, parameters=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"]
-)
+gap = swimid.diagnose(trials, params=ideal, effects=["pulley-friction", "pulley-inertia", "string-stretch"])
 print(gap)
 gap.causes
 

@@ -6,16 +6,8 @@ import click
 
 import swimid
 from swimid.cli import (
-    diagnose,
     doctor,
-    export,
-    fit_graybox,
-    import_log,
-    plot,
-    report,
     schema,
-    sensitivity,
-    simulate,
     track,
 )
 from swimid.cli.verbs import SECTIONS, VERBS
@@ -51,20 +43,13 @@ def main() -> None:
 
 for command in (
     track.track,
-    import_log.command,
-    fit_graybox.command,
-    simulate.command,
-    diagnose.command,
-    sensitivity.command,
-    plot.command,
-    report.command,
-    export.command,
     schema.command,
     doctor.command,
 ):
     main.add_command(command)
 for verb in VERBS:
-    main.add_command(verb.command())
+    if " " not in verb.name:
+        main.add_command(verb.command())
 
 
 def entry() -> None:

@@ -2,7 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 from swimid.cli.builder import Verb
+from swimid.cli.common import Shared
+from swimid.errors import UsageError
+
+
+def _a_page_needs_a_file(output: Path | None, options: dict[str, Any], shared: Shared) -> None:
+    """Refuse to print HTML by default; under ``--json`` the document is JSON."""
+    if output is not None:
+        return
+    if shared.as_json:
+        options["format"] = "json"
+    elif shared.output is None and options["format"] in (None, "html"):
+        raise UsageError("an HTML page needs a file", hint="add -o report.html")
+
 
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
@@ -84,6 +100,226 @@ VERBS = (
           swimid compare trials.yaml --params tfish.yaml -o comparison.yaml
           swimid compare trials.yaml --params drag.yaml
           swimid report comparison.yaml -o comparison.html
+        """,
+    ),
+    Verb(
+        "fit-graybox",
+        function="swimid.swimmer.fit_graybox:fit_graybox",
+        options="swimid.swimmer.options:FitGrayboxOptions",
+        output="Parameter file to write (YAML).",
+        help="""Identify the coefficients of a multi-link swimmer.
+
+        TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
+        dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far, and the generations
+        of a front.
+
+        \b
+        Examples:
+          swimid fit-graybox trials.yaml -o tfish.yaml
+          swimid fit-graybox trials.yaml --share c_f --starts 8 -o tfish.yaml
+          swimid fit-graybox trials.yaml --channels u_m_s,yaw_rate_rad_s --free d_p -o tfish.yaml
+          swimid fit-graybox strokes.yaml --method hybrid -o sealion.yaml
+          swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
+        """,
+    ),
+    Verb(
+        "simulate",
+        function="swimid.simulation.simulate:simulate",
+        options="swimid.simulation.options:SimulateOptions",
+        output="Log to write (.csv or .parquet).",
+        argument="",
+        help="""Simulate any robot from any parameter file.
+
+        A robot with links swims as its beat says; a falling weight, a cruise and a discrete-time model
+        have options of their own. Printed with the uncertainty the parameter file gives.
+
+        \b
+        Examples:
+          swimid simulate --params tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o sim.csv
+          swimid simulate --robot dolphin --frequency-hz 2.5 --amplitude-deg 27 --animate swim.mp4
+          swimid simulate --robot sealion --stroke characteristic --cycles 3 -o stroke.csv
+          swimid simulate --params tfish.yaml --trials trials.yaml -o simulated
+          swimid simulate --params drag.yaml --pulling-mass-kg 0.02 --duration-s 8 -o drop.csv
+          swimid simulate --params arma.yaml --input run.csv -o free_run.csv
+        """,
+    ),
+    Verb(
+        "sensitivity",
+        function="swimid.sensitivity_analysis.sensitivity:sensitivity",
+        options="swimid.sensitivity_analysis.options:SensitivityOptions",
+        output="Sensitivity file to write (YAML).",
+        short="Which coefficient each output hangs on; sweeps of the drive.",
+        help="""Vary the coefficients of a robot with links, and its drive.
+
+        TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
+        of each measured channel) is told which coefficients it hangs on, over ranges of all of them at once.
+        A run that was stopped goes on where it was when it is started again.
+
+        \b
+        Examples:
+          swimid sensitivity trials.yaml -o sens.yaml
+          swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
+          swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
+          swimid sensitivity strokes.yaml --method morris -o screening.yaml
+          swimid sensitivity strokes.yaml --params sealion.yaml --method none \\
+              --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
+        """,
+    ),
+    Verb(
+        "diagnose",
+        function="swimid.diagnosis.diagnose:diagnose",
+        options="swimid.diagnosis.options:DiagnoseOptions",
+        output="Gap file to write (YAML).",
+        short="The unmodelled effect behind a gap between trials and simulation.",
+        help="""Name the effect that a model lacks.
+
+        TRIALS is a trials file of any experiment; the parameter file says which model is to describe it, and
+        without one the robot file does. The model is refitted alone and with every effect that applies to it;
+        an effect counts by what it gains on trials left out of the fit, against what noise alone would gain.
+        The answer is one effect, a combination, several that the trials cannot tell apart, or none. Every
+        answer is a result: exit status 0.
+
+        \b
+        Examples:
+          swimid diagnose trials.yaml -o gap.yaml
+          swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
+          swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
+          swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+          swimid report gap.yaml -o gap.html
+        """,
+    ),
+    Verb(
+        "export",
+        function="swimid.exporters.export:export",
+        options="swimid.exporters.options:ExportOptions",
+        output="The file to write. Without it, or with -o -, it goes to stdout.",
+        argument="PARAMS",
+        prints=True,
+        short="Identified coefficients for MuJoCo, Gazebo, Stonefish, or as JSON.",
+        help="""Write identified coefficients as a simulator reads them.
+
+        PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
+        and JSON). Each thing the simulator cannot carry is named in a warning.
+
+        \b
+        Examples:
+          swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
+          swimid export drag.yaml --to gazebo -o boxfish.sdf
+          swimid export tfish.yaml --to json -o tfish.json
+        """,
+    ),
+    Verb(
+        "report",
+        function="swimid.results.report:report",
+        options="swimid.results.options:ReportOptions",
+        output="The report. Without it, or with -o -, md and json go to stdout.",
+        argument="RESULT...",
+        prints=True,
+        check=_a_page_needs_a_file,
+        short="One page from result files: figures, checks, methods, provenance.",
+        help="""Make one self-contained page from any mixture of results.
+
+        RESULT is a parameter file, a gap file or a log. The evidence that swimid wrote beside it
+        (drag.yaml: drag.evidence.json) brings its figures, checks and methods. Nothing is
+        computed again.
+
+        \b
+        Examples:
+          swimid report drag.yaml propulsion.yaml -o report.html
+          swimid report drag.yaml --format md
+        """,
+    ),
+    Verb(
+        "plot",
+        function="swimid.logs.plot:plot",
+        options="swimid.logs.options:PlotOptions",
+        output="The picture: .html, .svg or .png.",
+        argument="LOG...",
+        required=True,
+        short="Logs as figures: channels, track from above, spectra, two sensors over each other.",
+        help="""Draw logs. Several are drawn over each other: one trial seen by two sensors.
+
+        \b
+        Examples:
+          swimid plot run.csv -o run.png
+          swimid plot imu.csv camera.csv -o both.html
+        """,
+    ),
+    Verb(
+        "track video",
+        function="swimid.tracking.track_video:track_video",
+        options="swimid.tracking.options:TrackVideoOptions",
+        output="The log, CSV or Parquet by its ending.",
+        argument="VIDEO",
+        required=True,
+        help="""Track coloured markers in a video: a log of pose and speeds.
+
+        VIDEO is a film; or a folder of pictures, or a pattern of their names, both with --fps.
+        Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints the path speed,
+        the steady speed, the stroke's frequency and amplitudes and the accelerations, each with its 95 %
+        interval.
+
+        \b
+        Example:
+          swimid track video pool.mp4 --setup setup.yaml -o run.csv --overlay overlay.mp4
+          swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
+        """,
+    ),
+    Verb(
+        "track setup",
+        function="swimid.tracking.track_setup:track_setup",
+        options="swimid.tracking.options:TrackSetupOptions",
+        output="The setup file to write.",
+        argument="VIDEO",
+        required=True,
+        help="""Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
+
+        Works unattended and without a display. The file can be used as it is.
+
+        \b
+        Example:
+          swimid track setup pool.mp4 -o setup.yaml
+          swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
+        """,
+    ),
+    Verb(
+        "track imu",
+        function="swimid.inertial.track_imu:track_imu",
+        options="swimid.inertial.options:TrackImuOptions",
+        output="The log, CSV or Parquet by its ending.",
+        argument="IMU",
+        required=True,
+        help="""Make motion of an inertial recording: velocity, position and attitude with their bands.
+
+        Faults of recording are found, named, and repaired or refused. Without --with the summary says after
+        how many seconds the integrated path is not to be trusted. Writes the log and its evidence.
+
+        \b
+        Example:
+          swimid track imu imu.csv -o run.csv
+          swimid track imu imu.csv --with camera.csv -o run.csv
+          swimid track imu imu.csv --method paper --motion-mode marching -o paper.csv
+        """,
+    ),
+    Verb(
+        "import",
+        function="swimid.cli.import_log:import_files",
+        options="swimid.logs.options:ImportCommandOptions",
+        output="The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.",
+        argument="FILE...",
+        short="Logs of other programs, through a mapping, to the log format.",
+        help="""Import logs: delimited text, MATLAB, HDF5, Parquet, JSON lines, MCAP, ULog.
+
+        A mapping says which source column becomes which column of the log, and in which unit it was
+        written. Without one the columns must have the names of the log format already. Beside each log
+        goes its evidence (<stem>.evidence.json).
+
+        \b
+        Examples:
+          swimid import field.csv --guess -o map.yaml
+          swimid import field.csv --map map.yaml -o run.csv
+          swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
+          swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
         """,
     ),
 )

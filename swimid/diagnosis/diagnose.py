@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -15,67 +14,46 @@ from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.nominal import Given
+from swimid.diagnosis.options import DiagnoseOptions
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import digests_of
-from swimid.fitting import fit_common
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
-from swimid.swimmer.planar.model import DEFAULT_STEP
 
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
 
 
+@takes(DiagnoseOptions)
 def diagnose(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
-    parameters: str | Path | None = None,
+    options: DiagnoseOptions,
     output: Path | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[str | Path] = (),
-    jobs: int | None = None,
-    budget_s: float | None = None,
-    seed: int = 0,
-    most_causes: int = chain.COMBINED,
-    robot: str | None = None,
-    readings: Mapping[str, str] | None = None,
-    max_step: float = DEFAULT_STEP,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Find the effect behind the gap between a model and its trials.
 
+    Without a parameter file the robot file's values are where its refit begins, and nothing is taken as known
+    of them. The result does not depend on the number of jobs.
+
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Trials of any experiment.
-    parameters : path, optional
-        Parameter file of the model; without one the robot file's values are where its refit begins, and
-        nothing is taken as known of them.
     output : path, optional
         Gap file to write; its evidence goes beside it.
-    effects : sequence of str
-        Those of the catalogue to try; default all that apply.
-    own : sequence of path
-        The user's own effects, Python files.
-    jobs : int, optional
-        Threads, by default one per processor; the result does not depend on it.
-    budget_s : float, optional
-        Stop trying further effects after so many seconds.
-    seed : int
-        Of the draws behind thresholds and intervals.
-    most_causes : int
-        Effects in a combination at most.
-    robot : str, optional
-        Accept the parameters for this robot although the file names another one.
-    readings : mapping, optional
-    max_step : float, s
 
     Raises
     ------
@@ -86,11 +64,16 @@ def diagnose(
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(
-            trials_file, parameters, robot=robot, readings=dict(readings or {}), max_step=max_step
+            source,
+            options.params,
+            robot=options.robot,
+            readings=dict(options.readings),
+            max_step=options.dt,
         )
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
         model.prepare(progress)
+        effects, own, seed = options.effects, options.own_effects, options.seed
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
         given = _given(loaded)
@@ -106,24 +89,13 @@ def diagnose(
         every = effect_catalogue.applicable(effect_catalogue.catalogue(), model, fitted) if effects else tried
         same = _own_data(loaded)
         prior = nominal.prior(refitted, given, own_data=same)
-        origin = provenance.collect(
-            [*experiment.inputs, *(Path(p) for p in own)],
-            settings={
-                "effects": list(effects),
-                "own_effects": [str(p) for p in own],
-                "seed": seed,
-                "budget_s": budget_s,
-                "max_causes": most_causes,
-                "readings": dict(readings or {}),
-                "max_step_s": max_step,
-            },
-        )
+        origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        workers = jobs or os.cpu_count() or 1
+        workers = options.jobs or os.cpu_count() or 1
         state = chain.run(
             model, refitted, fitted, prior, tried,
-            scattering=every, seed=seed, jobs=workers, most=most_causes, budget_s=budget_s, checkpoint=keep,
-            progress=progress,
+            scattering=every, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
+            checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
@@ -132,11 +104,11 @@ def diagnose(
         model=model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params="the robot file" if parameters is None else str(parameters_format.place(parameters)),
+        params="the robot file" if options.params is None else str(parameters_format.place(options.params)),
         trials=[t.id for t in experiment.trials],
         settings={
             "prior": "none but the bounds"
-            if parameters is None
+            if options.params is None
             else ("from other trials" if not same else "these trials: none but the bounds"),
             "held_out": "validation trials"
             if validation
@@ -146,7 +118,7 @@ def diagnose(
         provenance=origin,
     )
     evidence = diagnose_evidence.evidence(
-        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+        gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
     outputs: list[Path] = []
     if output is not None:

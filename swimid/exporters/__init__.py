@@ -10,9 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from swimid.exporters.base import AddedMass, Exported, Options
-from swimid.exporters.source import Source
+if TYPE_CHECKING:
+    from swimid.exporters.base import Exported
+    from swimid.exporters.options import AddedMass, ExportOptions
+    from swimid.exporters.source import Source
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Target:
     """
 
     title: str
-    export: Callable[[Source, Options], Exported]
+    export: Callable[[Source, ExportOptions], Exported]
     added_mass: tuple[AddedMass, ...]
     rigid: bool
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import swimid
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError
 from swimid.exporters import targets
-from swimid.exporters.base import AddedMass, Options
+from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Source
 from swimid.files import atomic, provenance
 from swimid.files.provenance import digest_of
 from swimid.notices import warn
+from swimid.options import takes
 from swimid.results import parameters
 from swimid.results.text import Text
 from swimid.robots import file as robot
@@ -22,31 +23,18 @@ RIGID = ("falling-weight", "towed")
 MODELS = ("multilink", *RIGID)
 
 
-def export(
-    *,
-    params: parameters.Source,
-    to: str,
-    output: str | Path | None = None,
-    robot_name: str | None = None,
-    added_mass: AddedMass = "native",
-    servo_hz: float = 20.0,
-) -> Text:
+@takes(ExportOptions)
+def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
     """Write a parameter file's coefficients as a simulator reads them.
+
+    The robot the parameter file names is looked for beside that file.
 
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
         Parameters of a multi-link robot, a falling weight or a towed body.
-    to : {"mjcf", "gazebo", "stonefish", "json"}
     output : path, optional
         None or ``-`` returns the text as the outcome's summary.
-    robot_name : str, optional
-        Built-in name or path of a robot file in place of the one the parameter file names, which is
-        looked for beside that file.
-    added_mass : {"native", "fold", "plugin", "none"}
-        See :data:`swimid.exporters.base.AddedMass`.
-    servo_hz : float
-        Natural frequency of servos the robot file does not describe.
 
     Returns
     -------
@@ -62,20 +50,13 @@ def export(
         For an unknown target, and for one that cannot take this model or this added-mass choice.
     """
     known = targets()
-    if to not in known:
-        close = nearest(to, list(known))
-        raise UsageError(
-            f"there is no target '{to}'",
-            hint=f"did you mean '{close}'?" if close else f"there are: {', '.join(known)}",
-        )
+    to, added_mass = options.to, options.added_mass
     target = known[to]
     if added_mass not in target.added_mass:
         raise UsageError(
             f"{to} has no added-mass choice '{added_mass}'", hint=f"there are: {', '.join(target.added_mass)}"
         )
-    if not servo_hz > 0:
-        raise UsageError(f"a servo's frequency must be positive, not {servo_hz:g} Hz")
-    source = load(params, robot_name)
+    source = load(params, options.robot)
     if not source.multilink and not target.rigid:
         able = ", ".join(name for name, t in known.items() if t.rigid)
         raise UsageError(
@@ -85,7 +66,7 @@ def export(
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=provenance.files([parameters.origin(params)]))
-    done = target.export(source, Options(added_mass, servo_hz))
+    done = target.export(source, options)
     _warn_unknown(source)
     for limit in done.limits:
         warn("SWM060", f"{target.title}: {limit}")

@@ -16,7 +16,8 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.exporters import common
-from swimid.exporters.base import Exported, Options
+from swimid.exporters.base import Exported
+from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Element, Source, about, behind_joint, central, surge
 from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
@@ -30,7 +31,7 @@ SIX = ("x", "y", "z", "p", "q", "r")
 HELPER = 1e-6
 
 
-def export(source: Source, options: Options) -> Exported:
+def export(source: Source, options: ExportOptions) -> Exported:
     """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.exporters.Target`."""
     root = ET.Element("sdf", version="1.10")
     model = ET.SubElement(root, "model", name=source.robot.name)
@@ -70,7 +71,7 @@ def _link(
     return inertial
 
 
-def _tree(source: Source, options: Options, model: ET.Element) -> tuple[list[str], list[str]]:
+def _tree(source: Source, options: ExportOptions, model: ET.Element) -> tuple[list[str], list[str]]:
     inertias = common.bodies(source, fold=options.added_mass == "fold")
     centres = [central(g)[1] for g in inertias]
     dangers = []
@@ -221,7 +222,7 @@ def _servos(source: Source, inertias: list[Array], model: ET.Element, default_hz
         _text(plugin, "d_gain", common.number(2.0 * ratio * omega * moments[axis.link]))
 
 
-def _limits(source: Source, options: Options) -> list[str]:
+def _limits(source: Source, options: ExportOptions) -> list[str]:
     limits = common.added_mass_limits(source, options.added_mass)
     wet = [link for link in source.links if np.any(link.added)]
     if wet and options.added_mass == "native":
@@ -245,7 +246,7 @@ def _limits(source: Source, options: Options) -> list[str]:
     return limits + common.drive_limits(source, options.servo_hz) + common.reading_limits(source)
 
 
-def _rigid(source: Source, options: Options, model: ET.Element) -> tuple[list[str], list[str]]:
+def _rigid(source: Source, options: ExportOptions, model: ET.Element) -> tuple[list[str], list[str]]:
     """One rigid body with surge drag only."""
     body = source.robot.body
     for key in ("inertial_mass_kg", "length_m", "width_m", "height_m"):

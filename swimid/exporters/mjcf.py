@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.base import Exported, Options
+from swimid.exporters.base import Exported
+from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Law, Link, Source, behind_joint, central
 from swimid.swimmer.planar import engine
 
@@ -25,7 +26,7 @@ USER = 1 + max(len(engine.DRAG), len(engine.FOIL), len(engine.FORCE), len(engine
 PREFIX = "water:"
 
 
-def export(source: Source, options: Options) -> Exported:
+def export(source: Source, options: ExportOptions) -> Exported:
     """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
     root = ET.Element("mujoco", model=source.robot.name)
@@ -166,7 +167,7 @@ def _servos(source: Source, inertias: list[Any], root: ET.Element, default_hz: f
         )  # fmt: skip
 
 
-def _limits(source: Source, options: Options) -> list[str]:
+def _limits(source: Source, options: ExportOptions) -> list[str]:
     limits = common.added_mass_limits(source, options.added_mass)
     wet = [link.name for link in source.links if np.any(link.added)]
     if options.added_mass == "native" and wet:

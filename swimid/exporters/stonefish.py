@@ -13,7 +13,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.base import Exported, Options
+from swimid.exporters.base import Exported
+from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Link, Source, central
 from swimid.fitting.model import Array
 from swimid.robots.planar import Drag, SlenderBody
@@ -23,7 +24,7 @@ from swimid.swimmer.polynomial import Polynomial
 SLENDER = 0.3
 
 
-def export(source: Source, options: Options) -> Exported:
+def export(source: Source, options: ExportOptions) -> Exported:
     """Scenario of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
     root = ET.Element("scenario")
@@ -80,7 +81,9 @@ def _height(source: Source, link: Link) -> float:
     return SLENDER * link.length_m
 
 
-def _link(source: Source, robot: ET.Element, i: int, link: Link, inertia: Array, options: Options) -> None:
+def _link(
+    source: Source, robot: ET.Element, i: int, link: Link, inertia: Array, options: ExportOptions
+) -> None:
     mass, centre, moment = central(inertia)
     density = source.robot.fluid.density_kg_m3
     length, height = link.length_m, _height(source, link)
@@ -130,7 +133,7 @@ def _joint(source: Source, robot: ET.Element, link: Link) -> None:
             ET.SubElement(joint, "damping", constant=constant, viscous=viscous)
 
 
-def _limits(source: Source, options: Options) -> list[str]:
+def _limits(source: Source, options: ExportOptions) -> list[str]:
     limits = common.added_mass_limits(source, options.added_mass)
     if options.added_mass == "native" and any(np.any(link.added) for link in source.links):
         limits.append(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from swimid.errors import InputError, UsageError
 
 
-def check_writable(path: str | Path, *, inputs: tuple[str | Path, ...] = ()) -> Path:
-    """The path, after making sure that writing it can work and loses none of the inputs.
+def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
+    """The path, after making sure that writing it can work and loses none of the inputs that are files.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def check_writable(path: str | Path, *, inputs: tuple[str | Path, ...] = ()) -> 
     if not os.access(folder, os.W_OK):
         raise InputError(f"the output folder {folder} cannot be written", file=path)
     for other in inputs:
-        if Path(other).exists() and path.exists() and path.samefile(other):
+        if isinstance(other, str | Path) and Path(other).exists() and path.exists() and path.samefile(other):
             raise UsageError(f"the output {path} is also an input; name another file")
     return path
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from swimid.inertial.aiding import GATE
@@ -11,7 +13,7 @@ from swimid.inertial.rest import mean_accelerations
 from swimid.inertial.run import Run
 from swimid.inertial.sensor import DEG, MILLI_G
 from swimid.inertial.trust import BAND
-from swimid.results import evidence as ev
+from swimid.results.evidence import Check, check
 
 #: Innovations larger than this, in their own deviations (rms), say that something stated is wrong. Two rests
 #: make six at least, whose chi-square exceeds four times its freedom in 1 of 2000 cases when all is as
@@ -19,160 +21,99 @@ from swimid.results import evidence as ev
 REST_LIMIT, FIX_LIMIT = 2.0, FORETOLD
 
 
-def checks(run: Run) -> list[ev.Check]:
+def checks(run: Run) -> list[Check]:
     """The checks of a run."""
-    found = [_still_check(run), _gravity_check(run), _tilt_check(run)]
+    found = [_still(run), _gravity(run), _tilt(run)]
     found += [
-        ev.Check(
-            name=f.fault.capitalize(), value=f.text, verdict="warn" if f.verdict == "handled" else "info"
-        )
-        for f in run.findings
+        check(f.fault.capitalize(), f.text, None if f.verdict != "handled" else False) for f in run.findings
     ]
     if run.impossible:
-        found.append(
-            ev.Check(
-                name="Possible motion",
-                value="; ".join(run.impossible),
-                limit="none; positions and velocities left empty",
-                verdict="fail",
-            )
-        )
-    found += _path_checks(run)
-    found += _stroke_check(run)
-    return found
+        limit = "none; positions and velocities left empty"
+        value = "; ".join(run.impossible)
+        found.append(Check(name="Possible motion", value=value, limit=limit, verdict="fail"))
+    return [*found, *_path(run), *_fusion(run), *_stroke(run)]
 
 
-def _still_check(run: Run) -> ev.Check:
+def _still(run: Run) -> Check:
     t = run.record.time_s
     seconds = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.found)
     used = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.used)
-    return ev.Check(
-        name="Still periods",
-        value=f"{len(run.still.found)}, {seconds:.1f} s; {used:.1f} s of them taken as rest; noise "
-        f"{run.still.noise.acceleration / MILLI_G:.2f} mg/√Hz, "
-        f"{60 * run.still.noise.rate / DEG:.2f} deg/√h ({run.still.noise.source})",
-        limit="at least one",
-        verdict="pass" if run.still.found else "warn",
+    noise = run.still.noise
+    value = (
+        f"{len(run.still.found)}, {seconds:.1f} s; {used:.1f} s of them taken as rest; noise "
+        f"{noise.acceleration / MILLI_G:.2f} mg/√Hz, {60 * noise.rate / DEG:.2f} deg/√h ({noise.source})"
     )
+    return check("Still periods", value, bool(run.still.found), "at least one")
 
 
-def _gravity_check(run: Run) -> ev.Check:
+def _gravity(run: Run) -> Check:
     size = float(np.mean(np.linalg.norm(mean_accelerations(run.record, run.still.found), axis=1)))
     off = abs(size / GRAVITY_M_S2 - 1)
     # the 95 % band of the bias and scale of the sensor's class
     sensor = run.settings.sensor
     share = BAND * float(np.hypot(sensor.acceleration_bias_sd / GRAVITY_M_S2, sensor.scale_sd))
-    return ev.Check(
-        name="Gravity",
-        value=f"{size:.3f} m/s²" + (" at rest" if run.still.found else " on average"),
-        limit=f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %",
-        verdict="pass" if off <= share else "warn",
-    )
+    value = f"{size:.3f} m/s²" + (" at rest" if run.still.found else " on average")
+    return check("Gravity", value, off <= share, f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %")
 
 
-def _tilt_check(run: Run) -> ev.Check:
+def _tilt(run: Run) -> Check:
     roll, pitch = run.tilt
-    return ev.Check(
-        name="Tilt at rest",
-        value=f"roll {roll / DEG:.2f} deg, pitch {pitch / DEG:.2f} deg (mounting: {run.mount.by})",
-        verdict="info",
-        text="A level robot tells the mounting so: --level-at-rest takes this tilt as the mounting's.",
-    )
+    value = f"roll {roll / DEG:.2f} deg, pitch {pitch / DEG:.2f} deg (mounting: {run.mount.by})"
+    text = "A level robot tells the mounting so: --level-at-rest takes this tilt as the mounting's."
+    return check("Tilt at rest", value, None, text=text)
 
 
-def _path_checks(run: Run) -> list[ev.Check]:
+def _path(run: Run) -> Iterator[Check]:
     if run.motion is None:
-        return []
-    found = []
+        return
     if run.trust is not None:
-        value = "all of it" if run.trust.seconds is None else f"{run.trust.seconds:.1f} s of motion"
-        found.append(
-            ev.Check(
-                name="Path trusted for",
-                value=value,
-                limit="95 % band within 0.1 m or a tenth of the way",
-                verdict="pass" if run.trust.seconds is None else "warn",
-            )
-        )
-        yaw = run.motion.angle_sd[-1, 2] / DEG
-        found.append(
-            ev.Check(
-                name="Heading",
-                value=f"± {BAND * yaw:.1f} deg at the end (95 %), "
-                + ("held by its reference" if run.source.heading else "drifts: nothing holds it"),
-                verdict="pass" if run.source.heading else "info",
-            )
-        )
+        reach = run.trust.seconds
+        value = "all of it" if reach is None else f"{reach:.1f} s of motion"
+        yield check("Path trusted for", value, reach is None, "95 % band within 0.1 m or a tenth of the way")
+        held = "held by its reference" if run.source.heading else "drifts: nothing holds it"
+        value = f"± {BAND * run.motion.angle_sd[-1, 2] / DEG:.1f} deg at the end (95 %), {held}"
+        yield check("Heading", value, True if run.source.heading else None)
     speed = np.linalg.norm(run.motion.velocity, axis=1)
     if run.fused is None and np.isfinite(speed).any():
         top, fastest = run.settings.declared.top_speed_m_s, float(np.nanmax(speed))
-        found.append(
-            ev.Check(
-                name="Top speed",
-                value=f"{fastest:.2f} m/s",
-                limit=f"taken as never above {top:g} m/s (--top-speed-m-s)",
-                verdict="pass" if np.isfinite(speed).all() and fastest <= top else "warn",
-            )
-        )
+        passed = bool(np.isfinite(speed).all()) and fastest <= top
+        limit = f"taken as never above {top:g} m/s (--top-speed-m-s)"
+        yield check("Top speed", f"{fastest:.2f} m/s", passed, limit)
     if run.rest_score is not None:
-        found.append(
-            ev.Check(
-                name="Rests agree with the motion",
-                value=f"innovations {run.rest_score:.2f} of their deviation (rms)",
-                limit=f"below {REST_LIMIT:g}",
-                verdict="pass" if run.rest_score <= REST_LIMIT else "warn",
-            )
-        )
-    if run.fused is not None:
-        found += _fusion_checks(run)
-    return found
+        yield _innovations("Rests agree with the motion", run.rest_score, REST_LIMIT)
 
 
-def _fusion_checks(run: Run) -> list[ev.Check]:
-    assert run.fused is not None
-    offset, scores = run.fused.offset, run.fused.smoothed.errors.scores
-    found = [
-        ev.Check(
-            name="Clock offset",
-            value=f"{1e3 * offset.value_s:.2f} ms (95 %: {1e3 * offset.low_s:.2f} … "
-            f"{1e3 * offset.high_s:.2f})",
-            limit="0 within the interval",
-            verdict="warn" if offset.excludes_zero and run.settings.clock_offset_s is None else "pass",
-            text="To add to the other log's times; the output is on the inertial clock."
-            + (" Clocks that agree explain both logs as well." if run.fused.agree else ""),
-        )
-    ]
+def _innovations(name: str, size: float, limit: float) -> Check:
+    value = f"innovations {size:.2f} of their deviation (rms)"
+    return check(name, value, size <= limit, f"below {limit:g}")
+
+
+def _fusion(run: Run) -> Iterator[Check]:
+    fused = run.fused
+    if run.motion is None or fused is None:
+        return
+    o = fused.offset
+    value = f"{1e3 * o.value_s:.2f} ms (95 %: {1e3 * o.low_s:.2f} … {1e3 * o.high_s:.2f})"
+    text = "To add to the other log's times; the output is on the inertial clock."
+    if fused.agree:
+        text += " Clocks that agree explain both logs as well."
+    agreed = not o.excludes_zero or run.settings.clock_offset_s is not None
+    yield check("Clock offset", value, agreed, "0 within the interval", text)
     for kind, name in (("position", "Positions"), ("orientation", "Angles")):
-        if kind not in scores:
-            continue
-        size = float(np.sqrt(np.nanmean(scores[kind] ** 2)))
-        found.append(
-            ev.Check(
-                name=f"{name} agree with the sensor",
-                value=f"innovations {size:.2f} of their deviation (rms)",
-                limit=f"below {FIX_LIMIT:g}",
-                verdict="pass" if size <= FIX_LIMIT else "warn",
-            )
-        )
-    count, stray = len(run.fused.fixes.time_s), run.fused.stray
-    found.append(
-        ev.Check(
-            name="Stray fixes",
-            value=f"{stray} of {count} beyond {GATE:g} deviations",
-            limit=f"at most {100 * FEW:.0f} %",
-            verdict="pass" if stray <= FEW * count else "warn",
-        )
+        if kind in fused.smoothed.errors.scores:
+            size = float(np.sqrt(np.nanmean(fused.smoothed.errors.scores[kind] ** 2)))
+            yield _innovations(f"{name} agree with the sensor", size, FIX_LIMIT)
+    count, stray = len(fused.fixes.time_s), fused.stray
+    value = f"{stray} of {count} beyond {GATE:g} deviations"
+    yield check("Stray fixes", value, stray <= FEW * count, f"at most {100 * FEW:.0f} %")
+    yield Check(
+        name="Errors of the fixes last",
+        value=f"the band is {fused.lasting:.2f} times as wide for it",
+        limit=f"below {LASTING:g}",
+        verdict="pass" if fused.lasting <= LASTING else "fail",
+        text="1 where each fix is off by itself. A wrong scale or marker makes errors that last.",
     )
-    found.append(
-        ev.Check(
-            name="Errors of the fixes last",
-            value=f"the band is {run.fused.lasting:.2f} times as wide for it",
-            limit=f"below {LASTING:g}",
-            verdict="pass" if run.fused.lasting <= LASTING else "fail",
-            text="1 where each fix is off by itself. A wrong scale or marker makes errors that last.",
-        )
-    )
-    held_out = run.fused.held_out
+    held_out = fused.held_out
     if held_out is None:
         text, verdict = "too few fixes to leave some out: the band is not held against any", "warn"
     else:
@@ -180,28 +121,20 @@ def _fusion_checks(run: Run) -> list[ev.Check]:
         if np.isfinite(held_out.rms_m):
             text += f", {held_out.rms_m:.4f} m"
         verdict = "pass" if held_out.deviations <= FIX_LIMIT else "fail"
-    found.append(
-        ev.Check(
-            name="Fixes left out",
-            value=text,
-            limit=f"below {FIX_LIMIT:g}; every band is widened by what is more than 1",
-            verdict=verdict,
-        )
-    )
-    return found
+    limit = f"below {FIX_LIMIT:g}; every band is widened by what is more than 1"
+    yield Check(name="Fixes left out", value=text, limit=limit, verdict=verdict)
 
 
-def _stroke_check(run: Run) -> list[ev.Check]:
+def _stroke(run: Run) -> Iterator[Check]:
     if run.stroke is None:
-        return []
+        return
     beat, stated = run.stroke.beat, run.stated_hz
     harmonics = ", ".join(f"{h.order}×: {h.amplitude:.3g}" for h in run.stroke.harmonics)
-    return [
-        ev.Check(
-            name="Stroke",
-            value=f"{beat.frequency_hz:.4f} ± {BAND * beat.stderr_hz:.4f} Hz in "
-            f"{run.stroke.channel}; harmonics {harmonics}",
-            limit="" if stated is None else f"metadata: {stated:g} Hz",
-            verdict="info" if stated is None else "warn" if run.contradicted else "pass",
-        )
-    ]
+    value = (
+        f"{beat.frequency_hz:.4f} ± {BAND * beat.stderr_hz:.4f} Hz in {run.stroke.channel}; "
+        f"harmonics {harmonics}"
+    )
+    if stated is None:
+        yield check("Stroke", value, None)
+    else:
+        yield check("Stroke", value, not run.contradicted, f"metadata: {stated:g} Hz")

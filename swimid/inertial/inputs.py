@@ -36,10 +36,7 @@ def read_record(
         The file or the mapping cannot be used, or a column is missing.
     """
     path = path_of(given)
-    if rules is None:
-        mapped = mapping.identity(given, progress=progress)
-    else:
-        mapped = mapping.apply(rules, given, progress=progress)
+    mapped = mapping.apply(rules, given, progress=progress)
     columns = mapped.columns
     for name in (*ACCELERATION, *RATE):
         if name not in columns:

@@ -20,7 +20,7 @@ from swimid.logs.sampling import usual_step
 from swimid.notices import Notice, recorded
 from swimid.progress import Progress, silent
 from swimid.results import numbers
-from swimid.results.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, judged
+from swimid.results.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, check, judged
 
 #: Samples a stroke needs for the path to be followed.
 RESOLVED = 6.0
@@ -124,26 +124,15 @@ def _evidence(
 def _checks(found: Examined) -> list[Check]:
     order, n = found.order, len(found.time_s)
     odd = order.untimed + order.repeated + order.clashing + order.late
-    checks = [
-        Check(
-            name="Rows in order",
-            value=f"{odd} of {n + odd} odd",
-            limit="none",
-            verdict="warn" if odd or found.notes else "pass",
-            text="; ".join(found.notes) or "rows without a time, repeated, late or of a taken time",
-        )
-    ]
+    why = "; ".join(found.notes) or "rows without a time, repeated, late or of a taken time"
+    in_order = not odd and not found.notes
+    checks = [check("Rows in order", f"{odd} of {n + odd} odd", in_order, "none", why)]
     if found.metadata.get("sample_rate") == "assumed":
-        checks.append(
-            Check(
-                name="Sample rate",
-                value="assumed",
-                limit="known",
-                verdict="warn",
-                text="nothing in the file tells it: put it under 'time:' of the mapping and take "
-                "'sample_rate: assumed' out; speeds and frequencies are as wrong as it is",
-            )
+        why = (
+            "nothing in the file tells it: put it under 'time:' of the mapping and take "
+            "'sample_rate: assumed' out; speeds and frequencies are as wrong as it is"
         )
+        checks.append(check("Sample rate", "assumed", False, "known", why))
     checks.append(
         Check(
             name=POSSIBLE,
@@ -155,72 +144,53 @@ def _checks(found: Examined) -> list[Check]:
     )
     line = found.projection
     if line is not None:
-        checks.append(
-            Check(
-                name="Distance from the line",
-                value=f"{numbers.number(line.across, 3, found.unit)} rms over "
-                f"{numbers.number(line.extent, 3, found.unit)}",
-                limit=f"≤ {100 * OFF_LINE:g} % of the extent along it",
-                verdict="pass" if line.across <= OFF_LINE * line.extent else "warn",
-                text="a track that leaves the line is shortened by projecting it",
-            )
-        )
-    cleaning = found.cleaning
-    if cleaning is not None:
-        seen = int(cleaning.good.sum() + cleaning.repeated.sum() + cleaning.jumped.sum())
-        done = "left out" if found.cleaned else "kept"
-        lost = int(cleaning.jumped.sum())
-        checks += [
-            Check(
-                name="Repeated pictures",
-                value=f"{int(cleaning.repeated.sum())} of {seen} {done}",
-                verdict="info" if found.cleaned or not cleaning.repeated.any() else "warn",
-                text="the same pose as the sample before: a camera read faster than it takes pictures",
-            ),
-            Check(
-                name="Jumps",
-                value=f"{cleaning.jumps} ({lost} samples {done})",
-                limit="few",
-                verdict="pass"
-                if not cleaning.jumps
-                else "fail"
-                if lost > MANY * seen or (cleaning.jumps and not found.cleaned)
-                else "warn",
-                text=f"the track goes on elsewhere {len(cleaning.offset_rows)} times"
-                if cleaning.offset_rows
-                else "away from the track before and after",
-            ),
-            Check(
-                name="Gaps in the track",
-                value=f"{len(cleaning.gaps)}, longest {numbers.number(_longest(cleaning.gaps), 3, 's')}",
-                verdict="warn" if cleaning.gaps else "pass",
-                text="kept as gaps, never bridged",
-            ),
-        ]
-    if found.speed is not None and found.stroke is not None:
-        assert cleaning is not None
-        rate = float(cleaning.good.sum()) / found.speed.covered_s
-        per_stroke = rate / found.stroke.beat.frequency_hz
-        checks.append(
-            Check(
-                name="Samples a stroke",
-                value=numbers.number(per_stroke, 3),
-                limit=f"≥ {RESOLVED:g}",
-                verdict="pass" if per_stroke >= RESOLVED else "warn",
-                text="with fewer the path between samples is not known, and its speed too low",
-            )
-        )
-    if found.stroke is not None and "frequency_hz" in found.metadata:
-        checks.append(
-            Check(
-                name="Stroke against the metadata",
-                value=_frequency(found),
-                limit=f"{found.metadata['frequency_hz']} Hz",
-                verdict="warn" if found.against else "pass",
-                text=found.against or "",
-            )
-        )
+        across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
+        keeps, limit = line.across <= OFF_LINE * line.extent, f"≤ {100 * OFF_LINE:g} % of the extent along it"
+        why = "a track that leaves the line is shortened by projecting it"
+        checks.append(check("Distance from the line", f"{across} rms over {extent}", keeps, limit, why))
+    checks += _track_checks(found)
+    stroke = found.stroke
+    if stroke is not None and found.speed is not None and found.cleaning is not None:
+        rate = float(found.cleaning.good.sum()) / found.speed.covered_s
+        per_stroke = rate / stroke.beat.frequency_hz
+        why = "with fewer the path between samples is not known, and its speed too low"
+        value, limit = numbers.number(per_stroke, 3), f"≥ {RESOLVED:g}"
+        checks.append(check("Samples a stroke", value, per_stroke >= RESOLVED, limit, why))
+    if stroke is not None and "frequency_hz" in found.metadata:
+        stated, against = f"{found.metadata['frequency_hz']} Hz", found.against
+        name = "Stroke against the metadata"
+        checks.append(check(name, _frequency(found), not against, stated, against or ""))
     return checks
+
+
+def _track_checks(found: Examined) -> list[Check]:
+    cleaning = found.cleaning
+    if cleaning is None:
+        return []
+    seen = int(cleaning.good.sum() + cleaning.repeated.sum() + cleaning.jumped.sum())
+    lost, repeats = int(cleaning.jumped.sum()), int(cleaning.repeated.sum())
+    done = "left out" if found.cleaned else "kept"
+    too_many = lost > MANY * seen or (cleaning.jumps and not found.cleaned)
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(_longest(cleaning.gaps), 3, 's')}"
+    why = "the same pose as the sample before: a camera read faster than it takes pictures"
+    return [
+        check(
+            "Repeated pictures",
+            f"{repeats} of {seen} {done}",
+            None if found.cleaned or not repeats else False,
+            text=why,
+        ),
+        Check(
+            name="Jumps",
+            value=f"{cleaning.jumps} ({lost} samples {done})",
+            limit="few",
+            verdict="pass" if not cleaning.jumps else "fail" if too_many else "warn",
+            text=f"the track goes on elsewhere {len(cleaning.offset_rows)} times"
+            if cleaning.offset_rows
+            else "away from the track before and after",
+        ),
+        check("Gaps in the track", gaps, not cleaning.gaps, text="kept as gaps, never bridged"),
+    ]
 
 
 def _longest(gaps: list[tuple[float, float]]) -> float:

@@ -170,12 +170,12 @@ def read(path: str | Path) -> Mapping:
     return yamlio.validated(path, Mapping)
 
 
-def apply(mapping: Mapping, given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
-    """Read a foreign log through a mapping.
+def apply(mapping: Mapping | None, given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
+    """Read a foreign log through a mapping; without one as :func:`identity` does.
 
     Parameters
     ----------
-    mapping : Mapping
+    mapping : Mapping or None
     given : path or Log
         The foreign log; in memory its columns as they are (:func:`swimid.logs.log.unread`).
     progress : Progress
@@ -187,6 +187,8 @@ def apply(mapping: Mapping, given: str | Path | Log, *, progress: Progress = sil
         The file cannot be read, has no such column, or holds what is no number; names file,
         line and column.
     """
+    if mapping is None:
+        return identity(given, progress=progress)
     source = open_source(given, mapping.reader)
     try:
         return _mapped(mapping, path_of(given), source, progress)

@@ -13,7 +13,9 @@ from swimid.files import atomic, provenance
 from swimid.logs import figures as log_figures
 from swimid.logs import log
 from swimid.logs.log import Log, LogLike
+from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import page, sheet
 from swimid.results.evidence import Evidence, NoticeRecord, Verdict
@@ -83,14 +85,17 @@ class Drawn(Result):
         )
 
 
+@takes(PlotOptions)
 def plot(
     logs: LogLike | Sequence[LogLike],
     *,
+    options: PlotOptions,
     output: str | Path | None = None,
-    title: str | None = None,
     progress: Progress = silent,
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, spectra.
+
+    By default the title is the names of the logs.
 
     Parameters
     ----------
@@ -99,8 +104,8 @@ def plot(
         shape (n, k), SI units.
     output : path, optional
         ``.html``, ``.svg`` or ``.png``; without it nothing is written.
-    title : str, optional
-        Default: the names of the logs.
+    progress : Progress
+        Shows the drawing.
 
     Returns
     -------
@@ -125,14 +130,13 @@ def plot(
     if not given:
         raise UsageError("name at least one log to draw")
     if output is not None:
-        files = tuple(one for one in given if isinstance(one, Path))
-        output = atomic.check_writable(_picture(Path(output)), inputs=files)
+        output = atomic.check_writable(_picture(Path(output)), inputs=given)
     with recorded(repeat=True) as notices:
         names = [f"log {number}" if len(given) > 1 else "log" for number in range(1, len(given) + 1)]
         records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]
         figures = log_figures.figures(records)
     inputs = [one if isinstance(one, Path) else record for one, record in zip(given, records, strict=True)]
-    heading = title or " and ".join(record.name for record in records)
+    heading = options.title or " and ".join(record.name for record in records)
     proof = Evidence(
         verb="plot",
         title=heading,

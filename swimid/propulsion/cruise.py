@@ -19,8 +19,8 @@ from swimid.propulsion import cruise_evidence as propulsion_cruise_evidence
 from swimid.propulsion import trials as experiment_module
 from swimid.propulsion.cruise_evidence import DEPARTURE_SHARE, DEPARTURE_Z, LAWS
 from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
 
 
@@ -86,7 +86,7 @@ def fit(
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=propulsion_cruise_evidence.tables(experiment, points, offsets, departures, everything, result),
         figures=propulsion_cruise_evidence.figures(experiment, result, points),

@@ -196,6 +196,12 @@ class Evidence(_Part):
         return self
 
 
+def check(name: str, value: str, passed: bool | None, limit: str = "", text: str = "") -> Check:
+    """A check that passed or leaves a doubt; one that only tells something where ``passed`` is None."""
+    verdict: Literal["info", "pass", "warn"] = "info" if passed is None else "pass" if passed else "warn"
+    return Check(name=name, value=value, limit=limit, verdict=verdict, text=text)
+
+
 def judged(
     checks: Sequence[Check], text: str, *, more: str = "", passed: str = "every check passes"
 ) -> Verdict:

@@ -5,30 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.files.provenance import sha256
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import documents, page
 from swimid.results import reader as results
+from swimid.results.options import Kind, ReportOptions
 from swimid.results.result import Result
 from swimid.results.text import Text
 
-Kind = Literal["html", "md", "json"]
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
 
 
+@takes(ReportOptions)
 def report(
     inputs: Sequence[str | Path | Result],
     *,
+    options: ReportOptions,
     output: str | Path | None = None,
-    format: Kind | None = None,
-    title: str | None = None,
     progress: Progress = silent,
 ) -> Text:
     """Write one document about any number of result files. Nothing is computed again.
+
+    By default its title is that of the only result, or "Identification report".
 
     Parameters
     ----------
@@ -36,10 +38,6 @@ def report(
         Parameter files, gap files, logs, each with its ``.evidence.json`` beside it; or results in memory.
     output : path, optional
         The file to write. None or ``-`` gives the document only.
-    format : {"html", "md", "json"}, optional
-        Default: by the ending of ``output``, else HTML.
-    title : str, optional
-        Default: the title of the only result, or "Identification report".
     progress : Progress
         Steps once per file read and once per figure drawn.
 
@@ -55,7 +53,7 @@ def report(
     sources = list(dict.fromkeys(i if isinstance(i, Result) else Path(i) for i in inputs))
     paths = [source for source in sources if isinstance(source, Path)]
     target = None if output is None or str(output) == "-" else Path(output)
-    kind = format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
+    kind = options.format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
     if target is not None:
         atomic.check_writable(target, inputs=tuple(paths))
     sections = []
@@ -63,7 +61,7 @@ def report(
         for source in sources:
             sections.append(results.load(source) if isinstance(source, Path) else source.section())
             step()
-    heading = title or (sections[0].title if len(sections) == 1 else "Identification report")
+    heading = options.title or (sections[0].title if len(sections) == 1 else "Identification report")
     created = datetime.now(UTC)
     digests = {str(section.path): "of nothing: it was in memory" for section in sections}
     digests |= {str(path): sha256(path) for path in paths}

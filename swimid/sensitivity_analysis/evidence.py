@@ -150,7 +150,7 @@ def answer(file: SensitivityFile) -> str:
     for o in headline(file)[:ANSWERED]:
         named = [f"{name} ({numbers.number(value, 2)})" for name, value, _ in ranked(o)[:2]]
         if named:
-            parts.append(f"{o.quantity} hangs on {', '.join(named)}")
+            parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
     if file.sweep is not None:
         parts.append(
             f"swept over {' and '.join(a.name for a in file.sweep.axes)} of trial {file.sweep.trial}"
@@ -335,7 +335,7 @@ def _shares_map(file: SensitivityFile, told: Sequence[Output]) -> ev.Figure:
         panels.append(_map(title, [o.quantity for o in told], names, values))
     return ev.Figure(
         id="indices",
-        title="What each output hangs on",
+        title="What each output is most sensitive to",
         caption="Sobol indices: the share of an output's variance over the ranges that goes with a "
         "coefficient, alone (first order) and with all interactions it takes part in (total). Of several "
         "trials, the share of their summed variance. A column that is pale throughout belongs to a "
@@ -402,7 +402,7 @@ def _effects_map(file: SensitivityFile, told: Sequence[Output]) -> ev.Figure:
         values.append([round(o.effects[n].mu_star / largest, 3) for n in names])
     return ev.Figure(
         id="effects",
-        title="What each output hangs on",
+        title="What each output is most sensitive to",
         caption="Mean magnitude of the elementary effects, over the largest of the output.",
         panels=[_map("", [o.quantity for o in told], names, values)],
     )
@@ -429,8 +429,8 @@ def _effects_plane(told: Sequence[Output]) -> ev.Figure:
     return ev.Figure(
         id="plane",
         title="Elementary effects",
-        caption="Far right: the output hangs on the coefficient. High up: its effect depends on where it and "
-        "the others are, by curvature or interaction.",
+        caption="Far right: the output is sensitive to the coefficient. High up: its effect depends on where "
+        "it and the others are, by curvature or interaction.",
         panels=panels,
         columns=2,
     )

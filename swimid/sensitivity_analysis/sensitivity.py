@@ -8,19 +8,21 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
@@ -42,15 +44,15 @@ from swimid.sensitivity_analysis.file import (
     SweptOutput,
 )
 from swimid.sensitivity_analysis.indices import Morris, Sobol
+from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.sensitivity_analysis.outputs import Run
 from swimid.sensitivity_analysis.studied import Sensitivity
 from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.model import DEFAULT_STEP, prepare
+from swimid.swimmer.planar.model import prepare
 
-Method = Literal["sobol", "morris", "none"]
 #: Rows of the design, or trajectories, where nothing else is asked for.
 SAMPLES = {"sobol": 256, "morris": 32, "none": 0}
 #: A total index whose interval lies below this is negligible.
@@ -94,55 +96,26 @@ class Study:
         return {quantity: members for quantity, members in found.items() if len(members) > 1}
 
 
+@takes(SensitivityOptions)
 def sensitivity(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
-    params: Path | None = None,
-    robot: str | None = None,
+    options: SensitivityOptions,
     output: Path | None = None,
-    method: Method = "sobol",
-    samples: int | None = None,
-    ranges: Sequence[str] = (),
-    coefficients: Sequence[str] = (),
-    sweep: Mapping[str, tuple[float, float, int]] | None = None,
-    trial: str | None = None,
-    chosen: Mapping[str, float] | None = None,
-    readings: Mapping[str, str] | None = None,
-    seed: int = 0,
-    jobs: int | None = None,
-    dt: float = DEFAULT_STEP,
     progress: Progress = silent,
 ) -> Sensitivity:
     """Vary the coefficients of a robot with links over ranges, and its drive over a grid.
 
+    By default all coefficients vary that a fit estimates, and those with a range of their own. A parameter
+    file gives values, standard errors, start states and noise.
+
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment.
-    params : Path, optional
-        Parameter file: given values, standard errors, start states, noise.
-    robot : str, optional
-        Accept the parameters although they name another robot.
     output : Path, optional
         Sensitivity file to write; its evidence goes beside it.
-    method : {"sobol", "morris", "none"}
-    samples : int, optional
-        Rows of the design (a power of two), or trajectories of Morris's method.
-    ranges : sequence of str
-        ``bounds``, ``stderr`` or ``20%`` for all coefficients, ``NAME=LOW,HIGH`` for one.
-    coefficients : sequence of str
-        Vary these only; default all that a fit estimates, and those with a range of their own.
-    sweep : mapping of str to (low, high, count), optional
-        One or two numbers of the drive.
-    trial : str, optional
-        Whose drive is swept; default the first that has one.
-    chosen : mapping of str to float, optional
-        Values held, in place of the file's.
-    readings : mapping, optional
-    seed : int
-    jobs : int, optional
-        Threads, by default one per processor; the result does not depend on it.
-    dt : float, s
 
     Raises
     ------
@@ -151,35 +124,21 @@ def sensitivity(
     NoTrustworthyResult
         When more than one in a hundred simulations breaks down.
     """
-    sweep = dict(sweep or {})
-    count = SAMPLES[method] if samples is None else samples
+    method, params, sweep = options.method, options.params, options.sweep
+    count = SAMPLES[method] if options.samples is None else options.samples
     if method == "none" and not sweep:
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
-        experiment, applied = _loaded(trials_file, params, robot, chosen, readings, dt)
+        experiment, applied = _loaded(source, options)
         model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
-        over = _ranges(applied, ranges, coefficients) if method != "none" else {}
-        swept = _swept(experiment, sweep, trial)
+        over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
+        swept = _swept(experiment, sweep, options.trial)
         prepare(progress)
-        origin = provenance.collect(
-            experiment.inputs,
-            settings={
-                "method": method,
-                "samples": count,
-                "range": list(ranges),
-                "coefficients": list(coefficients),
-                "sweep": {name: list(axis) for name, axis in sweep.items()},
-                "trial": trial,
-                "set": dict(chosen or {}),
-                "readings": dict(readings or {}),
-                "seed": seed,
-                "dt": dt,
-            },
-        )
+        origin = provenance.collect(experiment.inputs, settings=options.settings(samples=count))
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        workers = jobs or os.cpu_count() or 1
+        workers = options.jobs or os.cpu_count() or 1
         file = SensitivityFile(
             verdict="caution",
             model=model.name,
@@ -197,7 +156,7 @@ def sensitivity(
             study = _study(experiment, applied, over)
             common: dict[str, Any] = {
                 "samples": count,
-                "seed": seed,
+                "seed": options.seed,
                 "groups": list(study.groups.values()),
                 "names": list(over),
                 "jobs": workers,
@@ -218,7 +177,7 @@ def sensitivity(
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
             file.measured = _measured(experiment, applied, sweep)
             checks += sensitivity_evidence.sweep_checks(file.sweep, bool(applied.uncertain()[0]))
-    verdict = fit_common.verdict(checks, sensitivity_evidence.answer(file))
+    verdict = blocks.verdict(checks, sensitivity_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="sensitivity",
@@ -227,7 +186,7 @@ def sensitivity(
         checks=checks,
         tables=sensitivity_evidence.tables(file),
         figures=sensitivity_evidence.figures(file),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=sensitivity_evidence.methods(file),
         references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
         provenance=origin,
@@ -241,26 +200,20 @@ def sensitivity(
     return Sensitivity("sensitivity", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
-def _loaded(
-    trials_file: str | Path,
-    params: Path | None,
-    robot: str | None,
-    chosen: Mapping[str, float] | None,
-    readings: Mapping[str, str] | None,
-    dt: float,
-) -> tuple[Experiment, Applied]:
-    if params is None:
-        if robot is not None:
+def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
+    chosen, readings = dict(options.chosen), dict(options.readings)
+    if options.params is None:
+        if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(trials_file, readings=readings, max_step=dt)
-        return experiment, Applied(experiment.model, chosen=dict(chosen or {}))
+        experiment = swimmer.load(source, readings=readings, max_step=options.dt)
+        return experiment, Applied(experiment.model, chosen=chosen)
     loaded = catalogue.load(
-        trials_file,
-        params,
-        robot=robot,
-        chosen=dict(chosen or {}),
-        readings=dict(readings or {}),
-        max_step=dt,
+        source,
+        options.params,
+        robot=options.robot,
+        chosen=chosen,
+        readings=readings,
+        max_step=options.dt,
     )
     model = loaded.experiment.model
     if model.swimmer is None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +26,11 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue, swim_quantities
 from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.options import SimulateOptions
 from swimid.simulation.run import Case
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.model import DEFAULT_STEP
 from swimid.swimmer.spatial.stroke import Cycle
 
 #: Length and rate of a run where nothing else says.
@@ -43,67 +41,42 @@ MOST_STEPS = 20_000_000
 STEEPEST_DEG = 90.0
 
 
-@dataclass(frozen=True)
-class Request:
-    """What is to be simulated; see :func:`swimid.simulation.simulate.simulate`."""
-
-    params: parameters_format.Source | None = None
-    robot: str | None = None
-    waveform: str = "sine"
-    frequency_hz: float | None = None
-    amplitude_deg: float | None = None
-    bias_deg: float = 0.0
-    asymmetry: float = 0.0
-    ramp_s: float = 1.0
-    duration_s: float | None = None
-    sample_rate_hz: float | None = None
-    dt: float = DEFAULT_STEP
-    chosen: Mapping[str, float] = field(default_factory=dict)
-    readings: Mapping[str, str] = field(default_factory=dict)
-    input: Path | None = None
-    pulling_mass_kg: float | None = None
-    fin: str | None = None
-    distance_m: float | None = None
-    stroke: str | None = None
-    cycles: float | None = None
-    scale: float = 1.0
-
-    @property
-    def place(self) -> Path | None:
-        """What the parameters are called in messages and logs."""
-        return None if self.params is None else parameters_format.place(self.params)
-
-    def metadata(self, robot: str, **more: Any) -> dict[str, Any]:
-        """Comment lines every log of this request has."""
-        found: dict[str, Any] = {"robot": robot}
-        if self.params is not None:
-            found["params"] = parameters_format.place(self.params).name
-        if self.chosen:
-            found["set"] = dict(self.chosen)
-        if self.readings:
-            found["readings"] = dict(self.readings)
-        return {**found, **more}
-
-    def times(self, stroke: Cycle | None = None) -> Array:
-        """Even sample times of the run, s; as long as the stroke's cycles where they are counted."""
-        whole = (
-            DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
-        )
-        duration = self.duration_s or whole
-        rate = self.sample_rate_hz or RATE_HZ
-        if duration * max(rate, 1.0 / self.dt) > MOST_STEPS:
-            raise UsageError(f"{duration:g} s at this rate and step are too many samples")
-        count = max(round(duration * rate), 1)
-        return np.arange(count + 1) / rate
-
-    def needs(self, what: str, **options: Any) -> None:
-        """Refuse the request when one of the options is missing."""
-        for option, value in options.items():
-            if value is None:
-                raise UsageError(f"{what} needs --{option.replace('_', '-')}")
+def place(options: SimulateOptions) -> Path | None:
+    """What the parameters are called in messages and logs."""
+    return None if options.params is None else parameters_format.place(options.params)
 
 
-def of_options(request: Request) -> Case:
+def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
+    """Comment lines every log has."""
+    found: dict[str, Any] = {"robot": robot}
+    if options.params is not None:
+        found["params"] = parameters_format.place(options.params).name
+    if options.chosen:
+        found["set"] = dict(options.chosen)
+    if options.readings:
+        found["readings"] = dict(options.readings)
+    return {**found, **more}
+
+
+def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
+    """Even sample times of the run, s; as long as the stroke's cycles where they are counted."""
+    whole = DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
+    duration = options.duration_s or whole
+    rate = options.sample_rate_hz or RATE_HZ
+    if duration * max(rate, 1.0 / options.dt) > MOST_STEPS:
+        raise UsageError(f"{duration:g} s at this rate and step are too many samples")
+    count = max(round(duration * rate), 1)
+    return np.arange(count + 1) / rate
+
+
+def _needs(what: str, **given: Any) -> None:
+    """Refuse the run when one of the options is missing."""
+    for name, value in given.items():
+        if value is None:
+            raise UsageError(f"{what} needs --{name.replace('_', '-')}")
+
+
+def of_options(options: SimulateOptions) -> Case:
     """The one run the options describe.
 
     Raises
@@ -113,17 +86,17 @@ def of_options(request: Request) -> Case:
     InputError
         For anything wrong in a file.
     """
-    if request.params is None:
-        if request.robot is None:
+    if options.params is None:
+        if options.robot is None:
             raise UsageError("name a parameter file (--params) or a robot (--robot)")
-        return _swim(request, None, request.robot, None)
-    file = catalogue.read_parameters(request.params)
+        return _swim(options, None, options.robot, None)
+    file = catalogue.read_parameters(options.params)
     if file.model in ("multilink", "multibody"):
         name, folder = catalogue.robot_of_parameters(
-            file, parameters_format.place(request.params), request.robot
+            file, parameters_format.place(options.params), options.robot
         )
-        return _swim(request, file, name, folder)
-    if request.readings:
+        return _swim(options, file, name, folder)
+    if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     makers = {
         "falling-weight": _falling_weight,
@@ -137,10 +110,10 @@ def of_options(request: Request) -> Case:
             f"the model '{file.model}' can be simulated for recorded trials only",
             hint="give them with --trials",
         )
-    return makers[file.model](request, file)
+    return makers[file.model](options, file)
 
 
-def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
+def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[Case]:
     """Recorded trials with their own drives and start states.
 
     Raises
@@ -150,15 +123,15 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
     InputError
         For anything wrong in a file.
     """
-    if request.params is None:
+    if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
     loaded = catalogue.load(
         trials,
-        request.params,
-        robot=request.robot,
-        chosen=dict(request.chosen),
-        readings=dict(request.readings),
-        max_step=request.dt,
+        options.params,
+        robot=options.robot,
+        chosen=dict(options.chosen),
+        readings=dict(options.readings),
+        max_step=options.dt,
     )
     experiment, applied = loaded.experiment, loaded.applied
     names = [t.id for t in experiment.trials]
@@ -170,7 +143,7 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
         if only not in (None, trial.id):
             continue
         values = applied.values(trial.id)
-        metadata = request.metadata(experiment.robot.name, experiment=experiment.name, trial=trial.id)
+        metadata = _metadata(options, experiment.robot.name, experiment=experiment.name, trial=trial.id)
         extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
         compute, per_run = None, False
         model = experiment.model
@@ -200,42 +173,42 @@ def of_trials(trials: Path, request: Request, only: str | None) -> list[Case]:
 # ------------------------------------------------------------ swimmers with links
 
 
-def _swim(request: Request, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
-    readings = {**(file.settings.get("readings", {}) if file else {}), **request.readings}
-    robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=request.dt)
-    applied = Applied(model, file, request.place, request.chosen)
+def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
+    readings = {**(file.settings.get("readings", {}) if file else {}), **options.readings}
+    robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=options.dt)
+    applied = Applied(model, file, place(options), options.chosen)
     values = applied.values()
     try:
         model.check(values)
     except InputError as error:
         raise InputError(
             f"with these parameters, {error.reason}",
-            file=request.place or robot_format.locate(name, folder),
+            file=place(options) or robot_format.locate(name, folder),
             column=error.column,
         ) from error
     experiment = "free-swim" if model.free_base and not model.in_space else "multibody"
-    metadata = request.metadata(robot.name, experiment=experiment, dt_s=request.dt)
+    metadata = _metadata(options, robot.name, experiment=experiment, dt_s=options.dt)
     pose = (0.0,) * len(model.pose) if model.free_base else None
-    if request.input is not None:
-        if request.frequency_hz is not None or request.amplitude_deg is not None:
+    if options.input is not None:
+        if options.frequency_hz is not None or options.amplitude_deg is not None:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
-        time, joints = _recorded_joints(request, model)
+        time, joints = _recorded_joints(options, model)
         trial = Trial("run", "fit", time, {}, swim=SwimInput(joints=joints, pose=pose))
-        metadata["input"] = request.input.name
-    elif request.stroke is not None:
-        stroke = swimmer.cycle_of(_stroke(request), model)
-        trial = Trial("run", "fit", request.times(stroke), {}, swim=SwimInput(stroke=stroke, pose=pose))
+        metadata["input"] = options.input.name
+    elif options.stroke is not None:
+        stroke = swimmer.cycle_of(_stroke(options), model)
+        trial = Trial("run", "fit", _times(options, stroke), {}, swim=SwimInput(stroke=stroke, pose=pose))
         metadata["drive"] = stroke_block(stroke)
     elif model.driven:
-        beat = _beat(request, model)
-        trial = Trial("run", "fit", request.times(), {}, swim=SwimInput(beat, pose=pose))
+        beat = _beat(options, model)
+        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(beat, pose=pose))
         metadata["drive"] = drive_block(beat)
     else:
-        if request.frequency_hz is not None or request.amplitude_deg is not None:
+        if options.frequency_hz is not None or options.amplitude_deg is not None:
             raise UsageError(f"the robot '{robot.name}' has no driven joint: there is nothing to beat")
-        trial = Trial("run", "fit", request.times(), {}, swim=SwimInput(pose=pose))
+        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(pose=pose))
     frequency = _frequency(model, trial, values)
     return Case(
         "run",
@@ -272,31 +245,31 @@ def stroke_block(stroke: Cycle) -> dict[str, Any]:
     }
 
 
-def _stroke(request: Request) -> StrokeDrive:
-    assert request.stroke is not None
-    if request.amplitude_deg is not None or request.bias_deg or request.asymmetry:
+def _stroke(options: SimulateOptions) -> StrokeDrive:
+    assert options.stroke is not None
+    if options.amplitude_deg is not None or options.bias_deg or options.asymmetry:
         raise UsageError(
             "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
         )
     # a beat is eased in by default, a stroke begins as it is
-    ramp = 0.0 if request.ramp_s == Request().ramp_s else request.ramp_s
+    ramp = 0.0 if options.ramp_s == options.declared()["ramp_s"].default else options.ramp_s
     return StrokeDrive(
-        stroke=request.stroke,
-        frequency_hz=request.frequency_hz,
-        scale=request.scale,
+        stroke=options.stroke,
+        frequency_hz=options.frequency_hz,
+        scale=options.scale,
         ramp_s=ramp,
-        cycles=request.cycles,
+        cycles=options.cycles,
     )
 
 
-def _beat(request: Request, model: Swimmer) -> drive.Beat:
-    request.needs("a beat", frequency_hz=request.frequency_hz, amplitude_deg=request.amplitude_deg)
-    assert request.frequency_hz is not None
-    assert request.amplitude_deg is not None
-    f, rate = request.frequency_hz, request.sample_rate_hz or RATE_HZ
-    if f * request.dt >= 0.5:
+def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
+    _needs("a beat", frequency_hz=options.frequency_hz, amplitude_deg=options.amplitude_deg)
+    assert options.frequency_hz is not None
+    assert options.amplitude_deg is not None
+    f, rate = options.frequency_hz, options.sample_rate_hz or RATE_HZ
+    if f * options.dt >= 0.5:
         raise UsageError(
-            f"a beat of {f:g} Hz cannot be integrated with steps of {request.dt:g} s",
+            f"a beat of {f:g} Hz cannot be integrated with steps of {options.dt:g} s",
             hint=f"take --dt {0.02 / f:.1g} or less",
         )
     if f >= 0.5 * rate:
@@ -305,28 +278,28 @@ def _beat(request: Request, model: Swimmer) -> drive.Beat:
         law = axis.driven
         assert law is not None
         bias_gain = law.gain if law.bias_gain is None else law.bias_gain
-        bend = abs(law.gain) * request.amplitude_deg + abs(bias_gain * request.bias_deg)
+        bend = abs(law.gain) * options.amplitude_deg + abs(bias_gain * options.bias_deg)
         if bend > STEEPEST_DEG:
             warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
             break
-    if request.asymmetry and request.waveform != "a-cpg":
-        warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {request.waveform} has none")
+    if options.asymmetry and options.waveform != "a-cpg":
+        warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {options.waveform} has none")
     return drive.Beat(
-        request.waveform,
+        options.waveform,
         f,
-        math.radians(request.amplitude_deg),
-        math.radians(request.bias_deg),
-        request.asymmetry if request.waveform == "a-cpg" else 0.0,
-        request.ramp_s,
+        math.radians(options.amplitude_deg),
+        math.radians(options.bias_deg),
+        options.asymmetry if options.waveform == "a-cpg" else 0.0,
+        options.ramp_s,
     )
 
 
-def _recorded_joints(request: Request, model: Swimmer) -> tuple[Array, list[Any]]:
+def _recorded_joints(options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
     """Sample times, and each driven joint's motion from a log."""
-    assert request.input is not None
+    assert options.input is not None
     measured = [a.column for a in model.driven]
     commanded = [name.replace("joint", "cmd") for name in measured]
-    log = log_format.read(request.input, optional=(*measured, *commanded))
+    log = log_format.read(options.input, optional=(*measured, *commanded))
     joints = []
     for axis, joint, command in zip(model.driven, measured, commanded, strict=True):
         servo = axis.driven is not None and axis.driven.servo is not None
@@ -340,11 +313,11 @@ def _recorded_joints(request: Request, model: Swimmer) -> tuple[Array, list[Any]
             )
         joints.append(drive.spline_motion(drive.measured(log.time_s, log[there[0]])))
     begin, end = float(log.time_s[0]), float(log.time_s[-1])
-    if request.duration_s is not None:
-        end = min(end, begin + request.duration_s)
-    if request.sample_rate_hz is None:
+    if options.duration_s is not None:
+        end = min(end, begin + options.duration_s)
+    if options.sample_rate_hz is None:
         return log.time_s[log.time_s <= end], joints
-    return begin + np.arange(int((end - begin) * request.sample_rate_hz) + 1) / request.sample_rate_hz, joints
+    return begin + np.arange(int((end - begin) * options.sample_rate_hz) + 1) / options.sample_rate_hz, joints
 
 
 def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
@@ -416,9 +389,9 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
 # ------------------------------------------------------------ other models
 
 
-def _robot(request: Request, file: ParameterFile) -> Robot:
-    assert request.params is not None
-    name, folder = catalogue.robot_of_parameters(file, parameters_format.place(request.params), request.robot)
+def _robot(options: SimulateOptions, file: ParameterFile) -> Robot:
+    assert options.params is not None
+    name, folder = catalogue.robot_of_parameters(file, parameters_format.place(options.params), options.robot)
     return robot_format.read(name, folder)
 
 
@@ -438,17 +411,17 @@ def _area_factor(file: ParameterFile, robot: Robot) -> tuple[bool, float]:
     return known, 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
 
 
-def _falling_weight(request: Request, file: ParameterFile) -> Case:
-    request.needs("a falling weight", pulling_mass_kg=request.pulling_mass_kg)
-    assert request.pulling_mass_kg is not None
-    robot = _robot(request, file)
+def _falling_weight(options: SimulateOptions, file: ParameterFile) -> Case:
+    _needs("a falling weight", pulling_mass_kg=options.pulling_mass_kg)
+    assert options.pulling_mass_kg is not None
+    robot = _robot(options, file)
     known, factor = _area_factor(file, robot)
-    force = request.pulling_mass_kg * robot.fluid.gravity_m_s2
-    inertia = _body_inertia(robot) + request.pulling_mass_kg + robot.rig.pulley_inertia_kg
+    force = options.pulling_mass_kg * robot.fluid.gravity_m_s2
+    inertia = _body_inertia(robot) + options.pulling_mass_kg + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
-    applied = Applied(model, file, request.place, request.chosen)
+    applied = Applied(model, file, place(options), options.chosen)
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
-    trial = Trial("run", "fit", request.times(), {}, rig=on_rig)
+    trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
     def compute(values: Array) -> dict[str, Quantity]:
         c = model.coefficients(values, on_rig)
@@ -463,18 +436,18 @@ def _falling_weight(request: Request, file: ParameterFile) -> Case:
         found["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
         return found
 
-    metadata = request.metadata(
-        robot.name, experiment="falling-weight", pulling_mass_kg=request.pulling_mass_kg
+    metadata = _metadata(
+        options, robot.name, experiment="falling-weight", pulling_mass_kg=options.pulling_mass_kg
     )
     return Case("run", applied, applied.values(), trial, {}, metadata, compute)
 
 
-def _towed(request: Request, file: ParameterFile) -> Case:
-    request.needs("towing", input=request.input)
-    assert request.input is not None
-    robot = _robot(request, file)
+def _towed(options: SimulateOptions, file: ParameterFile) -> Case:
+    _needs("towing", input=options.input)
+    assert options.input is not None
+    robot = _robot(options, file)
     known, factor = _area_factor(file, robot)
-    log = log_format.read(request.input, required=("force_N",), optional=())
+    log = log_format.read(options.input, required=("force_N",), optional=())
     if np.isnan(log["force_N"]).any():
         raise InputError("the applied force is missing in places", file=log.path, column="force_N")
     model = rig.towed(
@@ -482,109 +455,110 @@ def _towed(request: Request, file: ParameterFile) -> Case:
         force_N=max(float(np.abs(log["force_N"]).max()), 1e-9),
         area_known=known,
     )
-    applied = Applied(model, file, request.place, request.chosen)
+    applied = Applied(model, file, place(options), options.chosen)
     on_rig = RigInput(_body_inertia(robot), area_factor=factor, release_s=float(log.time_s[0]))
     force = {"force_N": log["force_N"]}
     trial = Trial("run", "fit", log.time_s, {}, inputs=force, rig=on_rig)
-    metadata = request.metadata(robot.name, experiment="towed", input=request.input.name)
+    metadata = _metadata(options, robot.name, experiment="towed", input=options.input.name)
     return Case("run", applied, applied.values(), trial, force, metadata)
 
 
-def _arma(request: Request, file: ParameterFile) -> Case:
-    assert request.params is not None
-    model = arma.model_of(file, parameters_format.place(request.params))
-    applied = Applied(model, file, request.place, request.chosen)
-    robot = request.robot or file.robot or "unknown"
-    if request.input is None:
+def _arma(options: SimulateOptions, file: ParameterFile) -> Case:
+    assert options.params is not None
+    model = arma.model_of(file, parameters_format.place(options.params))
+    applied = Applied(model, file, place(options), options.chosen)
+    robot = options.robot or file.robot or "unknown"
+    if options.input is None:
         if model.sine is None:
             raise UsageError(
                 f"this model runs on the column '{model.source}': give a log with --input run.csv"
             )
-        count = round((request.duration_s or DURATION_S) / model.sample_time_s)
+        count = round((options.duration_s or DURATION_S) / model.sample_time_s)
         trial = Trial("run", "fit", np.linspace(0.0, count * model.sample_time_s, count + 1), {})
-        return Case("run", applied, applied.values(), trial, {}, request.metadata(robot, experiment="arma"))
+        return Case("run", applied, applied.values(), trial, {}, _metadata(options, robot, experiment="arma"))
     wanted = () if model.sine else (model.source,)
-    log = log_format.read(request.input, required=wanted, optional=(model.output,))
+    log = log_format.read(options.input, required=wanted, optional=(model.output,))
     measured = {model.output: log[model.output]} if model.output in log else {}
     inputs = {name: log[name] for name in wanted}
     trial = Trial("run", "fit", log.time_s, measured, inputs=inputs)
-    metadata = request.metadata(robot, experiment="arma", input=request.input.name)
+    metadata = _metadata(options, robot, experiment="arma", input=options.input.name)
     return Case("run", applied, applied.values(), trial, inputs, metadata)
 
 
-def _cruise(request: Request, file: ParameterFile) -> Case:
-    request.needs(
+def _cruise(options: SimulateOptions, file: ParameterFile) -> Case:
+    _needs(
         "cruising",
-        frequency_hz=request.frequency_hz,
-        amplitude_deg=request.amplitude_deg,
-        fin=request.fin,
+        frequency_hz=options.frequency_hz,
+        amplitude_deg=options.amplitude_deg,
+        fin=options.fin,
     )
-    assert request.params is not None
-    assert request.fin is not None
-    robot = _robot(request, file)
-    drag_path = catalogue.drag_file(file, parameters_format.place(request.params))
+    assert options.params is not None
+    assert options.fin is not None
+    robot = _robot(options, file)
+    drag_path = catalogue.drag_file(file, parameters_format.place(options.params))
     drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
     area, mass = propulsion.drag_numbers(drag, parameters_format.place(drag_path), robot)
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
-    inertias = propulsion.fin_inertias(robot, [request.fin, *unknown], robot_format.locate(robot.name))
+    inertias = propulsion.fin_inertias(robot, [options.fin, *unknown], robot_format.locate(robot.name))
     model = RecoilModel(
         drag_area_kg_m=area,
         moving_mass_kg=mass,
         fins={fin: None if fin in unknown else i for fin, i in inertias.items()},
     )
-    applied = Applied(model, file, request.place, request.chosen)
+    applied = Applied(model, file, place(options), options.chosen)
     values = applied.values()
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
         if values[model.index(name)] != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
-    cruise = CruiseInput(request.fin, None if request.fin in unknown else inertias[request.fin])
+    cruise = CruiseInput(options.fin, None if options.fin in unknown else inertias[options.fin])
     far = 1e9
     inputs = {
-        "frequency_hz": np.array([request.frequency_hz]),
-        "amplitude_rad": np.deg2rad([float(request.amplitude_deg or 0.0)]),
-        "distance_m": np.array([request.distance_m or far]),
+        "frequency_hz": np.array([options.frequency_hz]),
+        "amplitude_rad": np.deg2rad([float(options.amplitude_deg or 0.0)]),
+        "distance_m": np.array([options.distance_m or far]),
     }
-    trial = Trial(request.fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=cruise)
+    trial = Trial(options.fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=cruise)
 
     def compute(values: Array) -> dict[str, Quantity]:
         mean = float(model.simulate(values, trial)[SPEED][0])
-        terminal = mean / float(velocity_ratio(model.b1, 0.0, request.distance_m or far))
+        terminal = mean / float(velocity_ratio(model.b1, 0.0, options.distance_m or far))
         found = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
-        if request.distance_m is not None:
+        if options.distance_m is not None:
             found[SPEED] = Quantity(mean, "m/s")
         found["propulsive_force_N"] = Quantity(area * terminal**2, "N")
         return found
 
     extra: dict[str, Any] = {
-        "fin": [request.fin],
+        "fin": [options.fin],
         "frequency_hz": inputs["frequency_hz"],
-        "amplitude_deg": np.array([request.amplitude_deg]),
-        "distance_m": np.array([request.distance_m or math.nan]),
+        "amplitude_deg": np.array([options.amplitude_deg]),
+        "distance_m": np.array([options.distance_m or math.nan]),
     }
-    metadata = request.metadata(robot.name, experiment="cruise")
-    return Case(request.fin, applied, values, trial, extra, metadata, compute, per_run=True)
+    metadata = _metadata(options, robot.name, experiment="cruise")
+    return Case(options.fin, applied, values, trial, extra, metadata, compute, per_run=True)
 
 
-def _surge(request: Request, file: ParameterFile) -> Case:
-    request.needs("a beat", frequency_hz=request.frequency_hz, amplitude_deg=request.amplitude_deg)
-    assert request.params is not None
-    assert request.frequency_hz is not None
-    assert request.amplitude_deg is not None
-    robot = _robot(request, file)
+def _surge(options: SimulateOptions, file: ParameterFile) -> Case:
+    _needs("a beat", frequency_hz=options.frequency_hz, amplitude_deg=options.amplitude_deg)
+    assert options.params is not None
+    assert options.frequency_hz is not None
+    assert options.amplitude_deg is not None
+    robot = _robot(options, file)
     model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
-    catalogue.set_references(model, file, parameters_format.place(request.params))
-    applied = Applied(model, file, request.place, request.chosen)
-    surge = SurgeInput(request.frequency_hz, math.radians(request.amplitude_deg))
-    trial = Trial("run", "fit", request.times(), {}, surge=surge)
+    catalogue.set_references(model, file, parameters_format.place(options.params))
+    applied = Applied(model, file, place(options), options.chosen)
+    surge = SurgeInput(options.frequency_hz, math.radians(options.amplitude_deg))
+    trial = Trial("run", "fit", _times(options), {}, surge=surge)
 
     def compute(values: Array) -> dict[str, Quantity]:
         return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
 
-    metadata = request.metadata(
+    metadata = _metadata(
+        options,
         robot.name,
         experiment="free-swim",
-        drive={"frequency_hz": request.frequency_hz, "amplitude_deg": request.amplitude_deg},
+        drive={"frequency_hz": options.frequency_hz, "amplitude_deg": options.amplitude_deg},
     )
     return Case("run", applied, applied.values(), trial, {}, metadata, compute)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 from swimid.options import Options, Source, option
 from swimid.swimmer import options as swimmers
@@ -41,4 +42,53 @@ class CompareOptions(Options):
         metavar="PERCENT",
         help="Shade what so much less and more buoyancy changes (robots in space). 0 for none.",
         recorded="buoyancy_band",
+    )
+
+
+#: The part of the options that describes a run; recorded trials bring their own.
+RUN = "run"
+
+
+class SimulateOptions(Options):
+    """What ``simulate`` can be told."""
+
+    params: Source = option(None, help="Parameter file, of any model.")
+    robot: str | None = robot("Robot; without --params its file's own values are used.")
+    frequency_hz: float | None = option(None, gt=0, part=RUN, help="Beat frequency.")
+    amplitude_deg: float | None = option(
+        None, ge=0, part=RUN, help="Beat amplitude (T-Fish: of the whole tail)."
+    )
+    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", part=RUN, help="Form of the beat.")
+    bias_deg: float = option(0.0, part=RUN, help="Turning bias.")
+    asymmetry: float = option(0.0, gt=-1, lt=1, part=RUN, help="Of an a-cpg beat (T-Fish, Eq 10).")
+    ramp_s: float = option(1.0, ge=0, part=RUN, help="Time the beat is eased in.")
+    duration_s: float | None = option(None, gt=0, part=RUN, help="Length of the run  [default: 15]")
+    sample_rate_hz: float | None = option(
+        None, gt=0, part=RUN, help="Samples a second of the log  [default: 50]"
+    )
+    dt: float = swimmers.step()
+    chosen: Mapping[str, float] = chosen()
+    readings: Mapping[str, str] = swimmers.readings()
+    input: Path | None = option(
+        None,
+        part=RUN,
+        help="Log that drives the run in place of a beat: joint angles or commands, a force, an arma input.",
+    )
+    stroke: str | None = option(
+        None, metavar="NAME", part=RUN, help="Stroke of the robot file in place of a beat."
+    )
+    cycles: float | None = option(None, gt=0, part=RUN, help="Cycles of the stroke; then its joints rest.")
+    scale: float = option(1.0, ge=0, part=RUN, help="What the stroke's angles are multiplied with.")
+    pulling_mass_kg: float | None = option(None, gt=0, part=RUN, help="Weight of a falling-weight rig.")
+    fin: str | None = option(None, part=RUN, help="Fin of a cruise.")
+    distance_m: float | None = option(
+        None, gt=0, part=RUN, help="Course of a cruise from rest, for its mean speed."
+    )
+    trials: Source = option(
+        None, help="Simulate these recorded trials' own drives and start states; -o is then a folder."
+    )
+    trial: str | None = option(None, metavar="ID", help="Only this one of --trials; -o is then a log.")
+    animate: Path | None = option(None, written=True, help="Film of the links: .mp4 or .gif.")
+    view: Literal["auto", "fixed", "follow"] = option(
+        "auto", help="The film's frame: the whole path, or moving with the robot."
     )

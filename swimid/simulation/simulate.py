@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,16 @@ import numpy as np
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 from swimid.notices import warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import numbers
 from swimid.simulation import animation
 from swimid.simulation import cases as simulate_cases
 from swimid.simulation import run as simulation
-from swimid.simulation.cases import Request
+from swimid.simulation.options import RUN, SimulateOptions
 from swimid.simulation.run import Simulated
 from swimid.simulation.simulated import Simulation
 from swimid.swimmer import stroke_cycles
-from swimid.swimmer.planar.model import DEFAULT_STEP
 
 #: A change of speed from beat to beat above this share is told.
 UNSTEADY = 0.005
@@ -29,75 +29,23 @@ UNSTEADY = 0.005
 BRIEF = ("mean_speed_m_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "turning_radius_m")
 
 
+@takes(SimulateOptions)
 def simulate(
     *,
-    params: Path | None = None,
-    robot: str | None = None,
-    trials: Path | None = None,
-    trial: str | None = None,
-    waveform: str = "sine",
-    frequency_hz: float | None = None,
-    amplitude_deg: float | None = None,
-    bias_deg: float = 0.0,
-    asymmetry: float = 0.0,
-    ramp_s: float = 1.0,
-    duration_s: float | None = None,
-    sample_rate_hz: float | None = None,
-    dt: float = DEFAULT_STEP,
-    chosen: Mapping[str, float] | None = None,
-    readings: Mapping[str, str] | None = None,
-    input: Path | None = None,
-    pulling_mass_kg: float | None = None,
-    fin: str | None = None,
-    distance_m: float | None = None,
-    stroke: str | None = None,
-    cycles: float | None = None,
-    scale: float = 1.0,
+    options: SimulateOptions,
     output: Path | None = None,
-    animate: Path | None = None,
-    view: str = "auto",
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Simulation:
     """Simulate a robot.
 
+    The beat is given as ``drive`` of a trials file gives it. An input log has joint angles or commands that
+    drive a robot, a force, or the input column of a discrete-time model; the run is then as long as the log.
+
     Parameters
     ----------
-    params : Path, optional
-        Parameter file of any model. Without it the values of the robot file are used.
-    robot : str, optional
-        Built-in name or robot file; in place of the one the parameter file names.
-    trials : Path, optional
-        Simulate the recorded trials' own drives and start states in place of the options below.
-    trial : str, optional
-        Only this one of them.
-    waveform, frequency_hz, amplitude_deg, bias_deg, asymmetry, ramp_s
-        The beat, as ``drive`` of a trials file.
-    duration_s, sample_rate_hz : float, optional
-        Default 15 s at 50 Hz; the times of ``input`` where one is given.
-    dt : float, s
-        Integration step of a robot with links, at most.
-    chosen : mapping of str to float, optional
-        Parameter values that win over the file's.
-    readings : mapping, optional
-        Readings of the robot's source other than the file's.
-    input : Path, optional
-        Log whose joint angles or commands drive the robot, or whose input column drives a
-        discrete-time model.
-    pulling_mass_kg : float, optional
-        Of a falling weight.
-    fin : str, optional
-    distance_m : float, optional
-        Of a cruise under the recoil law: the fin, and the course from rest for the mean speed.
-    stroke : str, optional
-    cycles, scale : float, optional
-        A stroke of the robot file in place of a beat, how often, and what its angles are multiplied with.
     output : Path, optional
         Log to write; for several trials a folder.
-    animate : Path, optional
-        Film (.mp4) or animated GIF of a robot with links.
-    view : {"auto", "fixed", "follow"}
-        Whether the film's frame holds the whole path or moves with the robot.
     allow : callable
         Called with every file before it is written; raises where that must not be.
     progress : Progress
@@ -109,35 +57,14 @@ def simulate(
     NoTrustworthyResult
         When the simulation breaks down.
     """
-    request = Request(
-        params=params,
-        robot=robot,
-        waveform=waveform,
-        frequency_hz=frequency_hz,
-        amplitude_deg=amplitude_deg,
-        bias_deg=bias_deg,
-        asymmetry=asymmetry,
-        ramp_s=ramp_s,
-        duration_s=duration_s,
-        sample_rate_hz=sample_rate_hz,
-        dt=dt,
-        chosen=dict(chosen or {}),
-        readings=dict(readings or {}),
-        input=input,
-        pulling_mass_kg=pulling_mass_kg,
-        fin=fin,
-        distance_m=distance_m,
-        stroke=stroke,
-        cycles=cycles,
-        scale=scale,
-    )
-    if trials is None:
-        if trial is not None:
+    if options.trials is None:
+        if options.trial is not None:
             raise UsageError("--trial belongs to --trials")
-        cases = [simulate_cases.of_options(request)]
+        cases = [simulate_cases.of_options(options)]
     else:
-        _insist_on_trials_alone(request)
-        cases = simulate_cases.of_trials(trials, request, trial)
+        _insist_on_trials_alone(options)
+        cases = simulate_cases.of_trials(options.trials, options, options.trial)
+    animate = options.animate
     targets = simulation.places(output, [c.id for c in cases])
     if animate is not None:
         if len(cases) > 1:
@@ -169,37 +96,18 @@ def simulate(
         outputs.append(place)
     remark = ""
     if animate is not None:
-        remark = animation.write(animate, _film(done[0]), view=view, progress=progress)
+        remark = animation.write(animate, _film(done[0]), view=options.view, progress=progress)
         outputs.append(animate)
     _warn_unknown(done)
-    text = _summary(done, request, remark)
-    return Simulation("simulate", text, _result(done, request), outputs, document=done)
+    text = _summary(done, options, remark)
+    return Simulation("simulate", text, _result(done, options), outputs, document=done)
 
 
-def _insist_on_trials_alone(request: Request) -> None:
+def _insist_on_trials_alone(options: SimulateOptions) -> None:
     """Refuse options that describe a run beside trials, which bring their own."""
-    plain = Request()
-    for name in (
-        "waveform",
-        "frequency_hz",
-        "amplitude_deg",
-        "bias_deg",
-        "asymmetry",
-        "ramp_s",
-        "duration_s",
-        "sample_rate_hz",
-        "input",
-        "pulling_mass_kg",
-        "fin",
-        "distance_m",
-        "stroke",
-        "cycles",
-        "scale",
-    ):
-        if getattr(request, name) != getattr(plain, name):
-            raise UsageError(
-                f"--{name.replace('_', '-')} has no place beside --trials: the trials bring their own drive"
-            )
+    for name, entry in options.declared().items():
+        if entry.part == RUN and getattr(options, name) != entry.default:
+            raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
 def _film(done: Simulated) -> animation.Film:
@@ -263,10 +171,10 @@ def text(value: float, stderr: float | None, unit: str) -> str:
     return numbers.measured(value, stderr, unit)
 
 
-def _summary(done: Sequence[Simulated], request: Request, remark: str) -> str:
+def _summary(done: Sequence[Simulated], options: SimulateOptions, remark: str) -> str:
     lines = []
     if len(done) == 1:
-        lines += _one(done[0], request)
+        lines += _one(done[0], options)
     else:
         lines.append(f"{done[0].case.metadata['robot']}: {len(done)} trials")
         width = max(len(d.case.id) for d in done)
@@ -300,9 +208,10 @@ def _brief(done: Simulated) -> list[str]:
     return [f"after {done.case.trial.time_s[-1] - done.case.trial.time_s[0]:.4g} s", *ends]
 
 
-def _one(done: Simulated, request: Request) -> list[str]:
+def _one(done: Simulated, options: SimulateOptions) -> list[str]:
     case = done.case
-    source = request.place.name if request.place else "the robot file's values"
+    place = simulate_cases.place(options)
+    source = place.name if place else "the robot file's values"
     lines = [f"{case.metadata['robot']}, {source}"]
     drive = case.metadata.get("drive")
     if isinstance(drive, dict) and "stroke" in drive:
@@ -338,14 +247,15 @@ def _worst_changes(done: Sequence[Simulated]) -> dict[str, tuple[float, float]]:
     return worst if any(largest > 0 for largest, _ in worst.values()) else {}
 
 
-def _result(done: Sequence[Simulated], request: Request) -> dict[str, Any]:
+def _result(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
     applied = done[0].case.applied
     model = applied.model
     values = done[0].case.values
+    place = simulate_cases.place(options)
     return {
         "model": model.name,
         "robot": done[0].case.metadata["robot"],
-        "params": None if request.place is None else str(request.place),
+        "params": None if place is None else str(place),
         "parameters": {
             p.name: float(v) for p, v in zip(model.parameters, values, strict=True) if not p.per_trial
         },

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +19,11 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.tied import Tied, groups_by_prefix
 from swimid.logs import trials as trials_format
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.fitted import Fitted, rows
@@ -29,66 +32,33 @@ from swimid.robots import file as robot_format
 from swimid.swimmer import fit_graybox_evidence, front
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.fit_graybox_evidence import body_of
-from swimid.swimmer.front import Found, Genetic
-from swimid.swimmer.planar.model import DEFAULT_STEP, prepare
+from swimid.swimmer.front import Found
+from swimid.swimmer.options import FitGrayboxOptions
+from swimid.swimmer.planar.model import prepare
 from swimid.swimmer.profiles import Profiles
 
-Method = Literal["least-squares", "nsga2", "hybrid"]
 
-
+@takes(FitGrayboxOptions)
 def fit_graybox(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
+    options: FitGrayboxOptions,
     output: Path | None = None,
-    fixed: Mapping[str, float] | None = None,
-    freed: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    share: Sequence[str] = (),
-    channels: Sequence[str] = (),
-    start_state: str = "auto",
-    begin: Path | None = None,
-    loss: output_error.Loss = "linear",
-    starts: int = 1,
-    seed: int = 0,
-    subset: bool = False,
-    readings: Mapping[str, str] | None = None,
-    max_step: float = DEFAULT_STEP,
-    method: Method = "least-squares",
-    options: Genetic = front.AS_PUBLISHED,
-    jobs: int | None = None,
     progress: Progress = silent,
 ) -> Fitted:
     """Identify the coefficients of a multi-link robot by output error over all trials at once.
 
+    Or by a Pareto front and a point chosen on it, or by output error that starts on the front. Of several
+    starts over the bounds the first is the given one. What a subset leaves out is fixed, least identifiable
+    first.
+
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment with a robot that has links.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
-    fixed, freed, bounds
-        The user's choices by parameter name.
-    share : sequence of str
-        Prefixes: all coefficients of such a prefix and a number get one value.
-    channels : sequence of str
-        Columns to fit; default the pose where logged, else velocities, and passive joints.
-    start_state : {"auto", "rest", "estimate"}
-    begin : path, optional
-        Parameter file whose values the search starts from.
-    loss : {"linear", "huber"}
-    starts, seed : int
-        Number of starts over the bounds, the first being the given one.
-    subset : bool
-        Fix what the trials cannot tell, least identifiable first, until all the rest is known.
-    readings : mapping, optional
-        Readings of the robot's source other than the file's.
-    max_step : float, s
-    method : {"least-squares", "nsga2", "hybrid"}
-        Output error; a Pareto front and a point chosen on it; output error that starts on the front.
-    options : Genetic
-        Of the front.
-    jobs : int, optional
-        Threads; default one per processor.
 
     Raises
     ------
@@ -100,18 +70,21 @@ def fit_graybox(
     """
     with recorded(repeat=True) as notices:
         experiment = swimmer.load(
-            trials_file, readings=readings, channels=channels, start_state=start_state, max_step=max_step
+            source,
+            readings=options.readings,
+            channels=options.channels,
+            start_state=options.start_state,
+            max_step=options.dt,
         )
         prepare(progress)
-        model = _tied(experiment.model, share)
-        parameters = model.parameters if begin is None else _begun(model.parameters, begin, share)
+        model, begin = _tied(experiment.model, options.share), options.start_from
         choices = fit_common.prepare(
             experiment,
             output,
-            parameters=parameters,
-            fixed=fixed,
-            freed=freed,
-            bounds=bounds,
+            parameters=model.parameters if begin is None else _begun(model.parameters, begin, options.share),
+            fixed=options.fixed,
+            freed=options.freed,
+            bounds=options.bounds,
             also=[begin] if isinstance(begin, Path) else [],
         )
         origin = provenance.collect(
@@ -119,53 +92,34 @@ def fit_graybox(
                 *experiment.inputs,
                 *(parameters_format.origin(p) for p in (begin, options.front) if p is not None),
             ],
-            settings={
-                "fixed": dict(fixed or {}),
-                "freed": list(freed),
-                "bounds": {k: list(v) for k, v in (bounds or {}).items()},
-                "share": list(share),
-                "channels": list(channels),
-                "start_state": start_state,
-                "loss": loss,
-                "starts": starts,
-                "seed": seed,
-                "subset": subset,
-                "readings": dict(readings or {}),
-                "max_step_s": max_step,
-                "method": method,
-                **(options.settings() if method != "least-squares" else {}),
-            },
+            settings=options.settings(),
         )
         found: Found | None = None
         stages: dict[str, FitResult | None] = {}
         ends: list[multistart.Start] = []
-        if method == "least-squares":
-            result, ends = _least_squares(
-                model, experiment.trials, choices, None, starts, seed, jobs, loss, progress
-            )
+        if options.method == "least-squares":
+            result, ends = _least_squares(model, experiment.trials, choices, None, options, progress)
         else:
             profiles = Profiles(
                 model, choices, experiment.trials, front.profiled(experiment.facts["profiles"], options),
-                scales=options.scales, band=options.band, jobs=jobs or os.cpu_count() or 1,
+                scales=options.scales, band=options.band, jobs=options.jobs or os.cpu_count() or 1,
             )  # fmt: skip
             keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
-            found = front.search(profiles, options, seed=seed, checkpoint=keep, progress=progress)
-            result = _picked(model, experiment.trials, choices, found, jobs)
-            stages = {front.UNTUNED: _untuned(model, experiment.trials, choices, profiles, jobs)}
+            found = front.search(profiles, options, checkpoint=keep, progress=progress)
+            result = _picked(model, experiment.trials, choices, found, options.jobs)
+            stages = {front.UNTUNED: _untuned(model, experiment.trials, choices, profiles, options.jobs)}
             stages[front.CHOSEN] = start_states.with_held_out(result)
-            if method == "hybrid":
-                begins = found.begins(starts)
-                result, ends = _least_squares(
-                    model, experiment.trials, choices, begins, starts, seed, jobs, loss, progress
-                )
+            if options.method == "hybrid":
+                begins = found.begins(options.starts)
+                result, ends = _least_squares(model, experiment.trials, choices, begins, options, progress)
         left_out: list[str] = []
-        if subset and result.converged:
+        if options.subset and result.converged:
             result = _starting_here(result, experiment)
-            result, left_out = identifiability.select_subset(result, jobs=jobs, progress=progress)
+            result, left_out = identifiability.select_subset(result, jobs=options.jobs, progress=progress)
         result = start_states.with_held_out(result)
-        if method == "hybrid":
+        if options.method == "hybrid":
             stages[front.AFTER] = result
-        file = _file(experiment, result, origin, left_out, output, trials_file, readings, method)
+        file = _file(experiment, result, origin, left_out, output, source, options)
         checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
         if ends:
             checks.append(fit_graybox_evidence.starts_check(ends))
@@ -173,19 +127,19 @@ def fit_graybox(
             found.profiles.close()
     tables = fit_graybox_evidence.tables(experiment, result, ends)
     figures = [*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)]
-    methods = fit_graybox_evidence.methods(experiment, result, ends, left_out, method)
+    methods = fit_graybox_evidence.methods(experiment, result, ends, left_out, options.method)
     if found is not None:
         tables = [front.stages_table(found, stages), front.choices_table(found), *tables]
         figures = [*front.figures(found, stages), *figures]
-        methods = [*front.methods(found, options, method, seed), *methods]
+        methods = [*front.methods(found, options), *methods]
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=tables,
         figures=figures,
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=methods,
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -194,9 +148,11 @@ def fit_graybox(
     if found is not None and output is not None:
         outputs += front.save(output, found, options)
         keep.done()
-    if result.interrupted or 0 < len(ends) < starts:
+    if result.interrupted or 0 < len(ends) < options.starts:
         stopped = (
-            result.message if result.interrupted else f"interrupted after {len(ends)} of {starts} starts"
+            result.message
+            if result.interrupted
+            else f"interrupted after {len(ends)} of {options.starts} starts"
         )
         kept = f"the best point so far is in {output}" if output else "nothing was written"
         raise Interrupted(
@@ -205,7 +161,7 @@ def fit_graybox(
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
-        place = trials_format.place(trials_file)
+        place = trials_format.place(source)
         raise NoTrustworthyResult(
             f"the fit did not converge: {result.message}{kept}",
             hint="the model may lack an effect, which its coefficients cannot stand in for: "
@@ -225,21 +181,21 @@ def fit_graybox(
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
-            *_next(checks, trials_file, output),
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
+            *_next(checks, source, output),
         ]
     )
     return Fitted("fit-graybox", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
-def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | None) -> list[str]:
+def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Path | None) -> list[str]:
     """What to do about residuals that are more than noise."""
     if not any(
         c.verdict == "warn" and c.name.startswith(("white", "trials agree", "inside")) for c in checks
     ):
         return []
     params = f" --params {output}" if output else ""
-    listing = trials_format.place(trials_file)
+    listing = trials_format.place(source)
     return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
 
 
@@ -248,20 +204,17 @@ def _least_squares(
     trials: Sequence[Trial],
     parameters: tuple[Parameter, ...],
     begins: Sequence[Array] | None,
-    starts: int,
-    seed: int,
-    jobs: int | None,
-    loss: output_error.Loss,
+    options: FitGrayboxOptions,
     progress: Progress,
 ) -> tuple[FitResult, list[multistart.Start]]:
     """The output-error fit, and its starts where there were several."""
-    starts = max(starts, len(begins or []))
+    starts, jobs, loss = max(options.starts, len(begins or [])), options.jobs, options.loss
     if starts > 1:
         # where no start converges, what the first one comes to is told as that of a single one is
         with suppress(NoTrustworthyResult):
             return multistart.multistart(
                 model, trials, parameters,
-                starts=starts, seed=seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
+                starts=starts, seed=options.seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
             )  # fmt: skip
     begin = None if begins is None else begins[0]
     found = output_error.fit(
@@ -348,13 +301,12 @@ def _file(
     origin: dict[str, Any],
     left_out: list[str],
     output: Path | None,
-    trials_file: str | Path,
-    readings: Mapping[str, str] | None,
-    method: Method,
+    source: str | Path | TrialSet,
+    options: FitGrayboxOptions,
 ) -> ParameterFile:
     settings: dict[str, Any] = {}
-    if readings:
-        settings["readings"] = dict(readings)
+    if options.readings:
+        settings["readings"] = dict(options.readings)
     model = result.model
     if isinstance(model, Tied):
         settings["shared"] = {name: list(members) for name, members in model.groups.items()}
@@ -362,10 +314,12 @@ def _file(
         settings["fixed_as_unidentifiable"] = left_out
     file = fit_common.parameter_file(
         result,
-        robot=_robot_reference(experiment, trials_file, output),
+        robot=_robot_reference(experiment, source, output),
         provenance=origin,
         settings=settings,
-        method="point of a Pareto front" if method == "nsga2" else f"output error, {result.loss} loss",
+        method="point of a Pareto front"
+        if options.method == "nsga2"
+        else f"output error, {result.loss} loss",
         unfinished=True,
     )
     parameters = file.parameters
@@ -374,11 +328,11 @@ def _file(
     return file.model_copy(update={"parameters": parameters})
 
 
-def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Path | None) -> str:
+def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:
     """The robot as the parameter file names it: built in, or a path relative to that file."""
     assert experiment.robot_path is not None
     name, path = experiment.robot.name, experiment.robot_path.resolve()
     if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
         return name
-    folder = output.parent if output else trials_format.place(trials_file).parent
+    folder = output.parent if output else trials_format.place(source).parent
     return Path(os.path.relpath(path, folder.resolve())).as_posix()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer import front_table as front_format
 from swimid.swimmer.front_table import FrontFile
+from swimid.swimmer.options import FitGrayboxOptions
 from swimid.swimmer.profiles import Profiles
 
 #: How a point of the front is chosen, and what the rule is called.
@@ -30,55 +31,6 @@ RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 #: One profile for all trials.
 OVERALL = "all trials"
-
-
-@dataclass(frozen=True)
-class Genetic:
-    """How the front is searched and a point of it chosen.
-
-    Attributes
-    ----------
-    population, generations, crossover
-        As :func:`genetic.nsga2` takes them.
-    per_profile : bool
-        A front for each motion profile; else one for all trials together.
-    pick : str
-        A rule of :data:`RULES`, or the index of a point.
-    front : Path, optional
-        Choose from this file: no search.
-    resume : bool, optional
-        Insist on an unfinished search to go on with, or never go on with one; default: go on where there is
-        one.
-    scales : mapping of channel to float
-        What an error of a channel counts as one.
-    band : float
-        Share of the record by which time may be stretched.
-    """
-
-    population: int = genetic.POPULATION
-    generations: int = genetic.GENERATIONS
-    crossover: float = genetic.CROSSOVER
-    per_profile: bool = True
-    pick: str = "least-worst"
-    front: Path | None = None
-    resume: bool | None = None
-    scales: Mapping[str, float] = field(default_factory=dict)
-    band: float = warping.BAND
-
-    def settings(self) -> dict[str, Any]:
-        """What the front depends on, for the provenance."""
-        return {
-            "population": self.population,
-            "generations": self.generations,
-            "crossover": self.crossover,
-            "per_profile": self.per_profile,
-            "scales": dict(self.scales),
-            "band": self.band,
-        }
-
-
-#: As the paper did it.
-AS_PUBLISHED = Genetic()
 
 
 @dataclass(frozen=True)
@@ -117,12 +69,12 @@ class Found:
         return [self.profiles.theta(self.file.points[k]) for k in distinct[:wanted]]
 
 
-def profiled(known: Mapping[str, str], options: Genetic) -> dict[str, str]:
+def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, str]:
     """The motion profile of each trial."""
     return dict(known) if options.per_profile else dict.fromkeys(known, OVERALL)
 
 
-def kept(output: Path | None, belongs_to: Any, options: Genetic) -> Checkpoint:
+def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Checkpoint:
     """What an earlier search left beside the output.
 
     Raises
@@ -147,7 +99,7 @@ def kept(output: Path | None, belongs_to: Any, options: Genetic) -> Checkpoint:
 
 
 def search(
-    profiles: Profiles, options: Genetic, *, seed: int, checkpoint: Checkpoint, progress: Progress = silent
+    profiles: Profiles, options: FitGrayboxOptions, *, checkpoint: Checkpoint, progress: Progress = silent
 ) -> Found:
     """Search the fronts, or read them, and choose a point.
 
@@ -163,7 +115,7 @@ def search(
     if options.front is not None:
         file, searches = _read(options.front, profiles), {}
     else:
-        searches = _searched(profiles, options, seed, checkpoint, progress)
+        searches = _searched(profiles, options, checkpoint, progress)
         file = _joined(profiles, searches)
     rules = {name: rule(file.values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
@@ -174,7 +126,7 @@ def search(
 
 
 def _searched(
-    profiles: Profiles, options: Genetic, seed: int, checkpoint: Checkpoint, progress: Progress
+    profiles: Profiles, options: FitGrayboxOptions, checkpoint: Checkpoint, progress: Progress
 ) -> dict[str, Front]:
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
@@ -197,7 +149,7 @@ def _searched(
                     population=options.population,
                     generations=options.generations,
                     crossover=options.crossover,
-                    seed=seed + number,
+                    seed=options.seed + number,
                     first=profiles.start,
                     checkpoint=checkpoint,
                     name=name,
@@ -272,7 +224,7 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
     return int(pick)
 
 
-def save(output: Path, found: Found, options: Genetic) -> list[Path]:
+def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
     """Write the front beside the parameter file, unless it was read from there."""
     path = front_format.beside(output)
     if options.front is not None and options.front.resolve() == path.resolve():
@@ -417,7 +369,7 @@ def _history(found: Found) -> ev.Figure:
     )
 
 
-def methods(found: Found, options: Genetic, method: str, seed: int) -> list[str]:
+def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
     """How it was done, in sentences."""
     said = []
     if found.searches:
@@ -431,8 +383,8 @@ def methods(found: Found, options: Genetic, method: str, seed: int) -> list[str]
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {of} by NSGA-II "
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
-            f"crossover {options.crossover:g}, seed {seed}: {evaluations} points in all. Objectives are "
-            f"dynamic-time-warping distances ({', '.join(kinds)}), "
+            f"crossover {options.crossover:g}, seed {options.seed}: {evaluations} points in all. "
+            f"Objectives are dynamic-time-warping distances ({', '.join(kinds)}), "
             f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978; "
             "dtaidistance)."
         )
@@ -443,7 +395,7 @@ def methods(found: Found, options: Genetic, method: str, seed: int) -> list[str]
         + (f" (it is also that of the rule {rule})" if by == "by hand" and rule else "")
         + "."
     )
-    if method == "nsga2":
+    if options.method == "nsga2":
         said.append(
             "Standard errors are those of the model made linear at that point, what it misses counted as "
             "noise; the point is no least-squares optimum (--method hybrid goes on to one)."
@@ -453,7 +405,7 @@ def methods(found: Found, options: Genetic, method: str, seed: int) -> list[str]
     return said
 
 
-def summary(found: Found, options: Genetic, saved: Sequence[Path]) -> list[str]:
+def summary(found: Found, options: FitGrayboxOptions, saved: Sequence[Path]) -> list[str]:
     """The choice, for the terminal."""
     where = next((f" in {p}" for p in saved if p.name.endswith(".front.csv")), "")
     names = ", ".join(f"{rule} {k}" for rule, k in found.rules.items())

@@ -18,6 +18,7 @@ from swimid.fitting.model import Array, Channel, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
+from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly, Axis
 from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
@@ -25,7 +26,7 @@ from swimid.swimmer.polynomial import Polynomial
 from swimid.swimmer.tree import coefficients
 
 #: Largest integration step, s.
-DEFAULT_STEP = 0.005
+DEFAULT_STEP = STEP_S
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
 KEPT = 4
 #: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.

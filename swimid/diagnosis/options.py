@@ -1,0 +1,45 @@
+"""The options of ``diagnose``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from swimid.fitting import options as fits
+from swimid.options import Options, Source, option
+from swimid.simulation import options as simulations
+from swimid.swimmer import options as swimmers
+
+
+class DiagnoseOptions(Options):
+    """What ``diagnose`` can be told."""
+
+    params: Source = option(
+        None,
+        recorded=False,
+        help="Parameter file, of any model. Default: the values of the robot file.",
+    )
+    effects: tuple[str, ...] = option(
+        (),
+        separated=True,
+        metavar="A,B",
+        help="Try these effects of the catalogue only. Repeatable. Default: all that apply to the model.",
+    )
+    own_effects: tuple[Path, ...] = option(
+        (),
+        flag="--effect",
+        metavar="FILE",
+        help="Try the effects of this Python file as well. Repeatable.",
+    )
+    jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
+    seed: int = option(0, ge=0, help="Of the random draws behind thresholds and intervals.")
+    budget_s: float | None = option(
+        None,
+        gt=0,
+        metavar="S",
+        help="Stop trying further effects after this wall time, s. Default: no limit.",
+    )
+    max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
+    robot: str | None = simulations.robot()
+    readings: Mapping[str, str] = swimmers.readings()
+    dt: float = swimmers.step("max_step_s")
