@@ -1,4 +1,4 @@
-"""Water that moves to and fro: waves, and their reflections in a pool."""
+"""Oscillatory (orbital) flow: waves, and their reflections in a pool."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Waves(Effect):
 
     name = "waves"
     stage = "environment"
-    meaning = "water that moves to and fro: waves or their reflections"
+    meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
 
