@@ -257,11 +257,11 @@ def test_the_command_hands_over_what_was_asked(
     assert ran.status == 0, ran.err
     assert ran.out.startswith("tfish, free-swim")
     assert seen["effects"] == ("servo-lag", "current", "waves")
-    assert seen["own"] == (Path("mine.py"),)
-    assert (seen["most_causes"], seen["jobs"], seen["budget_s"], seen["seed"]) == (2, 2, 60.0, 7)
+    assert seen["own_effects"] == (Path("mine.py"),)
+    assert (seen["max_causes"], seen["jobs"], seen["budget_s"], seen["seed"]) == (2, 2, 60.0, 7)
     assert seen["readings"] == {"a": "b"}
-    assert seen["parameters"] == Path("p.yaml")
-    assert seen["max_step"] == 0.005
+    assert seen["params"] == Path("p.yaml")
+    assert seen["dt"] == 0.005
     assert swimid("diagnose", "t.yaml", "--params", "p.yaml", "--json").json["result"] == {
         "verdict": "explained"
     }
