@@ -78,7 +78,7 @@ def rwls(
         _warn(m)
     settings = _settings(m)
     block = provenance.collect(
-        data.files, settings={**settings, "validate": [str(v) for v in options.held_out]}
+        data.files, settings={**settings, "validate": [_name(v) for v in options.held_out]}
     )
     file = _parameter_file(m, settings, block)
     shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))

@@ -20,6 +20,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import digests_of
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -35,7 +36,7 @@ LOGS = (".csv", ".parquet")
 
 @takes(DiagnoseOptions)
 def diagnose(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: DiagnoseOptions,
     output: Path | None = None,
@@ -48,7 +49,8 @@ def diagnose(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Trials of any experiment.
     output : path, optional
         Gap file to write; its evidence goes beside it.
@@ -62,7 +64,7 @@ def diagnose(
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(
-            trials_file,
+            source,
             options.params,
             robot=options.robot,
             readings=dict(options.readings),

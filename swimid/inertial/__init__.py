@@ -4,9 +4,9 @@
 each); ``rest``, ``attitude``, ``mounting``, ``strapdown``, ``errorstate``, ``aiding`` and ``smoother`` make
 the path of a unit by itself (``alone``) or beside another log (``fusion``, with ``clock`` and
 ``alignment``); ``motion`` is that path at the body's reference point, ``oscillation`` the motion within a
-stroke, ``paper`` the long-fin paper's way. ``trust`` and ``plausible`` judge. The verb is ``track_imu``:
-``inputs`` and ``settings`` are what it is given, ``run`` what it finds, ``checks``, ``evidence`` and
-``figures`` what it tells.
+stroke, ``paper`` the long-fin paper's way. ``trust`` and ``plausible`` judge. The verb is ``track_imu``: its
+``settings`` and ``inputs``, the ``run`` with all that was found, and how that is told (``evidence``,
+``checks``, ``figures``).
 
 Frames
 ------

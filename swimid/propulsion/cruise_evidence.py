@@ -66,7 +66,7 @@ def tables(
     """Fins, runs, offsets, and the fit with and without the departures."""
     fins: list[dict[str, blocks.Cell]] = []
     for t in experiment.trials:
-        fin, inertia = experiment.robot.fins[t.id], t.settings.get("inertia_kg_m2")
+        fin, inertia = experiment.robot.fins[t.id], t.cruise.inertia_kg_m2
         fins.append(
             {
                 "fin": t.id,

@@ -7,6 +7,7 @@ from pathlib import Path
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -20,7 +21,7 @@ from swimid.results.fitted import Fitted, rows
 
 @takes(FitPropulsionOptions)
 def fit_propulsion(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitPropulsionOptions,
     output: Path | None = None,
@@ -34,7 +35,8 @@ def fit_propulsion(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         A cruise experiment (recoil law, boxfish paper Eqs 3-6, 25-27), or straight free-swim
         trials (beat-averaged surge: thrust by a power of amplitude, quadratic drag).
     output : path, optional
@@ -48,7 +50,7 @@ def fit_propulsion(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = experiment_module.load(trials_file, drag=options.drag)
+        experiment = experiment_module.load(source, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         if experiment.name == "cruise":

@@ -130,7 +130,7 @@ def fit(
 
 def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> dict[str, Estimate]:
     """The amplitude exponent of thrust set free, where several amplitudes were driven."""
-    amplitudes = {round(t.settings["amplitude_rad"], 6) for t in experiment.trials if t.role == "fit"}
+    amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     if len(amplitudes) < 2:
         return {}
     name = "amplitude_exponent"

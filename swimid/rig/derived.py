@@ -34,7 +34,7 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     if experiment.name == "falling-weight":
         for trial in trials:
 
-            def terminal(c: Mapping[str, float], force: float = trial.settings["force"]) -> float:
+            def terminal(c: Mapping[str, float], force: float = trial.rig.pull) -> float:
                 return _terminal_speed(c, force)
 
             _add(found, f"terminal_speed[{trial.id}]", estimate(result, trial, terminal, "m/s"))
@@ -62,7 +62,7 @@ def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> 
     """
 
     def at(values: Array) -> float:
-        return quantity(result.model.coefficients(values, trial.settings))  # type: ignore[attr-defined]
+        return quantity(result.model.coefficients(values, trial.rig))  # type: ignore[attr-defined]
 
     values = result.values(trial.id)
     centre = at(values)
@@ -141,15 +141,12 @@ def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, 
         return theory.most_added_mass_in_box(*box, along=along), "a body in its box"
     if name == "added_inertia":
         return None
-    settings = [t.settings for t in result.trials]
+    known = [t.rig for t in result.trials]
     # a body that a net force drives without a pulley may be lighter than the fluid: the force is its lift
-    displaced = max(
-        float(s["inertia"]) + (0.0 if s.get("pulley", True) else s.get("force", 0.0) / fluid.gravity_m_s2)
-        for s in settings
-    )
+    displaced = max(k.inertia + (0.0 if k.pulley else k.pull / fluid.gravity_m_s2) for k in known)
     if displaced <= 0:
         return None
-    area = max(2.0 * float(s.get("area_factor", 0.0)) / density for s in settings) if along else 0.0
+    area = max(2.0 * k.area_factor / density for k in known) if along else 0.0
     return theory.most_added_mass(displaced, area or None, density), "a body of its mass"
 
 

@@ -14,6 +14,7 @@ from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.fitting.profile import profile_interval
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -30,7 +31,7 @@ from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd
 
 @takes(FitDragOptions)
 def fit_drag(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitDragOptions,
     output: Path | None = None,
@@ -43,7 +44,8 @@ def fit_drag(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
 
@@ -55,7 +57,7 @@ def fit_drag(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(trials_file, coordinate=options.coordinate)
+        experiment = rig_experiment.load(source, coordinate=options.coordinate)
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
@@ -163,7 +165,7 @@ def _two_point(
 ) -> two_point.TwoPointResult | None:
     """The paper's method, where it applies; raises only when it was asked for."""
     body, rig = experiment.robot.body, experiment.robot.rig
-    pulled = [t for t in experiment.trials if t.settings.get("pulley") and t.role == "fit"]
+    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
     reason = None
     if experiment.name != "falling-weight" or len(pulled) < 3:
         reason = "it needs a falling-weight experiment with at least three pulling masses"
@@ -179,9 +181,9 @@ def _two_point(
             [
                 two_point.Drop(
                     t.id,
-                    t.settings["force"] / gravity,
-                    t.time_s - t.settings["release_s"],
-                    t.measured["x_m"] - t.settings["x0"],
+                    t.rig.pull / gravity,
+                    t.time_s - t.rig.begin_s,
+                    t.measured["x_m"] - t.rig.x0,
                 )
                 for t in pulled
             ],

@@ -18,6 +18,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -97,7 +98,7 @@ class Study:
 
 @takes(SensitivityOptions)
 def sensitivity(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: SensitivityOptions,
     output: Path | None = None,
@@ -110,7 +111,8 @@ def sensitivity(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment.
     output : Path, optional
         Sensitivity file to write; its evidence goes beside it.
@@ -127,7 +129,7 @@ def sensitivity(
     if method == "none" and not sweep:
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
-        experiment, applied = _loaded(trials_file, options)
+        experiment, applied = _loaded(source, options)
         model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
@@ -198,15 +200,15 @@ def sensitivity(
     return Sensitivity("sensitivity", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
-def _loaded(trials_file: str | Path, options: SensitivityOptions) -> tuple[Experiment, Applied]:
+def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
     chosen, readings = dict(options.chosen), dict(options.readings)
     if options.params is None:
         if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(trials_file, readings=readings, max_step=options.dt)
+        experiment = swimmer.load(source, readings=readings, max_step=options.dt)
         return experiment, Applied(experiment.model, chosen=chosen)
     loaded = catalogue.load(
-        trials_file,
+        source,
         options.params,
         robot=options.robot,
         chosen=chosen,

@@ -13,6 +13,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.fitting.experiment import Experiment
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -40,7 +41,7 @@ GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 @takes(CompareOptions)
 def compare(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: CompareOptions,
     output: Path | None = None,
@@ -54,7 +55,8 @@ def compare(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
 
@@ -67,7 +69,7 @@ def compare(
     """
     with recorded(repeat=True) as notices:
         loaded = catalogue.load(
-            trials_file,
+            source,
             options.params,
             robot=options.robot,
             chosen=dict(options.chosen),

@@ -132,7 +132,7 @@ def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.
 def _metrics_table(result: FitResult) -> ev.Table:
     rows: list[dict[str, blocks.Cell]] = []
     units = {c.name: c.unit for c in result.model.channels}
-    drives = {t.id: t.settings.get("beat") for t in result.trials}
+    drives = {t.id: t.swim.beat for t in result.trials}
     for s in result.series:
         score = metrics.score(s.measured, s.simulated)
         _, relative = metrics.peak_error(s.measured, s.simulated)
