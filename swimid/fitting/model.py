@@ -11,7 +11,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from swimid.fitting.swimmer import Swimmer
 
 Array = NDArray[np.float64]
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)
@@ -185,6 +187,8 @@ class Model(ABC):
     timed_runs: bool = False
     #: Its output may be missing by design, where the input is.
     has_gaps: bool = False
+    #: Parameters that share one value, by the name of that (:class:`swimid.fitting.tied.Tied`).
+    groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     #: A robot with links that moves in space, stroke by stroke, not in a plane.
     in_space: bool = False
 
@@ -302,6 +306,10 @@ class Model(ABC):
         """Start value of the first of these parameters that it has; 0 where it has none."""
         found = {p.name: p.start for p in self.parameters}
         return next((found[name] for name in names if name in found), 0.0)
+
+    def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
+        """What is known by parameter name or ``name[trial]``, each member of :attr:`groups` with its own."""
+        return dict(entries)
 
     def estimates(self, *names: str) -> bool:
         """Whether one of these parameters is free."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
 from swimid.errors import UsageError, nearest
-from swimid.fitting.model import Array, Model, Parameter, Trial
-
-Entry = TypeVar("Entry")
+from swimid.fitting.body import Body
+from swimid.fitting.model import Array, Entry, Model, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
 
 
 class Tied(Model):
@@ -60,6 +59,16 @@ class Tied(Model):
                 parameters.append(self._shared(name) if name in self.groups else parameter)
         self.parameters = tuple(parameters)
         self._places = np.array([places[owner.get(p.name, p.name)] for p in model.parameters], dtype=int)
+
+    @property
+    def body(self) -> Body | None:
+        """The links of the untied model."""
+        return self.model.body
+
+    @property
+    def swimmer(self) -> Swimmer | None:
+        """The untied model where it is a robot with links."""
+        return self.model.swimmer
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate with every member at its group's value (see :meth:`Model.simulate`)."""

@@ -308,7 +308,7 @@ def _file(
     if options.readings:
         settings["readings"] = dict(options.readings)
     model = result.model
-    if isinstance(model, Tied):
+    if model.groups:
         settings["shared"] = {name: list(members) for name, members in model.groups.items()}
     if left_out:
         settings["fixed_as_unidentifiable"] = left_out
@@ -322,10 +322,7 @@ def _file(
         else f"output error, {result.loss} loss",
         unfinished=True,
     )
-    parameters = file.parameters
-    if isinstance(model, Tied):
-        parameters = model.expanded(parameters)
-    return file.model_copy(update={"parameters": parameters})
+    return file.model_copy(update={"parameters": model.expanded(file.parameters)})
 
 
 def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 from swimid.fitting import identifiability, metrics, multistart
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
-from swimid.fitting.tied import Tied
 from swimid.logs.beat import find_beat
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -18,7 +17,7 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
 from swimid.swimmer.planar.drive import Beat as Drive
-from swimid.swimmer.planar.model import DEFAULT_STEP, PLANES
+from swimid.swimmer.planar.model import PLANES
 
 #: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
 BEAT_HARMONICS = 3.5
@@ -188,13 +187,14 @@ def methods(
     names = [label for label in result.labels if "[" not in label]
     body = body_of(experiment.robot)
     kind = "planar model" if isinstance(body, Multilink) else "model in space"
-    model = result.model.model if isinstance(result.model, Tied) else result.model
+    swimmer = result.model.swimmer
+    assert swimmer is not None
     by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
     said = [
         f"{', '.join(names)} were estimated from {len(fitted)} {experiment.name} trials ({result.samples} "
         f"samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
-        f"{1e3 * getattr(model, 'max_step', DEFAULT_STEP):g} ms; halving them changes no sample by more than "
+        f"{1e3 * swimmer.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
