@@ -260,6 +260,8 @@ def _warn(m: Material, notes: list[str]) -> None:
             "one of them is no rest of the body, or the sensor is worse than stated",
         )
     stated = stated_frequency(m)
+    if m.stroke is not None and stated is None and m.stroke.doubt:
+        warn("SWM033", f"{name}: {m.stroke.doubt}")
     if m.stroke is not None and stated is not None and contradicts(m.stroke, stated):
         low, high = m.stroke.interval_hz
         warn(

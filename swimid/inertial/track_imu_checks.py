@@ -198,6 +198,7 @@ def _stroke_check(m: Material) -> list[ev.Check]:
         return []
     beat, stated = m.stroke.beat, stated_frequency(m)
     wrong = stated is not None and contradicts(m.stroke, stated)
+    doubt = m.stroke.doubt if stated is None else ""
     harmonics = ", ".join(f"{h.order}×: {h.amplitude:.3g}" for h in m.stroke.harmonics)
     return [
         ev.Check(
@@ -205,6 +206,7 @@ def _stroke_check(m: Material) -> list[ev.Check]:
             value=f"{beat.frequency_hz:.4f} ± {BAND * beat.stderr_hz:.4f} Hz in "
             f"{m.stroke.channel}; harmonics {harmonics}",
             limit="" if stated is None else f"metadata: {stated:g} Hz",
-            verdict="info" if stated is None else "warn" if wrong else "pass",
+            verdict="warn" if wrong or doubt else "info" if stated is None else "pass",
+            text=doubt,
         )
     ]

@@ -135,6 +135,19 @@ def _checks(found: Imported) -> list[Check]:
                 text="with fewer the path between samples is not known, and its speed too low",
             )
         )
+    if found.stroke is not None:
+        checks.append(
+            Check(
+                name="One stroke",
+                value=" against ".join(
+                    f"{beat.frequency_hz:.4g} Hz"
+                    for beat in (found.stroke.beat, *found.stroke.rivals.values())
+                ),
+                limit="no channel beats at another",
+                verdict="warn" if found.stroke.doubt else "pass",
+                text=found.stroke.doubt or "multiples of it counted in",
+            )
+        )
     if found.stroke is not None and "frequency_hz" in found.metadata:
         checks.append(
             Check(
@@ -327,8 +340,9 @@ def summary(found: Imported, machine: dict[str, Any]) -> str:
             f"{numbers.number(found.projection.extent, 3, found.unit)} long; "
             f"rms distance from it {numbers.number(found.projection.across, 3, found.unit)}"
         )
-    if found.against:
-        lines.append(f"  BEWARE  {found.against}")
+    for against in (found.against, stroke.doubt if stroke is not None else ""):
+        if against:
+            lines.append(f"  BEWARE  {against}")
     level = machine["verdict"]["level"].upper()
     return "\n".join([*lines, f"{level}: {machine['verdict']['text']}"])
 

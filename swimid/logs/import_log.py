@@ -254,6 +254,8 @@ def examine(source: MappedLog, *, clean: bool | None = None, request: Request | 
     for doubt in doubts:
         warn("SWM002", f"{source.path.name}, '{doubt.column}': {doubt.text}")
     against = _contradiction(stroke, stated, source.path.name)
+    if stroke is not None and stroke.doubt:
+        warn("SWM033", f"{source.path.name}: {stroke.doubt}")
     line = import_prepare.along(columns, request, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
@@ -434,6 +436,7 @@ def facts(found: Imported, record: evidence.Evidence) -> dict[str, Any]:
                 {"order": h.order, "amplitude": h.amplitude, "stderr": h.stderr} for h in stroke.harmonics
             ],
             "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
             "contradiction": found.against,
         },
         "line": None

@@ -113,6 +113,7 @@ def _track(
     result = pose.build(track, rules, ground)
     found_checks = checks.run(track, result, rules, run.kept)
     swum = track_video_figures.find(result, window_s)
+    found_checks += track_video_figures.stroke_check(swum)
     count, total = int(result.measured.sum()), len(result.times)
 
     columns = pose.columns(result, track, rules)

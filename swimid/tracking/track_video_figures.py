@@ -11,8 +11,9 @@ from swimid.errors import UsageError
 from swimid.logs import swimming
 from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
+from swimid.notices import warn
 from swimid.results import numbers
-from swimid.results.evidence import Figure, Mark, Table
+from swimid.results.evidence import Check, Figure, Mark, Table
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 from swimid.tracking.setup import Setup
 
@@ -77,6 +78,23 @@ def find(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
         angle_error=math.sqrt(2) * error / max(apart, 1e-12),
     )
     return swimming.figures(track, window_s)
+
+
+def stroke_check(found: Swimming) -> list[Check]:
+    """Whether the channels of the track agree on one stroke; warns where they do not."""
+    if found.stroke is None:
+        return []
+    if found.doubt:
+        warn("SWM033", found.doubt)
+    return [
+        Check(
+            name="One stroke",
+            value=f"{found.stroke.frequency_hz:.4g} Hz{', doubted' if found.doubt else ''}",
+            limit="heading and path agree",
+            verdict="warn" if found.doubt else "pass",
+            text=found.doubt or "Multiples of it counted in.",
+        )
+    ]
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[tuple[str, str, Estimate | None, str]]:
