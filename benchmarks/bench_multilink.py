@@ -49,6 +49,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from swimid.fitting import output_error
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Parameter, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import trials as swimmer_trials
@@ -382,7 +383,7 @@ def section_engine(plant: Engine) -> None:
     print(f"{'tables from one parameter set':<38}{'':9}{seconds / 200 * 1e3:9.3f}")
     seconds, _ = cpu(lambda: plant.inputs(DEFAULT_CUT))
     print(f"{'joint table, once per trial':<38}{'':9}{1e3 * seconds:9.2f}")
-    trial = Trial("run", "fit", TIME, {}, settings={"beat": BEAT})
+    trial = Trial("run", "fit", TIME, {}, swim=SwimInput(BEAT))
     varied = iter(range(10**6))
 
     def simulate() -> None:
@@ -582,7 +583,7 @@ def scipy_fit(
         )
 
     def slow(values: np.ndarray, trial: Trial) -> Pair:
-        return Peer(plant, values, trial.settings["beat"]).solve("LSODA", 1e-6, TIME)[0]
+        return Peer(plant, values, trial.swim.beat).solve("LSODA", 1e-6, TIME)[0]
 
     def quick(values: np.ndarray, trial: Trial) -> Pair:
         found = plant.model.simulate(values, trial)

@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from swimid.fitting import output_error
+from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Trial
 from swimid.rig import model as rig
 
@@ -31,11 +32,8 @@ def drops() -> list[Trial]:
     made = []
     for mass in np.linspace(0.010, 0.040, 10):
         x = solve(TRUTH, mass, 1e-10) + rng.normal(0.0, 1e-3, len(TIME))
-        settings = {
-            "inertia": 1.196 + 0.02 + mass, "area_factor": AREA_FACTOR, "force": mass * 9.8,
-            "pulley": True, "release_s": 0.0, "x0": 0.0, "mass": mass,
-        }  # fmt: skip
-        made.append(Trial(f"{1000 * mass:.1f} g", "fit", TIME, {"x_m": x}, settings=settings))
+        known = RigInput(1.196 + 0.02 + mass, mass * 9.8, pulley=True, area_factor=AREA_FACTOR, release_s=0.0)
+        made.append(Trial(f"{1000 * mass:.1f} g", "fit", TIME, {"x_m": x}, rig=known))
     return made
 
 
@@ -51,7 +49,7 @@ def solve(values: tuple[float, float, float] | np.ndarray, mass: float, toleranc
 
 def scipy_fit(trials: list[Trial]) -> np.ndarray:
     def residuals(p: np.ndarray) -> np.ndarray:
-        return np.concatenate([t.measured["x_m"] - solve(p, t.settings["mass"], 1e-8) for t in trials])
+        return np.concatenate([t.measured["x_m"] - solve(p, t.rig.pull / 9.8, 1e-8) for t in trials])
 
     start = [1.0, 0.6, 0.02]
     return least_squares(

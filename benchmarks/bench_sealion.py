@@ -27,6 +27,7 @@ import numpy as np
 
 from swimid.fitting import genetic
 from swimid.fitting.hooks import NONE
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.profiles import Profiles
@@ -66,11 +67,11 @@ def trials(model: MultibodyModel) -> list[Trial]:
     rng = np.random.default_rng(1)
     found = []
     for name in STROKES:
-        settings = {"stroke": Cycle(name, body.strokes[name], 1.0 / body.strokes[name].period_s)}
-        seen = model.simulate(values, Trial(name, "fit", clock, {}, settings=settings))
+        swim = SwimInput(stroke=Cycle(name, body.strokes[name], 1.0 / body.strokes[name].period_s))
+        seen = model.simulate(values, Trial(name, "fit", clock, {}, swim=swim))
         noise = {"x_m": 0.002, "z_m": 0.002, "pitch_rad": 0.0035}
         measured = {c: seen[c] + rng.normal(0.0, sd, len(clock)) for c, sd in noise.items()}
-        found.append(Trial(name, "fit", clock, measured, settings=settings))
+        found.append(Trial(name, "fit", clock, measured, swim=swim))
     return found
 
 

@@ -34,7 +34,7 @@ CODES: dict[str, str] = {
     "SWM023": "model order chosen with a reservation",
     "SWM024": "an effect that is not fitted would explain the residuals",
     "SWM025": "outliers",
-    "SWM026": "the search for the best fit crept",
+    "SWM026": "the search converged too slowly along an ill-conditioned valley",
     "SWM027": "points of a Pareto front left out",
     "SWM030": "measurement departs from the propulsion law",
     "SWM031": "free exponent disagrees with the law",

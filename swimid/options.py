@@ -205,7 +205,8 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
     """Give a function the options of a model as keyword arguments.
 
     The function itself takes them as one argument ``options``. Its signature shows each, its docstring
-    describes each, and one that does not exist is refused with the nearest that does.
+    describes each, and one that does not exist is refused with the nearest that does. Who has them as a model
+    already gives that: ``options=...``.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -216,6 +217,8 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
+            if isinstance(given.get("options"), options) and len(given) == 1:
+                return function(*args, **given, **mine)
             known = [*options.model_fields, *keywords]
             for name in given:
                 if name not in known:

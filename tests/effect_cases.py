@@ -10,6 +10,7 @@ import numpy as np
 
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
+from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
 from swimid.rig import model as rig
 from swimid.robots import file as robots
@@ -21,10 +22,10 @@ INERTIA, FORCE = 1.25, 0.2
 TIME = np.linspace(0.0, 4.0, 161)
 
 
-def weight_trial(**settings: Any) -> Trial:
+def weight_trial(**known: Any) -> Trial:
     """A falling weight, measured as a steady run."""
-    known = {"inertia": INERTIA, "area_factor": 0.0, "force": FORCE, "pulley": True, "release_s": 0.0}
-    return Trial("w", "fit", TIME, {"x_m": 0.2 * TIME}, settings={**known, **settings})
+    steady = RigInput(INERTIA, FORCE, pulley=True, release_s=0.0)
+    return Trial("w", "fit", TIME, {"x_m": 0.2 * TIME}, rig=replace(steady, **known))
 
 
 def weight_model(**values: float) -> rig.RigModel:
@@ -72,7 +73,7 @@ def swim(
     time = np.arange(0.0, duration_s, 0.025)
     beat = Beat("sine", frequency_hz, amplitude_rad)
     name = f"{frequency_hz} {amplitude_rad} {pose} {duration_s}"
-    trial = Trial(name, "fit", time, {}, settings={"beat": beat, "pose": pose})
+    trial = Trial(name, "fit", time, {}, swim=SwimInput(beat, pose=pose))
     return replace(trial, measured=model.simulate(start(model), trial))
 
 

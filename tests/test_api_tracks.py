@@ -14,10 +14,8 @@ import pytest
 
 from swimid.errors import InputError, UsageError
 from swimid.files import provenance, yamlio
-from swimid.inertial.settings import Settings
 from swimid.inertial.track_imu import track_imu
 from swimid.logs import log, mapping
-from swimid.logs.examine import Request
 from swimid.logs.guess_mapping import guess_mapping
 from swimid.logs.import_log import import_log
 from swimid.logs.log import Log
@@ -222,9 +220,8 @@ def test_a_foreign_unit_through_a_mapping_in_memory(vehicle: tuple[pd.DataFrame,
         "columns": [{"source": "ax", "target": "ax_m_s2"}] + [{"source": n, "target": n} for n in same_names],
         "metadata": {"frequency_hz": 1.0},
     }
-    paper = Settings(method="paper")
-    made = track_imu(foreign, map_path=rules, settings=paper)
-    plain = track_imu(readings, settings=paper)
+    made = track_imu(foreign, map_path=rules, method="paper")
+    plain = track_imu(readings, method="paper")
     np.testing.assert_allclose(made.log["x_m"], plain.log["x_m"], atol=1e-9)
     assert made.log.metadata["frequency_hz"] == 1.0
     assert made.evidence is not None
@@ -255,16 +252,16 @@ def camera() -> pd.DataFrame:
     return pd.read_csv(ROOT / "sample_logs" / "camera" / "polled.csv", sep=";")
 
 
-@pytest.mark.parametrize("request_", [Request(), Request(along="line", start_s=2.0)], ids=["whole", "along"])
+@pytest.mark.parametrize("asked", [{}, {"along": "line", "start_s": 2.0}], ids=["whole", "along"])
 def test_an_import_in_memory_is_the_import_on_disk(
-    camera: pd.DataFrame, request_: Request, swimid: Run, tmp_path: Path
+    camera: pd.DataFrame, asked: dict[str, Any], swimid: Run, tmp_path: Path
 ) -> None:
     source = ROOT / "sample_logs" / "camera" / "polled.csv"
     rules = ROOT / "docs" / "examples" / "camera.yaml"
     path = tmp_path / "run.csv"
-    options = ["--along", "line", "--start", 2.0] if request_.along else []
+    options = ["--along", "line", "--start", 2.0] if asked else []
     ran = swimid("import", source, "--map", rules, *options, "-o", path, "--json")
-    made = import_log(source, map_path=rules, request=request_)
+    made = import_log(source, map_path=rules, **asked)
     assert made.outputs == ()
     assert made.data == ran.json["result"]
     saved_alike(made, path, tmp_path / "saved")
@@ -272,7 +269,7 @@ def test_an_import_in_memory_is_the_import_on_disk(
     here = tmp_path / "polled.csv"
     swimid("import", source, "--map", rules, *options, "-o", here)
     same(made, here)
-    table = import_log(camera, map_path=yamlio.plain(yamlio.load(rules)), request=request_)
+    table = import_log(camera, map_path=yamlio.plain(yamlio.load(rules)), **asked)
     for name, values in made.log.columns.items():
         np.testing.assert_array_equal(table.log[name], values, err_msg=name)
     assert table.data | {"file": ""} == made.data | {"file": ""}
@@ -286,7 +283,7 @@ def test_a_table_is_not_changed(camera: pd.DataFrame) -> None:
     assert made.examined.cleaning is not None
     again = Log.from_frame(made.frame)
     kept = {name: values.copy() for name, values in again.columns.items()}
-    import_log(again, clean=True, request=Request(along="line"))
+    import_log(again, clean=True, along="line")
     for name, values in kept.items():
         np.testing.assert_array_equal(again[name], values)
 

@@ -164,7 +164,7 @@ def test_a_case_is_read_and_its_clean_channels_are_the_models(robot: str, tmp_pa
         values = np.array([p.start for p in model.parameters])
         for name, value in label["coefficients"].items():
             values[model.index(name)] = value
-        for name, value, at in zip(model.starts, hidden.start, one.settings["pose"], strict=True):
+        for name, value, at in zip(model.starts, hidden.start, one.swim.pose, strict=True):
             values[model.index(name)] = value - at
         hidden.amplitude = hidden.thrust = hidden.trim = hidden.late = 0.0
         clean = swimmers.swim(hidden, label["coefficients"])

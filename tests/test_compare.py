@@ -178,6 +178,23 @@ def test_rig_cruise_and_black_box_are_compared_too(swimid: Run, samples: Path, t
     assert free["trials"][1]["channels"]["u_m_s"]["vaf"] > 0.9
 
 
+def test_a_trials_own_friction_is_not_taken_for_a_start_state(
+    swimid: Run, samples: Path, tmp_path: Path
+) -> None:
+    """A drop the fit has not seen starts where it starts; its pulley's friction is the common one."""
+    trials = (samples / "rig" / "trials.yaml").read_text().replace("log: w", f"log: {samples}/rig/w")
+    fewer = "".join(line for line in trials.splitlines(keepends=True) if "w40" not in line)
+    (tmp_path / "trials.yaml").write_text(trials)
+    (tmp_path / "fewer.yaml").write_text(fewer)
+    drag = tmp_path / "drag.yaml"
+    swimid("fit-drag", tmp_path / "fewer.yaml", "--free", "friction_deviation", "-o", drag)
+    assert "friction_deviation[w35]" in parameters_format.read(drag).parameters
+    result = swimid("compare", tmp_path / "trials.yaml", "--params", drag, "--json").json["result"]
+    unseen = result["trials"][-1]
+    assert (unseen["id"], unseen["start"], unseen["start_values"]) == ("w40", "neutral", {})
+    assert unseen["channels"]["x_m"]["vaf"] > 0.99
+
+
 @pytest.mark.parametrize(
     "robot, columns, text",
     [

@@ -32,6 +32,7 @@ from swimid.diagnosis.lens import Lens, brief, coloured
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
+from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from tests.toy_models import Toy, parameter
@@ -44,8 +45,8 @@ def line(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
     return {"y": a * np.sin(t) + b * t + start, "v": a * np.cos(t) + b}
 
 
-def plain(k: int, **settings: object) -> Trial:
-    return Trial(f"t{k}", "fit", np.arange(5.0), {}, settings=settings)
+def plain(k: int, *, force: float) -> Trial:
+    return Trial(f"t{k}", "fit", np.arange(5.0), {}, rig=RigInput(force=force))
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def bench(rng: np.random.Generator) -> Bench:
         t = np.linspace(0.0, 4.0 + k, 60 + 5 * k)
         clean = line(np.array([1.0, 0.2, 0.1 * k]), t)
         found = {c: clean[c] + 0.05 * rng.normal(size=len(t)) for c in clean}
-        trials.append(Trial(f"t{k}", "fit", t, found, settings={"force": 1.0 + max(k, 1)}))
+        trials.append(Trial(f"t{k}", "fit", t, found, rig=RigInput(force=1.0 + max(k, 1))))
     return Bench(Toy(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
 
 
@@ -164,7 +165,7 @@ def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generato
     count, time = 60, np.linspace(0.0, 1.0, 200)
     noises = [0.2 * rng.normal(size=len(time)) for _ in range(count)]
     trials = [
-        Trial(f"t{k}", "fit", time, {"y": 3.0 * rng.normal() * time + noise}, settings={"force": 1.0 + k})
+        Trial(f"t{k}", "fit", time, {"y": 3.0 * rng.normal() * time + noise}, rig=RigInput(force=1.0 + k))
         for k, noise in enumerate(noises)
     ]
     bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
@@ -532,11 +533,11 @@ def test_a_resting_body_is_not_frozen(rng: np.random.Generator) -> None:
 # ---------------------------------------------------------------- where the gap is
 
 
-def _residual_map(series: list[np.ndarray], floor: float, **settings: list) -> places.Map:
+def _residual_map(series: list[np.ndarray], floor: float, **known: list) -> places.Map:
     """A map of given residuals, one channel."""
     time = np.linspace(0.0, 10.0, len(series[0]))
     trials = [
-        Trial(f"t{k}", "fit", time, {"y": s}, settings={n: v[k] for n, v in settings.items()})
+        Trial(f"t{k}", "fit", time, {"y": s}, **{n: v[k] for n, v in known.items()})
         for k, s in enumerate(series)
     ]
     problem = Problem(Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials)
@@ -545,7 +546,11 @@ def _residual_map(series: list[np.ndarray], floor: float, **settings: list) -> p
 
 
 def test_a_cell_is_residual_over_floor() -> None:
-    found = places.regimes(_residual_map([np.full(50, 0.1), np.full(50, 0.3)], 0.1, force=[1.0, 2.0]))
+    found = places.regimes(
+        _residual_map(
+            [np.full(50, 0.1), np.full(50, 0.3)], 0.1, rig=[RigInput(force=1.0), RigInput(force=2.0)]
+        )
+    )
     by = {c.label: c for c in found if c.kind == "force"}
     assert by["1 N"].ratio == pytest.approx(1.0)
     assert by["2 N"].ratio == pytest.approx(3.0)
@@ -577,7 +582,7 @@ def test_the_phase_of_the_stroke() -> None:
     for f in (1.0, 1.7):
         series.append(np.where((time * f) % 1.0 < 0.125, 0.5, 0.1))
         beats.append(SimpleNamespace(frequency_hz=f, amplitude_rad=0.3, bias_rad=0.0))
-    first, *others = places.phases(_residual_map(series, 0.1, beat=beats))
+    first, *others = places.phases(_residual_map(series, 0.1, swim=[SwimInput(b) for b in beats]))
     assert first.label == "0-45 deg"
     assert first.ratio == pytest.approx(5.0, rel=0.02)
     assert all(c.ratio == pytest.approx(1.0, abs=0.1) for c in others)
@@ -591,7 +596,7 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     time, n = np.linspace(0.0, 10.0, 2000), 2000
     shared = np.sin(time)
     trials = [
-        Trial(f"t{k}", "fit", time, {"y": shared + 0.1 * rng.normal(size=n)}, settings={"force": force})
+        Trial(f"t{k}", "fit", time, {"y": shared + 0.1 * rng.normal(size=n)}, rig=RigInput(force=force))
         for k, force in enumerate((1.0, 1.0, 1.0, 2.0, 3.0, 4.0))
     ]
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
@@ -680,7 +685,7 @@ def test_what_stood_in_for_two_effects_is_taken_back(rng: np.random.Generator) -
     for k in range(6):
         t = np.linspace(0.0, 5.0 + 0.3 * k, 200)
         y = np.exp(-t) + 1.0 * rise(t) + 1.4 * ring(t) + 0.02 * rng.normal(size=len(t))
-        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, settings={"force": 1.0 + k}))
+        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, rig=RigInput(force=1.0 + k)))
     effects = [Seen("rise", rise), Seen("ring", ring), Seen("both", both)]
     state = chain.run(model, model.parameters, trials, {"a": (1.0, 0.1)}, effects)
     assert {e.name for e in state.base.effects} == {"rise", "ring"}

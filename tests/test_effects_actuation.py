@@ -17,6 +17,7 @@ from swimid.effects.actuation import rate_limit as limit
 from swimid.effects.actuation import servo_lag as lag
 from swimid.effects.affected import Affected
 from swimid.fitting.hooks import Hooks, Stroke
+from swimid.fitting.inputs import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
@@ -53,7 +54,7 @@ def recoil():
         np.arange(5.0),
         {SPEED: np.full(5, 0.1)},
         inputs=inputs,
-        settings={"fin": "rect", "inertia_kg_m2": 1.27e-4, "middle": (2.5, 0.2), "rows": np.arange(5)},
+        cruise=CruiseInput(fin="rect", inertia_kg_m2=1.27e-4, middle=(2.5, 0.2), rows=np.arange(5)),
         value_sd={SPEED: np.arange(1.0, 6.0)},
     )
     return model, trial
@@ -61,8 +62,8 @@ def recoil():
 
 def surge():
     model = SurgeModel(amplitudes_rad=[0.2, 0.35], frequencies_hz=[1.0, 2.0], speed_m_s=0.2)
-    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.5, "start_s": 0.3}
-    return model, Trial("s", "fit", 0.3 + np.arange(12) / 1.5, {"u_m_s": np.full(12, 0.1)}, settings=settings)
+    surge = SurgeInput(amplitude_rad=0.3, frequency_hz=1.5, start_s=0.3)
+    return model, Trial("s", "fit", 0.3 + np.arange(12) / 1.5, {"u_m_s": np.full(12, 0.1)}, surge=surge)
 
 
 def black_box(source=None):
@@ -79,8 +80,8 @@ def black_box(source=None):
 def fish():
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(0.0, 2.51, 0.04)
-    settings = {"beat": drive.Beat("sine", 1.5, 0.35), "pose": (0.3, -0.2, 0.5)}
-    return model, Trial("f", "fit", time, dict.fromkeys(model.plane.pose, time), settings=settings)
+    swim = SwimInput(drive.Beat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
+    return model, Trial("f", "fit", time, dict.fromkeys(model.plane.pose, time), swim=swim)
 
 
 def starts(model):
@@ -189,7 +190,7 @@ class TestFish:
     def told(self, fish, time):
         model, trial = fish
         gains = [a.joint.driven.gain for a in model.assembly.driven]
-        return np.outer(gains, trial.settings["beat"].motion(time)[0])
+        return np.outer(gains, trial.swim.beat.motion(time)[0])
 
     def test_loss_of_every_joint(self, fish):
         np.testing.assert_allclose(
@@ -210,9 +211,9 @@ class TestFish:
     def test_measured_joints_are_past_the_actuator(self, fish):
         model, trial = fish
         joints = [lambda t: (np.sin(t), np.cos(t), -np.sin(t))] * 3
-        settings = {"joints": joints, "pose": (0, 0, 0)}
-        measured = replace(trial, settings=settings)
-        told = replace(trial, settings=settings | {"commanded": True})
+        swim = SwimInput(joints=joints, pose=(0, 0, 0))
+        measured = replace(trial, swim=swim)
+        told = replace(trial, swim=replace(swim, commanded=True))
         for effect in EFFECTS:
             assert not effect.variants(model, [measured])
             assert effect.variants(model, [told])
@@ -412,4 +413,4 @@ class TestAverageModels:
         for k, run in enumerate(apart):
             assert model.simulate(starts(model), run)[SPEED] == pytest.approx([whole[k]], rel=1e-15)
             assert run.value_sd[SPEED] == [k + 1]
-            assert run.settings["rows"] == [k]
+            assert run.cruise.rows == [k]

@@ -16,6 +16,7 @@ from swimid.effects.environment.tether import Tether, pull_back
 from swimid.effects.environment.wall import Wall, push_off
 from swimid.effects.environment.waves import Waves, lines
 from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
@@ -62,7 +63,7 @@ def test_null_and_tries_of_rigs(effect: Effect) -> None:
 @pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
 def test_nothing_flows_past_an_angle(effect: Effect) -> None:
     model = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
-    trial = Trial("d", "fit", TIME, {"roll_rad": np.cos(TIME)}, settings={"inertia": 0.01, "x0": 0.3})
+    trial = Trial("d", "fit", TIME, {"roll_rad": np.cos(TIME)}, rig=RigInput(inertia=0.01, x0=0.3))
     assert not effect.variants(model, [trial])
 
 
@@ -103,8 +104,8 @@ def test_current_carries_a_cruise() -> None:
     model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
     inputs = {name: np.full(2, v) for name, v in (("frequency_hz", 2.0), ("amplitude_rad", 0.4))}
     inputs["distance_m"] = np.array([0.5, 1.0])
-    settings = {"fin": "a", "inertia_kg_m2": 1e-4, "middle": (2.0, 0.4)}
-    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, settings=settings)
+    cruise = CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.0, 0.4))
+    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, cruise=cruise)
     plain = model.simulate(start(model), trial)["mean_speed_m_s"]
     seen = acted(model, trial, [(Current(), 0.02)])["mean_speed_m_s"]
     np.testing.assert_allclose(seen, plain + 0.02, rtol=1e-12)
@@ -118,8 +119,8 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
         track = 0.2 * time + 0.01 * time**2 + 0.02 * np.sin(2 * np.pi * beat * time)
         track += 0.004 * np.cos(2 * np.pi * 0.63 * time + rng.uniform(0, 6))
         track += 1e-3 * rng.standard_normal(len(time))
-        settings = {"beat": Beat("sine", beat, 0.3)}
-        trials.append(Trial(str(beat), "fit", time, {"x_m": track}, settings=settings))
+        swim = SwimInput(Beat("sine", beat, 0.3))
+        trials.append(Trial(str(beat), "fit", time, {"x_m": track}, swim=swim))
     model = Toy(lambda values, time: {"x_m": np.full(len(time), 0.2)}, (), ("x_m",))
     assert lines(model, trials, "x")[0] == pytest.approx(0.63, abs=0.05)
     assert lines(model, trials, "y") == ()

@@ -16,6 +16,7 @@ from swimid.effects.fluid.linear_drag import LinearDrag
 from swimid.effects.fluid.quadratic_drag import QuadraticDrag
 from swimid.effects.fluid.wake_lift import WakeLift
 from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
@@ -75,8 +76,8 @@ def test_linear_drag_of_a_cruise_takes_its_share_of_the_power() -> None:
         "amplitude_rad": np.array([0.4, 0.4]),
         "distance_m": np.full(2, 1e4),
     }
-    settings = {"fin": "a", "inertia_kg_m2": 1e-4, "middle": (2.5, 0.4)}
-    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, settings=settings)
+    cruise = CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.5, 0.4))
+    trial = Trial("a", "fit", np.arange(2.0), {}, inputs=inputs, cruise=cruise)
     free = model.simulate(start(model), trial)["mean_speed_m_s"]
     slow = acted(model, trial, [(LinearDrag(), 0.5)])["mean_speed_m_s"]
     np.testing.assert_allclose(2.4 * slow**3 + 0.5 * slow**2, 2.4 * free**3, rtol=2e-3)
@@ -85,8 +86,8 @@ def test_linear_drag_of_a_cruise_takes_its_share_of_the_power() -> None:
 def test_linear_drag_of_a_surge_model_is_per_mass() -> None:
     model = SurgeModel(amplitudes_rad=[0.3], frequencies_hz=[1.0], speed_m_s=0.3)
     time = np.linspace(0.0, 200.0, 400)
-    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.0, "start_s": 0.0}
-    trial = Trial("s", "fit", time, {"u_m_s": 0.3 + 0 * time}, settings=settings)
+    surge = SurgeInput(amplitude_rad=0.3, frequency_hz=1.0, start_s=0.0)
+    trial = Trial("s", "fit", time, {"u_m_s": 0.3 + 0 * time}, surge=surge)
     (own,) = LinearDrag().parameters(model, [trial])
     assert own.unit == "1/s"
     slow = acted(model, trial, [(LinearDrag(), 0.4)], thrust_acceleration=0.1, surge_drag=1.2)["u_m_s"][-1]
@@ -214,7 +215,7 @@ def test_quadratic_damping_of_a_decay_loses_as_much_as_it_must() -> None:
     )
     omega = np.sqrt(stiffness / inertia)
     time = 2 * np.pi / omega * np.arange(41)
-    trial = Trial("d", "fit", time, {"roll_rad": 0 * time}, settings={"inertia": inertia, "x0": amplitude})
+    trial = Trial("d", "fit", time, {"roll_rad": 0 * time}, rig=RigInput(inertia=inertia, x0=amplitude))
     (own,) = QuadraticDrag().parameters(model, [trial])
     assert own.unit == "N m s^2/rad^2"
     seen = acted(model, trial, [(QuadraticDrag(), c)])

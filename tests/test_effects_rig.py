@@ -13,6 +13,7 @@ from swimid.effects.rig.pulley_viscous import PulleyViscous
 from swimid.effects.rig.start_offset import StartOffset
 from swimid.effects.rig.string_stretch import StringStretch, oscillation
 from swimid.fitting.hooks import Hooks
+from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
@@ -122,7 +123,7 @@ def test_forced_kernel_is_the_nominal_one_in_still_water() -> None:
     np.testing.assert_allclose(forced["x_m"], plain["x_m"], atol=1e-10)
     decay = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
     values = start(decay, dry_friction=0.02)
-    trial = Trial("d", "fit", TIME, {}, settings={"inertia": 0.01, "x0": 0.3})
+    trial = Trial("d", "fit", TIME, {}, rig=RigInput(inertia=0.01, x0=0.3))
     plain, forced = decay.simulate(values, trial), decay.hooked(values, trial, Hooks(flow=(_still,)))
     np.testing.assert_array_equal(forced["roll_rad"], plain["roll_rad"])
 
@@ -136,8 +137,8 @@ def test_late_clock_shows_what_was() -> None:
 
 def test_late_clock_under_a_measured_force_delays_the_motion_not_the_force() -> None:
     model = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
-    settings = {"inertia": INERTIA, "area_factor": 0.0, "release_s": 0.0}
-    trial = Trial("t", "fit", TIME, {}, inputs={"force_N": 0.1 * TIME}, settings=settings)
+    known = RigInput(inertia=INERTIA, release_s=0.0)
+    trial = Trial("t", "fit", TIME, {}, inputs={"force_N": 0.1 * TIME}, rig=known)
     values = start(model, quadratic_drag=0.0, added_mass=0.0)
     late = model.hooked(values, trial, Hooks(clock_s=0.5))
     before = np.maximum(TIME - 0.5, 0.0)

@@ -20,6 +20,7 @@ from swimid.effects.sensing import (
     marker_offset,
     time_offset,
 )
+from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
 from swimid.rig import model as rig
@@ -44,7 +45,7 @@ def swimmer(name, *columns):
     time = np.arange(0.0, 1.61, 0.04)
     beat = drive.Beat("sine", 1.5, 0.35, bias_rad=0.1)
     measured = {n: np.zeros(len(time)) for n in columns or model.plane.pose}
-    return model, Trial("f", "fit", time, measured, settings={"beat": beat, "pose": POSE})
+    return model, Trial("f", "fit", time, measured, swim=SwimInput(beat, pose=POSE))
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +61,14 @@ def dolphin():
 def weight():
     model = rig.falling_weight(mass_kg=1.2, force_N=0.1, area_known=False, pulley=True)
     time = np.linspace(0.1, 5, 30)
-    settings = {"inertia": 1.3, "force": 0.1, "pulley": True, "release_s": 0.0, "x0": 0.25}
-    return model, Trial("w", "fit", time, {"x_m": time}, settings=settings)
+    known = RigInput(inertia=1.3, force=0.1, pulley=True, release_s=0.0, x0=0.25)
+    return model, Trial("w", "fit", time, {"x_m": time}, rig=known)
 
 
 def roll():
     model = rig.free_decay("roll_rad", inertia=1.0, stiffness=None, guess=4.0, amplitude=0.3)
     time = np.linspace(0, 5, 60)
-    return model, Trial("r", "fit", time, {"roll_rad": time}, settings={"inertia": 1.0, "x0": 0.3})
+    return model, Trial("r", "fit", time, {"roll_rad": time}, rig=RigInput(inertia=1.0, x0=0.3))
 
 
 def cruise():
@@ -77,14 +78,14 @@ def cruise():
         "amplitude_rad": np.full(3, 0.28),
         "distance_m": np.array([1.15, 1.15, 0.6]),
     }
-    settings = {"fin": "rect", "inertia_kg_m2": 1.27e-4, "middle": (2.5, 0.2)}
-    return model, Trial("rect", "fit", np.arange(3.0), {SPEED: np.full(3, 0.1)}, inputs, settings)
+    fin = CruiseInput(fin="rect", inertia_kg_m2=1.27e-4, middle=(2.5, 0.2))
+    return model, Trial("rect", "fit", np.arange(3.0), {SPEED: np.full(3, 0.1)}, inputs, cruise=fin)
 
 
 def surge():
     model = SurgeModel(amplitudes_rad=[0.3], frequencies_hz=[1.0], speed_m_s=0.2)
-    settings = {"amplitude_rad": 0.3, "frequency_hz": 1.0, "start_s": 0.0}
-    return model, Trial("s", "fit", np.arange(9.0), {"u_m_s": np.ones(9)}, settings=settings)
+    surge = SurgeInput(amplitude_rad=0.3, frequency_hz=1.0, start_s=0.0)
+    return model, Trial("s", "fit", np.arange(9.0), {"u_m_s": np.ones(9)}, surge=surge)
 
 
 def black_box(output):

@@ -16,6 +16,7 @@ from swimid.effects.structure.joint_locked import JointLocked
 from swimid.effects.structure.joint_stiffness import JointStiffness
 from swimid.effects.structure.water_ingress import WaterIngress
 from swimid.fitting.hooks import Stroke
+from swimid.fitting.inputs import CruiseInput, RigInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
@@ -69,8 +70,8 @@ def test_water_in_a_rig_weighs_and_in_a_cruise_delays() -> None:
     light, heavy = (RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=m, fins={"a": 1e-4}) for m in (1.9, 2.2))
     inputs = {name: np.full(3, v) for name, v in (("frequency_hz", 2.0), ("amplitude_rad", 0.4))}
     inputs["distance_m"] = np.array([0.5, 1.0, 2.0])
-    settings = {"fin": "a", "inertia_kg_m2": 1e-4, "middle": (2.0, 0.4)}
-    trial = Trial("a", "fit", np.arange(3.0), {}, inputs=inputs, settings=settings)
+    cruise = CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.0, 0.4))
+    trial = Trial("a", "fit", np.arange(3.0), {}, inputs=inputs, cruise=cruise)
     seen = acted(light, trial, [(WaterIngress(), 0.3)])
     expected = heavy.simulate(start(heavy), trial)
     np.testing.assert_allclose(seen["mean_speed_m_s"], expected["mean_speed_m_s"], rtol=1e-12)
@@ -114,7 +115,7 @@ def test_stiffer_joint() -> None:
 
 def test_stiffer_decay_swings_faster() -> None:
     model = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
-    trial = Trial("d", "fit", TIME, {}, settings={"inertia": 0.01, "x0": 0.3})
+    trial = Trial("d", "fit", TIME, {}, rig=RigInput(inertia=0.01, x0=0.3))
     still = {"quadratic_damping": 0.0, "linear_damping": 0.0}
     seen = acted(model, trial, [(JointStiffness(), 0.21)], **still)
     np.testing.assert_allclose(seen["roll_rad"], 0.3 * np.cos(11.0 * TIME), atol=2e-4)

@@ -15,6 +15,7 @@ import pytest
 from swimid.exporters.export import load
 from swimid.exporters.source import Source, about, central
 from swimid.files import yamlio
+from swimid.fitting.inputs import SwimInput
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
 from swimid.robots import file as robot
@@ -270,7 +271,7 @@ def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -
     twin = MultilinkModel(source.robot)
     values = np.array([p.start for p in twin.parameters])
     values[: len(source.values)] = source.values
-    truth = twin.simulate(values, Trial("t", "fit", time, {}, settings={"beat": beat}))["x_m"]
+    truth = twin.simulate(values, Trial("t", "fit", time, {}, swim=SwimInput(beat)))["x_m"]
     assert truth[-1] > 0.3
     # a critically damped servo of 20 Hz swings (f / f_n)^2 = 0.25 % less at 1 Hz and lags by
     # 2 f / f_n = 0.1 rad, 16 ms of 6 s; MuJoCo's integrator is of first order in its step of 2 ms

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.fitting import output_error
+from swimid.fitting.inputs import RigInput
 from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.fitting.model import Trial
 from swimid.fitting.profile import profile_interval
@@ -28,16 +29,15 @@ AREA_FACTOR = 0.5 * 997 * 0.00698
 STEP = 0.00785
 
 
-def _settings(weight: int) -> dict[str, object]:
+def _known(weight: int) -> RigInput:
     mass = weight / 1000
-    return {
-        "inertia": 1.196 + mass + 0.02,
-        "area_factor": AREA_FACTOR,
-        "force": mass * 9.8,
-        "pulley": True,
-        "release_s": 0.0,
-        "x0": 0.0,
-    }
+    return RigInput(
+        inertia=1.196 + mass + 0.02,
+        force=mass * 9.8,
+        pulley=True,
+        area_factor=AREA_FACTOR,
+        release_s=0.0,
+    )
 
 
 def _model() -> rig_model.RigModel:
@@ -315,7 +315,7 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
                 "fit",
                 record.time_s[use],
                 {"x_m": encoder.true_position(record, "floor")[use]},
-                settings=_settings(w),
+                rig=_known(w),
                 time_sd_s=record.time_sd_s,
                 stamps_uncertain=record.kind == "clicks",
             )
@@ -363,10 +363,7 @@ def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.n
     trials = _measure(clicks, "white", np.random.default_rng(2))
     agreed = output_error.fit(_model(), trials)
     # the third drop's weight was 5 % heavier than written down
-    odd = [
-        replace(t, settings={**t.settings, "force": t.settings["force"] / 1.05}) if t.id == "w20" else t
-        for t in trials
-    ]
+    odd = [replace(t, rig=replace(t.rig, force=t.rig.pull / 1.05)) if t.id == "w20" else t for t in trials]
     scattered = output_error.fit(_model(), odd)
     assert agreed.scatter == 1.0
     assert scattered.scatter > 2.0
@@ -380,11 +377,9 @@ def test_a_slow_drag_dominated_drop_cannot_tell_the_added_mass(rng: np.random.Ge
     inertia, drag, force = 0.05, 400.0, 1.0
     x = force and np.sqrt(force / drag) * t + rng.normal(0, 1e-3, len(t))
     model = rig_model.falling_weight(mass_kg=0.04, force_N=1.0, area_known=False, pulley=False)
-    settings = {"inertia": inertia, "force": force, "pulley": False, "release_s": 0.0, "x0": 0.0}
+    rig = RigInput(inertia=inertia, force=force, pulley=False, release_s=0.0, x0=0.0)
     parameters_ = tuple(replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters)
-    result = output_error.fit(
-        model, [Trial("a", "fit", t, {"x_m": x}, settings=settings)], parameters=parameters_
-    )
+    result = output_error.fit(model, [Trial("a", "fit", t, {"x_m": x}, rig=rig)], parameters=parameters_)
     assert result.status["added_mass"] in ("unidentifiable", "at-bound")
     assert result.status["quadratic_drag"] == "estimated"
 

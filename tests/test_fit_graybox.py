@@ -333,7 +333,7 @@ class TestLogs:
         path = swimmer.write_trials(tmp_path, "dolphin", [run], {}, 0, columns=columns, with_drive=False)
         experiment = swimmer_trials.load(path, start_state="rest")
         (trial,) = experiment.trials
-        still, moved = (motion(trial.time_s)[0] for motion in trial.settings["joints"])
+        still, moved = (motion(trial.time_s)[0] for motion in trial.swim.joints)
         assert not still.any()
         assert moved == pytest.approx(run.columns["joint2_rad"], abs=1e-6)
 
@@ -771,7 +771,7 @@ class TestPublishedFish:
                         c: trial.measured[c] + rng.normal(0, sd, trial.time_s.size) for c, sd in noise.items()
                     },
                     # the first sample, from which the start offsets count, has its noise too
-                    settings={**trial.settings, "pose": tuple(rng.normal(0, list(POSE.values())))},
+                    swim=replace(trial.swim, pose=tuple(rng.normal(0, list(POSE.values())))),
                 )
                 for trial in experiment.trials
             ]

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
+from swimid.fitting.inputs import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
@@ -282,8 +283,8 @@ def test_planar_robots_move_as_in_their_plane(name: str) -> None:
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    settings = {"beat": drive.Beat("sine", 1.2, 0.4, 0.1)}
-    motions = [joint_motion(axis, k, settings, half, 0.0) for k, axis in enumerate(planar.driven)]
+    swim = SwimInput(drive.Beat("sine", 1.2, 0.4, 0.1))
+    motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns
     flat = np.zeros(2 * n)

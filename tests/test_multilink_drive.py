@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots.file import Robot
 from swimid.swimmer.planar import drive
@@ -244,7 +245,7 @@ class TestServo:
         times = np.linspace(0.0, 10.0, 1001)
         values = np.array([p.start for p in model.parameters])
         beat = drive.Beat("sine", 1.5, 0.4)
-        found = model.simulate(values, Trial("run", "fit", times, {}, settings={"beat": beat}))["joint1_rad"]
+        found = model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))["joint1_rad"]
         s = 2j * math.pi * 1.5
         answer = self.OMEGA**2 / (s * s + 2 * self.DAMPING * self.OMEGA * s + self.OMEGA**2)
         expected = 0.4 * np.imag(answer * np.exp(s * times))
@@ -267,14 +268,14 @@ def _two_links(driven: dict[str, Any]) -> Robot:
 class TestInARobot:
     TIMES = np.linspace(0.0, 4.0, 401)
 
-    def run(self, model: MultilinkModel, settings: dict[str, Any], **given: float) -> dict[str, np.ndarray]:
+    def run(self, model: MultilinkModel, swim: SwimInput, **given: float) -> dict[str, np.ndarray]:
         values = np.array([given.get(p.name, p.start) for p in model.parameters])
-        return model.simulate(values, Trial("run", "fit", self.TIMES, {}, settings=settings))
+        return model.simulate(values, Trial("run", "fit", self.TIMES, {}, swim=swim))
 
     def test_share_lag_and_phase(self) -> None:
         model = MultilinkModel(_two_links({"gain": -0.5, "bias_gain": 0.25, "phase_lag_deg": 30.0}))
         beat = drive.Beat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
-        found = self.run(model, {"beat": beat}, drive_phase=0.4)["joint1_rad"]
+        found = self.run(model, SwimInput(beat), drive_phase=0.4)["joint1_rad"]
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
@@ -282,10 +283,10 @@ class TestInARobot:
         """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
         beat = drive.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
-        fine = self.run(MultilinkModel(robot, max_step=1e-4), {"beat": beat})
+        fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
         errors = []
         for step in (5e-3, 2.5e-3):
-            found = self.run(MultilinkModel(robot, max_step=step), {"beat": beat})
+            found = self.run(MultilinkModel(robot, max_step=step), SwimInput(beat))
             errors.append([np.abs(found[n] - fine[n]).max() for n in ("x_m", "y_m", "yaw_rad")])
         assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
 
@@ -293,15 +294,15 @@ class TestInARobot:
         """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
         model = MultilinkModel(_two_links({}))
         beat = drive.Beat("sine", 1.0, 0.5)
-        told = self.run(model, {"beat": beat})
+        told = self.run(model, SwimInput(beat))
         motion = drive.spline_motion(drive.measured(self.TIMES, told["joint1_rad"]))
-        seen = self.run(MultilinkModel(_two_links({})), {"joints": [motion]})
+        seen = self.run(MultilinkModel(_two_links({})), SwimInput(joints=[motion]))
         assert np.abs(told["yaw_rad"]).max() > 0.1
         for name in ("x_m", "y_m", "yaw_rad"):
             np.testing.assert_allclose(seen[name], told[name], atol=1e-4)
 
     def test_without_a_drive_it_stays(self) -> None:
-        found = self.run(MultilinkModel(_two_links({})), {})
+        found = self.run(MultilinkModel(_two_links({})), SwimInput())
         assert all((np.abs(v) < 1e-15).all() for v in found.values())
 
     def test_table(self) -> None:

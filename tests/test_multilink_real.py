@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.fitting import metrics, output_error, start_states
 from swimid.fitting.fit_result import FitResult
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial, chosen
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar.drive import Beat
@@ -47,7 +48,7 @@ def test_the_example_robots_move(name: str) -> None:
     _, model = swimmer.robot_model(str(EXAMPLES / f"{name}.yaml"))
     starts = {"initial_angle_hinge1": 0.2, "initial_angle_hinge2": 0.2}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
-    trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, settings={"beat": Beat("sine", 2.0, 0.3)})
+    trial = Trial("one", "fit", np.linspace(0.0, 4.0, 121), {}, swim=SwimInput(Beat("sine", 2.0, 0.3)))
     simulated = model.simulate(values, trial)
     assert all(np.isfinite(v).all() for v in simulated.values())
     if name == "msu-fish":
@@ -250,7 +251,7 @@ def turning(result: FitResult, role: str) -> Array:
     """Bias, measured and simulated mean yaw rate of each biased run, shape (runs, 3)."""
     rows = []
     for trial in result.trials:
-        bias = trial.settings["beat"].bias_rad
+        bias = trial.swim.beat.bias_rad
         if trial.role == role and bias != 0:
             (series,) = (s for s in result.series if (s.trial, s.channel) == (trial.id, "yaw_rate_rad_s"))
             late = steady(trial)
@@ -285,7 +286,7 @@ class TestFish:
             *(np.concatenate([getattr(s, w) for s in held_out]) for w in ("measured", "simulated"))
         )
         assert whole.nrmse < 0.12
-        beats = {t.id: t.settings["beat"].frequency_hz for t in fish.trials}
+        beats = {t.id: t.swim.beat.frequency_hz for t in fish.trials}
         rest = [beside_trend_and_beat(s.time_s, s.residual, beats[s.trial]) for s in held_out]
         assert whole.rmse < 1.25 * np.sqrt(np.mean(np.square(rest)))
         each = [metrics.score(s.measured, s.simulated).nrmse for s in held_out]
@@ -297,7 +298,7 @@ class TestFish:
         speeds = []
         for degrees in real_logs.AMPLITUDES_DEG:
             beat = Beat("sine", 2.0, np.radians(degrees))
-            trial = Trial(f"rest{degrees}", "fit", np.linspace(0.0, 10.0, 301), {}, settings={"beat": beat})
+            trial = Trial(f"rest{degrees}", "fit", np.linspace(0.0, 10.0, 301), {}, swim=SwimInput(beat))
             speeds.append(fish.model.simulate(values, trial)["u_m_s"][-30:].mean())
         assert 0.05 < speeds[0] < speeds[1] < speeds[2] < 0.4
 

@@ -324,7 +324,7 @@ def test_a_start_that_diverges_is_left_for_the_default_one(rng: np.random.Genera
     model = Toy(formula, (parameter("level", 1.0), own), ("y",))
     time = np.linspace(0.0, 4.0, 50)
     y = 1.0 * np.exp(-time) + 0.7 * time + 0.01 * rng.normal(size=50)
-    trial = Trial("t", "validate", time, {"y": y}, settings={"starts": {"rate": 50.0}})
+    trial = Trial("t", "validate", time, {"y": y}, starts={"rate": 50.0})
     found = start_states.estimate(model, model.parameters, trial, {"y": 0.01})
     # the slope's error is 0.01 over the root of the sum of squared times
     assert found["rate[t]"] == pytest.approx(0.7, abs=4 * 0.01 / np.sqrt(np.sum(time**2)))

@@ -93,7 +93,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
         assert error is not None
         assert abs(found.value(name) - true) < 4 * error, name
     # the log's first sample, from which the start is counted, has noise
-    first = experiment.trials[0].settings["x0"]
+    first = experiment.trials[0].rig.x0
     known = {**truth, "start_offset[slide.csv]": -first, "initial_speed[slide.csv]": 0.0}
     point = np.array([known[label] for label in found.labels])
     there = output_error.at(found.model, experiment.trials, point, parameters=choices)

@@ -3,6 +3,6 @@
 ``data`` and ``trials`` give records on one time grid, ``difference`` is the equation and its free run,
 ``model`` the same behind the model interface. ``arx`` regresses, ``armax`` searches the noise polynomial,
 ``recursive`` is recursive least squares, ``order`` chooses orders, ``working_point`` decides on means.
-``prediction`` and ``scores`` judge; ``rwls`` is the verb, with ``options``, ``material``, ``evidence`` and
-``figures``.
+``prediction`` predicts and judges; ``rwls`` is the verb, with ``options``, the ``identified`` model, its
+``evidence`` and ``figures``.
 """

@@ -3,47 +3,44 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Literal
+
+import numpy as np
 
 from swimid.blackbox import figures as rwls_figures
-from swimid.blackbox.material import Material
-from swimid.results import numbers
+from swimid.blackbox.identified import Identified
+from swimid.results import blocks, numbers
 from swimid.results.evidence import Check, Evidence, NoticeRecord, Table, Verdict
-
-if TYPE_CHECKING:
-    pass
+from swimid.results.parameters import ParameterFile
 
 PAPER = (
     "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
-    "with two "
-    "undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159"
+    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159"
 )
 BIERMAN = "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977."
 LJUNG_BOX = (
     "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
-    "297-303. "
-    "doi:10.1093/biomet/65.2.297"
+    "297-303. doi:10.1093/biomet/65.2.297"
 )
 
 
-def build(m: Material, *, notices: list[NoticeRecord]) -> Evidence:
+def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) -> Evidence:
     """Assemble the evidence."""
-    kind = "ARMAX" if m.found.orders.nc else "ARX"
     return Evidence(
         verb="rwls",
-        title=f"{kind} model, {m.columns[0]} to {m.columns[1]}",
+        title=f"{m.kind} model, {m.data.columns.source} to {m.data.columns.output}",
         verdict=_verdict(m),
         checks=_checks(m),
         tables=[_errors(m), _poles(m), *_orders(m)],
-        figures=rwls_figures.figures(m),
+        figures=rwls_figures.figures(m, file),
         notices=notices,
         methods=_methods(m),
         references=[PAPER, BIERMAN, LJUNG_BOX],
-        provenance=m.file.provenance,
+        provenance=file.provenance,
     )
 
 
-def _verdict(m: Material) -> Verdict:
+def _verdict(m: Identified) -> Verdict:
     unstable = any(p.unstable for p in m.poles)
     diverged = m.fit_scores.diverged or any(s.diverged for s in m.scores.values())
     held = [s.free_run.fit_percent for s in m.scores.values()]
@@ -67,7 +64,7 @@ def _verdict(m: Material) -> Verdict:
         reasons.append("it integrates, so that a free run drifts")
     if not m.tests.white.passed:
         reasons.append("its residuals are not white, so that the coefficients are biased")
-    if any(e.status == "unidentifiable" for e in m.file.parameters.values()):
+    if not np.isfinite(m.estimate.stderr).all():
         reasons.append("the data do not determine every coefficient")
     tail = f"; but {', and '.join(reasons)}" if reasons else ""
     return Verdict(
@@ -76,72 +73,70 @@ def _verdict(m: Material) -> Verdict:
     )
 
 
-def _checks(m: Material) -> list[Check]:
+def _checks(m: Identified) -> list[Check]:
     checks = []
-    largest = m.poles[0] if m.poles else None
-    if largest is not None:
-        verdict = "fail" if largest.unstable else "warn" if largest.integrating else "pass"
+    if m.poles:
+        largest = m.poles[0]
+        verdicts: dict[str, Literal["pass", "warn", "fail"]]
+        verdicts = {"stable": "pass", "integrating": "warn", "unstable": "fail"}
+        state = "unstable" if largest.unstable else "integrating" if largest.integrating else "stable"
         checks.append(
             Check(
                 name="largest pole",
                 value=f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
                 limit="below 1",
-                verdict=verdict,
-                text="unstable" if largest.unstable else "integrating" if largest.integrating else "stable",
+                verdict=verdicts[state],
+                text=state,
             )
         )
     for name, s in m.scores.items():
         fit = s.free_run.fit_percent
         checks.append(
-            Check(
-                name=f"free run, {name}",
-                value="diverges" if s.diverged else f"{fit:.1f} % fit",
-                limit="above 0 %, far above for a simulation model",
-                verdict="fail" if s.diverged or not fit > 0 else "pass",
+            blocks.check(
+                f"free run, {name}",
+                "diverges" if s.diverged else f"{fit:.1f} % fit",
+                "above 0 %, far above for a simulation model",
+                fit > 0 and not s.diverged,
+                otherwise="fail",
             )
         )
-    checks.append(
-        Check(
-            name="residuals white (Ljung-Box)",
-            value=f"p = {numbers.number(m.tests.white.p_value, 2)}",
-            limit="p ≥ 0.01",
-            verdict="pass" if m.tests.white.passed else "warn",
-            text="residuals at rounding level: nothing to test" if m.found.exact else "",
-        )
-    )
-    checks.append(
-        Check(
-            name="residuals independent of the input",
-            value=f"p = {numbers.number(m.tests.independent.p_value, 2)}",
-            limit="p ≥ 0.01",
-            verdict="pass" if m.tests.independent.passed or m.found.exact else "warn",
-        )
-    )
-    known = m.found.determined
-    checks.append(
-        Check(
-            name="input excites B",
-            value=f"{known.input_rank} of {m.found.orders.nb}",
-            limit="all",
-            verdict="pass" if known.input_rank >= m.found.orders.nb else "warn",
+    white, independent, known = m.tests.white, m.tests.independent, m.estimate.determined
+    rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
+    lost = m.estimate.data.possible - len(m.estimate.data)
+    return [
+        *checks,
+        blocks.check(
+            "residuals white (Ljung-Box)", _p(white.p_value), "p ≥ 0.01", white.passed, text=rounding
+        ),
+        blocks.check(
+            "residuals independent of the input",
+            _p(independent.p_value),
+            "p ≥ 0.01",
+            independent.passed or m.estimate.exact,
+        ),
+        blocks.check(
+            "input excites B",
+            f"{known.input_rank} of {m.estimate.orders.nb}",
+            "all",
+            known.input_rank >= m.estimate.orders.nb,
             text=f"condition number of the regression {known.condition:.2g}",
-        )
-    )
-    lost = m.found.data.possible - len(m.found.data)
-    checks.append(
+        ),
         Check(
             name="rows used",
-            value=f"{len(m.found.data)} of {m.found.data.possible}",
-            verdict="info" if not lost else "warn" if lost > 0.2 * m.found.data.possible else "info",
-        )
-    )
-    return checks
+            value=f"{len(m.estimate.data)} of {m.estimate.data.possible}",
+            verdict="warn" if lost > 0.2 * m.estimate.data.possible else "info",
+        ),
+    ]
 
 
-def _errors(m: Material) -> Table:
+def _p(value: float) -> str:
+    return f"p = {numbers.number(value, 2)}"
+
+
+def _errors(m: Identified) -> Table:
     rows: list[list[str | float | int | bool | None]] = []
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        lines = [("one step", s.one_step), (f"{m.horizon} steps", s.k_step), ("free run", s.free_run)]
+        lines = [("one step", s.one_step), (f"{m.options.horizon} steps", s.k_step), ("free run", s.free_run)]
         if s.strict is not None:
             lines.append(("free run, predicted level", s.strict))
         for kind, q in lines:
@@ -150,13 +145,12 @@ def _errors(m: Material) -> Table:
     caption = (
         "A simulation model must be judged by its free run: one-step errors are small for almost any model."
     )
-    if m.centred:
+    if m.point.removed:
         caption += (
             " The working point was removed: held-out data are judged about a level of their own, and "
-            "the free run "
-            "beside it at the level the fitted part predicts."
+            "the free run beside it at the level the fitted part predicts."
         )
-    unit = numbers.unit_text(m.units[1])
+    unit = numbers.unit_text(m.data.columns.units[1])
     rmse = f"RMSE ({unit})" if unit else "RMSE"
     return Table(
         id="errors",
@@ -167,7 +161,7 @@ def _errors(m: Material) -> Table:
     )
 
 
-def _poles(m: Material) -> Table:
+def _poles(m: Identified) -> Table:
     rows: list[list[str | float | int | bool | None]] = [
         [
             _complex(p.value),
@@ -193,68 +187,55 @@ def _complex(z: complex) -> str:
     return f"{numbers.number(z.real)} {'+' if z.imag > 0 else '−'} {numbers.number(abs(z.imag))}i"
 
 
-def _orders(m: Material) -> list[Table]:
+def _orders(m: Identified) -> list[Table]:
     if not m.candidates:
         return []
-    ranked = sorted(m.candidates, key=lambda c: c.score(m.criterion))[:12]
+    ranked = sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:12]
     aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
-    rows: list[list[str | float | int | bool | None]] = [
-        [
-            *(c.orders.na, c.orders.nb, c.orders.nk),
-            *(round(_finite(v) or 0.0, 1) for v in (c.aic - aic, c.bic - bic)),
-            _finite(c.free_run_fit),
-            c.stable,
-        ]
+    where = "held-out data" if m.scores else "the fitted data"
+    rows: list[dict[str, blocks.Cell]] = [
+        {
+            "na": c.orders.na,
+            "nb": c.orders.nb,
+            "nk": c.orders.nk,
+            "AIC above least": round(_finite(c.aic - aic) or 0.0, 1),
+            "BIC above least": round(_finite(c.bic - bic) or 0.0, 1),
+            f"free-run fit on {where} (%)": _finite(c.free_run_fit),
+            "stable": c.stable,
+        }
         for c in ranked
     ]
-    where = "held-out data" if m.scores else "the fitted data"
-    return [
-        Table(
-            id="orders",
-            title="Orders tried",
-            columns=[
-                "na",
-                "nb",
-                "nk",
-                "AIC above least",
-                "BIC above least",
-                f"free-run fit on {where} (%)",
-                "stable",
-            ],
-            rows=rows,
-            caption=f"The best {len(rows)} of {len(m.candidates)} by {m.criterion}; all fitted on the "
-            "same rows.",
-        )
-    ]
+    caption = (
+        f"The best {len(rows)} of {len(m.candidates)} by {m.options.criterion}; all fitted on the same rows."
+    )
+    return [blocks.table("orders", "Orders tried", rows, caption)]
 
 
-def _methods(m: Material) -> list[str]:
-    o = m.found.orders
-    kind = "ARMAX" if o.nc else "ARX"
+def _methods(m: Identified) -> list[str]:
+    o = m.estimate.orders
     text = [
-        f"An {kind} model with {o} from {m.columns[0]} to {m.columns[1]} (sample time "
-        f"{m.sample_time_s:.6g} s) was "
-        f"identified from {len(m.found.data)} samples by recursive weighted least squares (Shang et al. "
-        "2012, Eq 9) in "
-        f"UD factors (Bierman 1977), with weight {m.weight:g}, P(0) = "
-        f"({m.file.settings['prior_scale']:g})² I and zero "
-        "initial parameters."
+        f"An {m.kind} model with {o} from {m.data.columns.source} to {m.data.columns.output} (sample time "
+        f"{m.data.sample_time_s:.6g} s) was identified from {len(m.estimate.data)} samples by recursive "
+        "weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with weight "
+        f"{m.options.weight:g}, P(0) = ({m.options.prior_scale:g})² I and zero initial parameters."
     ]
-    if m.forgetting < 1:
-        text.append(f"Old samples were discounted exponentially with the factor {m.forgetting:g} per sample.")
-    elif m.weight != 1:
+    if m.options.forgetting < 1:
+        text.append(
+            f"Old samples were discounted exponentially with the factor {m.options.forgetting:g} per sample."
+        )
+    elif m.options.weight != 1:
         text.append("The weight is constant, so that it rescales P(0) and discounts nothing.")
     if o.nc:
         text.append(
             "From the extended recursion's result the one-step error was minimised by Gauss-Newton steps."
         )
-    if m.centred:
+    if m.point.removed:
         text.append("The means of the fitted part were removed from input and output first.")
     text.append(
         "Standard errors are "
         + (
             "of the sandwich form for correlated residuals."
-            if m.found.robust
+            if m.estimate.robust
             else "those of least squares with white residuals."
         )
         + " Residual whiteness was tested after Ljung and Box (1978)."

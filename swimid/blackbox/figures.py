@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swimid.blackbox import difference, prediction
 from swimid.blackbox.difference import Record
-from swimid.blackbox.material import Material
+from swimid.blackbox.identified import Identified
 from swimid.blackbox.model import to_control
-from swimid.fitting.residual_tests import Correlation
-from swimid.results import numbers
+from swimid.results import blocks, numbers
 from swimid.results.evidence import Figure, Mark, Panel, Span, Trace, thinned
-
-if TYPE_CHECKING:
-    pass
+from swimid.results.parameters import ParameterFile
 
 
-def figures(m: Material) -> list[Figure]:
+def figures(m: Identified, file: ParameterFile) -> list[Figure]:
     """Every figure, in the order of the report."""
     return [
         *_measured(m),
@@ -27,16 +23,16 @@ def figures(m: Material) -> list[Figure]:
         _trajectories(m),
         _residuals(m),
         _pole_map(m),
-        _bode(m),
-        _step(m),
+        _bode(m, file),
+        _step(m, file),
         *_order_figure(m),
     ]
 
 
-def _measured(m: Material) -> list[Figure]:
+def _measured(m: Identified) -> list[Figure]:
     figures = []
     sets = dict(m.held_out) or {"fitted": m.fit}
-    title = numbers.column_title(m.columns[1])
+    title = numbers.column_title(m.data.columns.output)
     for number, (name, records) in enumerate(sets.items(), start=1):
         time, measured, one, run = _joined(records, m, m.scores[name].level if name in m.scores else 0.0)
         top = Panel(
@@ -76,15 +72,15 @@ def _measured(m: Material) -> list[Figure]:
 
 
 def _joined(
-    records: list[Record], m: Material, shift: float
+    records: list[Record], m: Identified, shift: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time, output, one-step prediction and free run of a set of records, with breaks between them."""
     parts: list[list[np.ndarray]] = [[], [], [], []]
     end = 0.0
     for k, record in enumerate(records):
-        one = prediction.predict(record, m.found.orders, m.found.theta)
-        run = difference.simulate(record, m.found.orders, m.found.theta)
-        delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.sample_time_s - record.time_s[0]
+        one = prediction.predict(record, m.estimate.orders, m.estimate.theta)
+        run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
+        delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.data.sample_time_s - record.time_s[0]
         time = record.time_s + delay
         if k:
             for part in parts:
@@ -94,37 +90,33 @@ def _joined(
             part.append(values)
         end = float(time[-1])
     time, *rest = (np.concatenate(part) for part in parts)
-    return (time, *(values + m.level + shift for values in rest))  # type: ignore[return-value]
+    return (time, *(values + m.point.output + shift for values in rest))  # type: ignore[return-value]
 
 
-def _horizon(m: Material) -> Figure:
+def _horizon(m: Identified) -> Figure:
     traces = []
     for group, (name, s) in enumerate({"fitted": m.fit_scores, **m.scores}.items()):
-        x, y = [h * m.sample_time_s for h, _ in s.horizons], [e for _, e in s.horizons]
+        x, y = [h * m.data.sample_time_s for h, _ in s.horizons], [e for _, e in s.horizons]
         traces.append(Trace(x=x, y=y, label=name, group=group))
         traces.append(Trace(x=x, y=y, style="points", group=group))
-    unit = numbers.unit_text(m.units[1])
-    return Figure(
-        id="horizon",
-        title="Error over the prediction horizon",
-        caption="How fast a prediction loses the measurement it started from. A stable model levels off; an "
+    unit = numbers.unit_text(m.data.columns.units[1])
+    return blocks.figure(
+        "horizon",
+        "Error over the prediction horizon",
+        "How fast a prediction loses the measurement it started from. A stable model levels off; an "
         "integrating one keeps growing.",
-        panels=[
-            Panel(
-                x_label="horizon (s)",
-                y_label=f"RMSE ({unit})" if unit else "RMSE",
-                x_scale="log",
-                traces=traces,
-            )
-        ],
+        "horizon (s)",
+        f"RMSE ({unit})" if unit else "RMSE",
+        traces,
+        x_scale="log",
     )
 
 
-def _trajectories(m: Material) -> Figure:
-    run, data, orders = m.found.recursion, m.found.data, m.found.orders
+def _trajectories(m: Identified) -> Figure:
+    run, data, orders = m.estimate.recursion, m.estimate.data, m.estimate.orders
     single = len(m.fit) == 1
     x = m.fit[0].time_s[data.sample[run.kept]] if single else run.kept.astype(float)
-    scale = m.found.noise_sd * math.sqrt(m.weight)
+    scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
     # The first rows only replace the prior; drawn, they would flatten everything else.
     settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * orders.count)
     shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
@@ -136,16 +128,9 @@ def _trajectories(m: Material) -> Figure:
                 x_label="t (s)" if single else "row",
                 y_label=name,
                 traces=[
-                    Trace(
-                        x=x[shown],
-                        y=value,
-                        lower=value - spread,
-                        upper=value + spread,
-                        label="estimate, 95 % band" if i == 0 else "",
-                        group=0,
-                    )
+                    blocks.band(x[shown], value, spread, label="" if i else "estimate, 95 % band", group=0)
                 ],
-                marks=[Mark(at=float(m.found.theta[i]), label="final" if i == 0 else "")],
+                marks=[Mark(at=float(m.estimate.theta[i]), label="final" if i == 0 else "")],
             )
         )
     return Figure(
@@ -159,28 +144,7 @@ def _trajectories(m: Material) -> Figure:
     )
 
 
-def _correlogram(c: Correlation, label: str, x_label: str, *, skip_zero: bool) -> Panel:
-    keep = c.lags != 0 if skip_zero else np.ones(len(c.lags), dtype=bool)
-    lags = c.lags[keep].astype(float)
-    return Panel(
-        x_label=x_label,
-        y_label=label,
-        traces=[
-            Trace(
-                x=lags,
-                y=np.zeros(len(lags)),
-                lower=-c.bound[keep],
-                upper=c.bound[keep],
-                label="95 % band",
-                group=1,
-            ),
-            Trace(x=lags, y=c.values[keep], style="stems", label="residuals", group=0),
-        ],
-        marks=[Mark(at=0.0)],
-    )
-
-
-def _residuals(m: Material) -> Figure:
+def _residuals(m: Identified) -> Figure:
     return Figure(
         id="residuals",
         title="What the one-step residuals still hold",
@@ -190,16 +154,16 @@ def _residuals(m: Material) -> Figure:
         "are wrong. At "
         "negative lags: the input reacts to the output.",
         panels=[
-            _correlogram(m.tests.autocorrelation, "autocorrelation", "lag (samples)", skip_zero=True),
-            _correlogram(m.tests.cross, "correlation with the input", "lag (samples)", skip_zero=False),
+            blocks.correlogram(m.tests.autocorrelation, "autocorrelation", "residuals", skip_zero=True),
+            blocks.correlogram(m.tests.cross, "correlation with the input", "residuals", skip_zero=False),
         ],
         columns=2,
     )
 
 
-def _pole_map(m: Material) -> Figure:
+def _pole_map(m: Identified) -> Figure:
     angle = np.linspace(0, 2 * np.pi, 181)
-    _, b, _ = m.found.orders.split(m.found.theta)
+    _, b, _ = m.estimate.orders.split(m.estimate.theta)
     zeros = np.roots(b) if len(b) > 1 and np.any(b != 0) else np.empty(0)
     near = zeros[np.abs(zeros) <= 3]
     traces = [
@@ -215,34 +179,37 @@ def _pole_map(m: Material) -> Figure:
     if len(near):
         traces.append(Trace(x=near.real, y=near.imag, label="zeros", style="points", group=2))
     left_out = f" {len(zeros) - len(near)} zeros lie beyond |z| = 3." if len(near) < len(zeros) else ""
-    return Figure(
-        id="poles-map",
-        title="Poles and zeros in the z plane",
-        caption="Good: every pole inside the circle by more than twice its uncertainty. A pole on top of "
-        "a zero says that "
-        f"the order is too high.{left_out}",
-        panels=[Panel(x_label="real part", y_label="imaginary part", equal_aspect=True, traces=traces)],
+    return blocks.figure(
+        "poles-map",
+        "Poles and zeros in the z plane",
+        "Good: every pole inside the circle by more than twice its uncertainty. A pole on top of a zero says "
+        f"that the order is too high.{left_out}",
+        "real part",
+        "imaginary part",
+        traces,
+        equal_aspect=True,
     )
 
 
-def _bode(m: Material) -> Figure:
+def _bode(m: Identified, file: ParameterFile) -> Figure:
     import control
 
-    system = to_control(m.file)
-    nyquist = np.pi / m.sample_time_s
-    rows = len(m.found.data)
+    system = to_control(file)
+    nyquist = np.pi / m.data.sample_time_s
+    rows = len(m.estimate.data)
     omega = np.geomspace(max(4 * nyquist / rows, 1e-4 * nyquist), nyquist * 0.999, 300)
     response = control.frequency_response(system, omega)
     gain = np.atleast_1d(np.squeeze(np.abs(response.complex)))
     phase = np.unwrap(np.atleast_1d(np.squeeze(np.angle(response.complex))))
-    covariance = m.found.covariance
+    covariance = m.estimate.covariance
     log_gain, phase_sd = prediction.response_spread(
-        m.found.orders, m.found.theta, covariance, m.sample_time_s, omega
+        m.estimate.orders, m.estimate.theta, covariance, m.data.sample_time_s, omega
     )
     hertz = omega / (2 * np.pi)
     spans = _excited(m)
-    u, y = (numbers.unit_text(unit) or "1" for unit in m.units)
-    factor = np.exp(np.clip(1.96 * log_gain, 0, 20))
+    u, y = (numbers.unit_text(unit) or "1" for unit in m.data.columns.units)
+    factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
+    low, high = np.degrees(phase - half), np.degrees(phase + half)
     return Figure(
         id="bode",
         title="Frequency response",
@@ -264,22 +231,14 @@ def _bode(m: Material) -> Figure:
                 x_label="frequency (Hz)",
                 y_label="phase (deg)",
                 x_scale="log",
-                traces=[
-                    Trace(
-                        x=hertz,
-                        y=np.degrees(phase),
-                        lower=np.degrees(phase - 1.96 * np.minimum(phase_sd, np.pi)),
-                        upper=np.degrees(phase + 1.96 * np.minimum(phase_sd, np.pi)),
-                        group=0,
-                    )
-                ],
+                traces=[Trace(x=hertz, y=np.degrees(phase), lower=low, upper=high, group=0)],
                 spans=spans,
             ),
         ],
     )
 
 
-def _excited(m: Material) -> list[Span]:
+def _excited(m: Identified) -> list[Span]:
     """The band that holds the central 90 % of the input's power."""
     longest = max(m.fit, key=len)
     u = np.nan_to_num(longest.source - np.nanmean(longest.source))
@@ -287,7 +246,7 @@ def _excited(m: Material) -> list[Span]:
     total = np.cumsum(power)
     if len(power) < 8 or total[-1] <= 0:
         return []
-    hertz = np.fft.rfftfreq(len(u), m.sample_time_s)
+    hertz = np.fft.rfftfreq(len(u), m.data.sample_time_s)
     low, high = (hertz[int(np.searchsorted(total, q * total[-1]))] for q in (0.05, 0.95))
     step = hertz[1]
     return [
@@ -295,7 +254,7 @@ def _excited(m: Material) -> list[Span]:
     ]
 
 
-def _step(m: Material) -> Figure:
+def _step(m: Identified, file: ParameterFile) -> Figure:
     import control
 
     inside = [p.magnitude for p in m.poles if p.magnitude < difference.INTEGRATING]
@@ -303,26 +262,21 @@ def _step(m: Material) -> Figure:
     count = (
         60 if any(p.unstable for p in m.poles) else int(np.clip(5 / -math.log(max(slowest, 0.1)), 30, 1000))
     )
-    time = np.arange(count + 1) * m.sample_time_s
-    answer = control.step_response(to_control(m.file), time)
-    u, y = (numbers.unit_text(unit) or "1" for unit in m.units)
-    return Figure(
-        id="step",
-        title="Step response",
-        caption="The output after the input steps from 0 to 1. A stable model settles at its static "
-        "gain; an integrating "
-        "one climbs on, an unstable one runs away.",
-        panels=[
-            Panel(
-                x_label="t (s)",
-                y_label=f"output ({y} per {u})",
-                traces=[Trace(x=time, y=np.atleast_1d(np.squeeze(answer.outputs)), style="step", group=0)],
-            )
-        ],
+    time = np.arange(count + 1) * m.data.sample_time_s
+    answer = control.step_response(to_control(file), time)
+    u, y = (numbers.unit_text(unit) or "1" for unit in m.data.columns.units)
+    return blocks.figure(
+        "step",
+        "Step response",
+        "The output after the input steps from 0 to 1. A stable model settles at its static gain; an "
+        "integrating one climbs on, an unstable one runs away.",
+        "t (s)",
+        f"output ({y} per {u})",
+        [Trace(x=time, y=np.atleast_1d(np.squeeze(answer.outputs)), style="step", group=0)],
     )
 
 
-def _order_figure(m: Material) -> list[Figure]:
+def _order_figure(m: Identified) -> list[Figure]:
     if not m.candidates:
         return []
     best: dict[int, dict[str, float]] = {}
@@ -336,7 +290,7 @@ def _order_figure(m: Material) -> list[Figure]:
         for entry in best.values():
             entry[name] -= least
     x = [float(n) for n in counts]
-    chosen = Mark(at=float(m.found.orders.na + m.found.orders.nb), axis="x", label="chosen")
+    chosen = Mark(at=float(m.estimate.orders.na + m.estimate.orders.nb), axis="x", label="chosen")
     where = "held-out data" if m.scores else "the fitted data"
     return [
         Figure(

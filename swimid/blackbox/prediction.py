@@ -7,13 +7,15 @@ start. Poles, stability and frequency response come with uncertainty by the delt
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from swimid.blackbox import armax
-from swimid.blackbox.arx import regression
-from swimid.blackbox.difference import Orders, Record, simulate
+from swimid.blackbox.arx import Estimate, regression
+from swimid.blackbox.difference import Orders, Pole, Record, simulate
+from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
 
 
@@ -118,6 +120,110 @@ def horizon_errors(
                 predicted[ahead].append(values)
     measured = np.concatenate([r.output for r in records])
     return [score(measured, np.concatenate(predicted[h])) for h in horizons]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors on one set of records.
+
+    Attributes
+    ----------
+    one_step, k_step, free_run : metrics.Score
+    strict : metrics.Score or None
+        The free run at the level the fitted part predicts, where all else is about the data's
+        own level.
+    level : float
+        That own level less the predicted one, unit of the output.
+    diverged : bool
+    horizons : list of (int, float)
+        RMSE over the prediction horizon.
+    """
+
+    one_step: Score
+    k_step: Score
+    free_run: Score
+    strict: Score | None
+    level: float
+    diverged: bool
+    horizons: list[tuple[int, float]]
+
+    def as_dict(self, unit: str, steps: int) -> dict[str, Any]:
+        """As the parameter file holds it."""
+        block: dict[str, Any] = {
+            "one_step": self.one_step.as_dict(unit),
+            "k_step": {"steps": steps, **self.k_step.as_dict(unit)},
+            "free_run": {**self.free_run.as_dict(unit), "diverged": self.diverged},
+        }
+        if self.strict is not None:
+            block["free_run"]["level_shift"] = self.level
+            block["free_run"]["at_predicted_level"] = self.strict.as_dict(unit)
+        return block
+
+
+def _check_long(records: list[Record], estimate: Estimate) -> int:
+    """Length of the longest record, which the model's memory must fit into."""
+    longest = max((len(r) for r in records), default=0)
+    if longest <= estimate.orders.lag:
+        raise NoTrustworthyResult(
+            f"a held-out part has {longest} samples, the model looks back over {estimate.orders.lag}",
+            hint="hold out a larger share, or validate on a longer log",
+        )
+    return longest
+
+
+def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int) -> Scores:
+    """Errors one step ahead, ``horizon`` steps ahead and in free run.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the records are shorter than the model looks back.
+    """
+    steps = sorted({1, 2, 5, 10, 20, 50, 100, horizon})
+    longest = _check_long(records, estimate)
+    steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
+    errors = horizon_errors(records, estimate.orders, estimate.theta, steps)
+    by_step = dict(zip(steps, errors, strict=True))
+    measured = np.concatenate([r.output for r in records])
+    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
+    simulated = np.concatenate(runs)
+    free = score(measured, simulated)
+    at_risk = any(p.unstable or p.integrating for p in poles)
+    gave_up = any(
+        np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
+        for r, run in zip(records, runs, strict=True)
+        if np.isfinite(run).any() and not np.isfinite(run[-1])
+    )
+    diverged = bool((gave_up and at_risk) or (at_risk and free.fit_percent < 0))
+    return Scores(
+        by_step[1],
+        by_step[horizon],
+        free,
+        None,
+        0.0,
+        diverged,
+        [(s, by_step[s].rmse) for s in steps],
+    )
+
+
+def pooled(sets: list[list[Record]], estimate: Estimate) -> Score:
+    """Free-run score over several sets of records together."""
+    records = [r for records in sets for r in records]
+    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
+    return score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+
+
+def scores_about_own_level(
+    records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int
+) -> tuple[list[Record], Scores]:
+    """Held-out records about their own level, with their errors there and at the predicted level."""
+    _check_long(records, estimate)
+    strict = score(
+        np.concatenate([r.output for r in records]),
+        np.concatenate([simulate(r, estimate.orders, estimate.theta) for r in records]),
+    )
+    moved, level = about_own_level(records, estimate.orders, estimate.theta)
+    return moved, replace(scores(moved, estimate, poles, horizon), strict=strict, level=level)
 
 
 def response_spread(

@@ -11,23 +11,22 @@ from typing import Any
 import numpy as np
 
 from swimid.blackbox import data as rwls_data
-from swimid.blackbox import difference, working_point
+from swimid.blackbox import difference, prediction, working_point
 from swimid.blackbox import evidence as rwls_evidence
 from swimid.blackbox import order as order_search
-from swimid.blackbox import scores as rwls_scores
-from swimid.blackbox.arx import Estimate, estimate, regression
-from swimid.blackbox.difference import Orders, Record
-from swimid.blackbox.material import Material
+from swimid.blackbox.arx import estimate, regression
+from swimid.blackbox.difference import Orders
+from swimid.blackbox.identified import Identified, tests
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
-from swimid.blackbox.scores import Scores, Tests
+from swimid.blackbox.prediction import Scores
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import numbers, parameters
+from swimid.results import blocks, numbers, parameters
 from swimid.results.fitted import Fitted
 
 #: Rows of the trajectory kept when no stride is given.
@@ -75,63 +74,14 @@ def rwls(
         data = rwls_data.read(
             logs, options.held_out, options.input_column, options.output_column, options.input_model
         )
-        orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
-        table: list[order_search.Candidate] = []
-        if options.order == "auto":
-            orders, table = _choose(data, orders, options, progress)
-        point = working_point.centre(data.fit, orders, options.centre)
-        fit = working_point.shifted(data.fit, point)
-        held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
-        rows = len(regression(fit, orders))
-        found = estimate(
-            fit,
-            orders,
-            weight=options.weight,
-            forgetting=options.forgetting,
-            prior_scale=options.prior_scale,
-            stride=options.stride or max(1, -(-rows // KEPT)),
-        )
-        a, _, _ = orders.split(found.theta)
-        poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-        fit_scores = rwls_scores.scores(fit, found, poles, options.horizon)
-        scores: dict[str, Scores] = {}
-        for name, part in held.items():
-            if point.removed:
-                held[name], scores[name] = rwls_scores.about_own_level(part, found, poles, options.horizon)
-            else:
-                scores[name] = rwls_scores.scores(part, found, poles, options.horizon)
-        settings = _settings(options, data, orders, point)
-        _warn(data, found, point, poles, fit_scores, scores)
+        m = _identified(data, options, progress)
+        _warn(m)
+    settings = _settings(m)
     block = provenance.collect(
         data.files, settings={**settings, "validate": [_name(v) for v in options.held_out]}
     )
-    tests = rwls_scores.tests(fit, found)
-    file = _parameter_file(
-        data, found, poles, fit_scores, scores, held, tests, settings, options.horizon, block
-    )
-    shown = rwls_evidence.build(
-        Material(
-            columns=(data.columns.source, data.columns.output),
-            units=data.columns.units,
-            sample_time_s=data.sample_time_s,
-            fit=fit,
-            held_out=held,
-            level=point.output,
-            centred=point.removed,
-            found=found,
-            poles=poles,
-            weight=options.weight,
-            forgetting=options.forgetting,
-            fit_scores=fit_scores,
-            scores=scores,
-            horizon=options.horizon,
-            candidates=table,
-            criterion=options.criterion,
-            tests=tests,
-            file=file,
-        ),
-        notices=fit_common.notices(notices),
-    )
+    file = _parameter_file(m, settings, block)
+    shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))
     outputs = fit_common.save(output, file, shown)
     result = file.model_dump(mode="python")
     result["orders_tried"] = [
@@ -142,24 +92,49 @@ def rwls(
             "free_run_fit_percent": float(c.free_run_fit),
             "stable": c.stable,
         }
-        for c in table
+        for c in m.candidates
     ]
-    text = _summary(data, found, file, poles, fit_scores, scores, options.horizon)
-    return Fitted("rwls", text, result, outputs, shown, file)
+    return Fitted("rwls", _summary(m, file), result, outputs, shown, file)
 
 
 # ---------------------------------------------------------------- computing
 
 
+def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) -> Identified:
+    orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
+    candidates: list[order_search.Candidate] = []
+    if options.order == "auto":
+        orders, candidates = _choose(data, orders, options, progress)
+    point = working_point.centre(data.fit, orders, options.centre)
+    fit = working_point.shifted(data.fit, point)
+    held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
+    found = estimate(
+        fit,
+        orders,
+        weight=options.weight,
+        forgetting=options.forgetting,
+        prior_scale=options.prior_scale,
+        stride=options.stride or max(1, -(-len(regression(fit, orders)) // KEPT)),
+    )
+    a, _, _ = orders.split(found.theta)
+    poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
+    fit_scores = prediction.scores(fit, found, poles, options.horizon)
+    scores: dict[str, Scores] = {}
+    for name, part in held.items():
+        if point.removed:
+            held[name], scores[name] = prediction.scores_about_own_level(part, found, poles, options.horizon)
+        else:
+            scores[name] = prediction.scores(part, found, poles, options.horizon)
+    return Identified(
+        options, data, point, fit, held, found, poles, fit_scores, scores, candidates, tests(fit, found)
+    )
+
+
 def _choose(
-    data: rwls_data.Data,
-    orders: Orders,
-    options: RwlsOptions,
-    progress: Progress,
+    data: rwls_data.Data, orders: Orders, options: RwlsOptions, progress: Progress
 ) -> tuple[Orders, list[order_search.Candidate]]:
     max_na, max_nb, max_nk, criterion = options.max_na, options.max_nb, options.max_nk, options.criterion
-    widest = Orders(max_na, max_nb, 1)
-    point = working_point.centre(data.fit, widest, options.centre)
+    point = working_point.centre(data.fit, Orders(max_na, max_nb, 1), options.centre)
     held = [working_point.shifted(part, point) for part in data.held_out.values()]
     candidates = order_search.search(
         working_point.shifted(data.fit, point),
@@ -194,41 +169,33 @@ def _name(held_out: Any) -> str:
     return str(held_out if plain else getattr(held_out, "name", "log"))
 
 
-def _settings(
-    options: RwlsOptions, data: rwls_data.Data, orders: Orders, point: working_point.WorkingPoint
-) -> dict[str, Any]:
+def _settings(m: Identified) -> dict[str, Any]:
     """The options as the file records them, with the orders, columns and levels they led to."""
     settings: dict[str, Any] = {
-        "orders": {"na": orders.na, "nb": orders.nb, "nk": orders.nk, "nc": orders.nc},
-        "order": options.order if options.order == "given" else f"auto, {options.criterion}",
-        "input": data.columns.source,
-        "output": data.columns.output,
-        "output_unit": data.columns.units[1],
-        "weight": options.weight,
-        "forgetting": options.forgetting,
-        "prior_scale": options.prior_scale,
-        "centre": options.centre,
-        "input_level": point.source,
-        "output_level": point.output,
-        "horizon": options.horizon,
+        "orders": {key: getattr(m.estimate.orders, key) for key in ("na", "nb", "nk", "nc")},
+        "order": m.options.order if m.options.order == "given" else f"auto, {m.options.criterion}",
+        "input": m.data.columns.source,
+        "output": m.data.columns.output,
+        "output_unit": m.data.columns.units[1],
+        "weight": m.options.weight,
+        "forgetting": m.options.forgetting,
+        "prior_scale": m.options.prior_scale,
+        "centre": m.options.centre,
+        "input_level": m.point.source,
+        "output_level": m.point.output,
+        "horizon": m.options.horizon,
     }
-    if data.columns.sine:
+    if m.data.columns.sine:
         names = ("amplitude", "frequency_hz", "phase_rad")
-        settings["input_model"] = {"kind": "sine", **dict(zip(names, data.columns.sine, strict=True))}
+        settings["input_model"] = {"kind": "sine", **dict(zip(names, m.data.columns.sine, strict=True))}
     return settings
 
 
 # ---------------------------------------------------------------- telling
 
 
-def _warn(
-    data: rwls_data.Data,
-    found: Estimate,
-    point: working_point.WorkingPoint,
-    poles: list[difference.Pole],
-    fit_scores: Scores,
-    scores: dict[str, Scores],
-) -> None:
+def _warn(m: Identified) -> None:
+    found, data, point = m.estimate, m.data, m.point
     orders, unit = found.orders, data.columns.units[1]
     lost = found.data.possible - len(found.data)
     restarts = int(np.count_nonzero(found.data.fresh)) - len(data.logs)
@@ -236,8 +203,7 @@ def _warn(
         warn(
             "SWM001",
             f"{lost} of {found.data.possible} regression rows left out around missing samples, and the "
-            "regression "
-            f"restarted {max(restarts, 0)} times at gaps; no value was filled in",
+            f"regression restarted {max(restarts, 0)} times at gaps; no value was filled in",
         )
     if point.removed:
         text = (
@@ -246,7 +212,7 @@ def _warn(
             "describes "
             "deviations from it"
         )
-        moved = [f"{name} by {s.level:.3g}" for name, s in scores.items() if abs(s.level) > s.free_run.rmse]
+        moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
         if moved:
             suffix = f" {unit}" if unit != "1" else ""
             text += f". Held-out data sit at another level: {', '.join(moved)}{suffix}"
@@ -286,22 +252,22 @@ def _warn(
             "biased, and the standard errors (a sandwich for correlated residuals) do not cover that "
             f"bias; {cure}",
         )
-    _warn_stability(poles, fit_scores, scores)
+    _warn_stability(m)
     suffix = "" if unit == "1" else f" {unit}"
-    for name, s in scores.items():
-        if s.free_run.rmse > WORSE * fit_scores.free_run.rmse:
+    for name, s in m.scores.items():
+        if s.free_run.rmse > WORSE * m.fit_scores.free_run.rmse:
             warn(
                 "SWM015",
                 f"the free-run error is {s.free_run.rmse:.3g}{suffix} on {name}, "
-                f"{fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
+                f"{m.fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
             )
 
 
-def _warn_stability(poles: list[difference.Pole], fit_scores: Scores, scores: dict[str, Scores]) -> None:
-    diverged = [n for n, s in {"the fitted part": fit_scores, **scores}.items() if s.diverged]
+def _warn_stability(m: Identified) -> None:
+    diverged = [n for n, s in {"the fitted part": m.fit_scores, **m.scores}.items() if s.diverged]
     tail = f"; its free run diverges on {', '.join(diverged)}" if diverged else ""
-    outside = [p for p in poles if p.unstable]
-    near = [p for p in poles if p.integrating and not p.unstable]
+    outside = [p for p in m.poles if p.unstable]
+    near = [p for p in m.poles if p.integrating and not p.unstable]
     if outside:
         kind = " (not to be told from an integrator)" if outside[0].integrating else ""
         warn(
@@ -319,25 +285,10 @@ def _warn_stability(poles: list[difference.Pole], fit_scores: Scores, scores: di
         )
 
 
-def stability(poles: list[difference.Pole]) -> str:
-    """``stable``, ``integrating`` or ``unstable``."""
-    if any(p.unstable for p in poles):
-        return "unstable"
-    return "integrating" if any(p.integrating for p in poles) else "stable"
-
-
 def _parameter_file(
-    data: rwls_data.Data,
-    found: Estimate,
-    poles: list[difference.Pole],
-    fit_scores: Scores,
-    scores: dict[str, Scores],
-    held: dict[str, list[Record]],
-    tests: Tests,
-    settings: dict[str, Any],
-    horizon: int,
-    block: dict[str, Any],
+    m: Identified, settings: dict[str, Any], block: dict[str, Any]
 ) -> parameters.ParameterFile:
+    found, data, horizon = m.estimate, m.data, m.options.horizon
     orders = found.orders
     unit, channel = data.columns.units[1], data.columns.output
     estimates, identifiable = {}, []
@@ -352,9 +303,9 @@ def _parameter_file(
         if known:
             identifiable.append(name)
     validation: dict[str, Any] = {}
-    if scores:
-        together = rwls_scores.pooled(list(held.values()), found)
-        by_set = {name: s.as_dict(unit, horizon) for name, s in scores.items()}
+    if m.scores:
+        together = prediction.pooled(list(m.held_out.values()), found)
+        by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
     if len(identifiable) < orders.count:
@@ -378,60 +329,54 @@ def _parameter_file(
                 magnitude=p.magnitude,
                 stderr_magnitude=p.stderr if math.isfinite(p.stderr) else None,
             )
-            for p in poles
+            for p in m.poles
         ],
-        stable=not any(p.unstable for p in poles),
+        stable=not any(p.unstable for p in m.poles),
         settings=settings,
         fit=parameters.Fit(
             trials=data.logs,
-            channels={channel: {**fit_scores.free_run.as_dict(unit), **fit_scores.as_dict(unit, horizon)}},
+            channels={
+                channel: {**m.fit_scores.free_run.as_dict(unit), **m.fit_scores.as_dict(unit, horizon)}
+            },
             validation=validation,
             converged=True,
             noise={
                 "sd": found.noise_sd,
                 "unit": unit,
-                "white": tests.white.passed,
-                "white_p": tests.white.p_value,
-                "input_independent": tests.independent.passed,
-                "input_independent_p": tests.independent.p_value,
+                "white": m.tests.white.passed,
+                "white_p": m.tests.white.p_value,
+                "input_independent": m.tests.independent.passed,
+                "input_independent_p": m.tests.independent.p_value,
                 "standard_errors": "sandwich" if found.robust else "sigma^2 (H'H)^-1",
             },
             rows=len(found.data),  # type: ignore[call-arg]
             rows_left_out=found.data.possible - len(found.data),  # type: ignore[call-arg]
             condition=found.determined.condition,  # type: ignore[call-arg]
             input_excites=found.determined.input_rank,  # type: ignore[call-arg]
-            stability=stability(poles),  # type: ignore[call-arg]
-            integrating=any(p.integrating for p in poles),  # type: ignore[call-arg]
+            stability=m.stability,  # type: ignore[call-arg]
+            integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
             recursion_end=dict(zip(orders.names, found.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
         ),
         provenance=block,
     )
 
 
-def _summary(
-    data: rwls_data.Data,
-    found: Estimate,
-    file: parameters.ParameterFile,
-    poles: list[difference.Pole],
-    fit_scores: Scores,
-    scores: dict[str, Scores],
-    horizon: int,
-) -> str:
-    kind = "ARMAX" if found.orders.nc else "ARX"
+def _summary(m: Identified, file: parameters.ParameterFile) -> str:
+    found, data = m.estimate, m.data
     lines = [
-        f"{kind} {found.orders}: {data.columns.source} -> {data.columns.output}, "
+        f"{m.kind} {found.orders}: {data.columns.source} -> {data.columns.output}, "
         f"{len(found.data)} rows every {data.sample_time_s:.6g} s",
         "",
     ]
     for name, e in file.parameters.items():
         remark = "" if e.status == "estimated" else f"   {e.status}"
         lines.append(f"  {name:<4} {numbers.measured(e.value, e.stderr, e.unit)}{remark}")
-    lines += ["", f"  {'fit %':<28}{'one step':>10}{f'{horizon} steps':>10}{'free run':>10}"]
-    for name, s in {"fitted": fit_scores, **scores}.items():
+    lines += ["", f"  {'fit %':<28}{'one step':>10}{f'{m.options.horizon} steps':>10}{'free run':>10}"]
+    for name, s in {"fitted": m.fit_scores, **m.scores}.items():
         cells = "".join(f"{_percent(x.fit_percent):>10}" for x in (s.one_step, s.k_step, s.free_run))
         extra = f"   ({_percent(s.strict.fit_percent)} at the predicted level)" if s.strict else ""
         lines.append(f"  {name:<28}{cells}{extra}{'   DIVERGES' if s.diverged else ''}")
-    state = stability(poles)
+    state, poles = m.stability, m.poles
     largest = f", largest pole |z| = {numbers.measured(poles[0].magnitude, poles[0].stderr)}" if poles else ""
     lines += ["", f"  {state.upper() if state == 'unstable' else state}{largest}"]
     return "\n".join(lines)

@@ -26,8 +26,8 @@ class Verb:
     ----------
     name : str
     function : str
-        ``package.module:function``; it takes the argument, ``output``, the options, and ``progress`` or
-        ``allow`` where it wants them. Imported when the command runs.
+        ``package.module:function``; it takes the argument, ``output``, the options, and ``progress``,
+        ``allow`` or ``force`` where it wants them. Imported when the command runs.
     options : str
         ``package.module:class`` of its model of options. Imported when its options are looked at.
     output : str
@@ -75,7 +75,7 @@ class _Command(click.Command):
         shared = shared_options(verb.output, output_flags=verb.output_flags, required=verb.required)
         plain = click.command()(shared(_runner(verb)))
         super().__init__(
-            verb.name,
+            verb.name.split()[-1],
             params=plain.params,
             callback=plain.callback,
             help=inspect.cleandoc(verb.help),
@@ -135,11 +135,15 @@ def _runner(verb: Verb) -> Callable[..., None]:
             read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
             function = _load(verb.function)
             wanted = inspect.signature(function).parameters
-            offered: dict[str, Any] = {"progress": run.progress}
-            if "allow" in wanted:
-                offered["allow"] = lambda path: protect(path, shared, inputs=tuple(read))
-            else:
-                protect(output, shared, inputs=tuple(read))
+            offered: dict[str, Any] = {
+                "progress": run.progress,
+                "force": shared.force,
+                "allow": lambda path: protect(path, shared, inputs=tuple(read)),
+            }
+            if not {"allow", "force"} & set(wanted):
+                written = [options[entry.name] for entry in declared.values() if entry.written]
+                for place in (output, *written):
+                    protect(place, shared, inputs=tuple(read))
             given = {name: value for name, value in offered.items() if name in wanted}
             outcome = function(*([files] if files else []), output=output, **options, **given)
             if verb.prints and output is None and not shared.as_json:

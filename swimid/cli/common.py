@@ -94,23 +94,6 @@ def shared_options(
     return decorate
 
 
-#: Options of several commands on robots with links.
-reading_option = click.option(
-    "--reading",
-    "readings",
-    multiple=True,
-    metavar="NAME=OPTION",
-    help="Read an ambiguity of the robot's source otherwise. Repeatable.",
-)
-step_option = click.option(
-    "--dt",
-    type=click.FloatRange(0, min_open=True),
-    default=0.005,
-    show_default=True,
-    help="Integration step, s.",
-)
-
-
 class Run:
     """One verb being run: gives it progress, takes its outcome."""
 

@@ -7,7 +7,6 @@ import click
 import swimid
 from swimid.cli import (
     doctor,
-    import_log,
     schema,
     track,
 )
@@ -44,13 +43,13 @@ def main() -> None:
 
 for command in (
     track.track,
-    import_log.command,
     schema.command,
     doctor.command,
 ):
     main.add_command(command)
 for verb in VERBS:
-    main.add_command(verb.command())
+    if " " not in verb.name:
+        main.add_command(verb.command())
 
 
 def entry() -> None:

@@ -63,6 +63,8 @@ def value_of(entry: Declared, typed: Any) -> Any:
         value = get_args(kind)[1]
         parse = {1: named_number, 2: bounded, 3: swept}[max(len(get_args(value)), 1)]
         return (named_word if value is str else parse)(typed, entry.flag)
+    if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
+        return tuple(reads(text, entry.flag) for text in typed)
     if entry.separated:
         return tuple(part.strip() for text in typed for part in text.split(",") if part.strip())
     return number_pair(typed, entry.flag) if _by_commas(entry) else typed

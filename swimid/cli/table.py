@@ -8,8 +8,13 @@ from swimid.cli.builder import Verb
 from swimid.cli.verbs import VERBS
 from swimid.errors import UsageError, suggestion
 
-#: The page of each verb that shares one with others, or has a name of its own.
-PAGES = {verb.name: f"{verb.name}.md" for verb in VERBS} | {"plot": "import.md"}
+#: The page of each verb.
+PAGES = {verb.name: f"{verb.name}.md" for verb in VERBS} | {
+    "plot": "import.md",
+    "track video": "tracking.md",
+    "track setup": "tracking.md",
+    "track imu": "imu.md",
+}
 
 
 def table(verb: Verb) -> str:

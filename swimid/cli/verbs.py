@@ -245,4 +245,81 @@ VERBS = (
           swimid plot imu.csv camera.csv -o both.html
         """,
     ),
+    Verb(
+        "track video",
+        function="swimid.tracking.track_video:track_video",
+        options="swimid.tracking.options:TrackVideoOptions",
+        output="The log, CSV or Parquet by its ending.",
+        argument="VIDEO",
+        required=True,
+        help="""Track coloured markers in a video: a log of pose and speeds.
+
+        VIDEO is a film; or a folder of pictures, or a pattern of their names, both with --fps.
+        Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints the path speed,
+        the steady speed, the stroke's frequency and amplitudes and the accelerations, each with its 95 %
+        interval.
+
+        \b
+        Example:
+          swimid track video pool.mp4 --setup setup.yaml -o run.csv --overlay overlay.mp4
+          swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
+        """,
+    ),
+    Verb(
+        "track setup",
+        function="swimid.tracking.track_setup:track_setup",
+        options="swimid.tracking.options:TrackSetupOptions",
+        output="The setup file to write.",
+        argument="VIDEO",
+        required=True,
+        help="""Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
+
+        Works unattended and without a display. The file can be used as it is.
+
+        \b
+        Example:
+          swimid track setup pool.mp4 -o setup.yaml
+          swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
+        """,
+    ),
+    Verb(
+        "track imu",
+        function="swimid.inertial.track_imu:track_imu",
+        options="swimid.inertial.options:TrackImuOptions",
+        output="The log, CSV or Parquet by its ending.",
+        argument="IMU",
+        required=True,
+        help="""Make motion of an inertial recording: velocity, position and attitude with their bands.
+
+        Faults of recording are found, named, and repaired or refused. Without --with the summary says after
+        how many seconds the integrated path is not to be trusted. Writes the log and its evidence.
+
+        \b
+        Example:
+          swimid track imu imu.csv -o run.csv
+          swimid track imu imu.csv --with camera.csv -o run.csv
+          swimid track imu imu.csv --method paper --motion-mode marching -o paper.csv
+        """,
+    ),
+    Verb(
+        "import",
+        function="swimid.cli.import_log:import_files",
+        options="swimid.logs.options:ImportCommandOptions",
+        output="The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.",
+        argument="FILE...",
+        short="Logs of other programs, through a mapping, to the log format.",
+        help="""Import logs: delimited text, MATLAB, HDF5, Parquet, JSON lines, MCAP, ULog.
+
+        A mapping says which source column becomes which column of the log, and in which unit it was
+        written. Without one the columns must have the names of the log format already. Beside each log
+        goes its evidence (<stem>.evidence.json).
+
+        \b
+        Examples:
+          swimid import field.csv --guess -o map.yaml
+          swimid import field.csv --map map.yaml -o run.csv
+          swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
+          swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
+        """,
+    ),
 )

@@ -24,9 +24,9 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     """Trials that could be run next, in words and as the model would see them."""
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
-    beat = template.settings.get("beat")
+    beat = template.swim.beat
     if beat is not None:
-        beats = [t.settings["beat"] for t in trials if t.settings.get("beat") is not None]
+        beats = [t.swim.beat for t in trials if t.swim.beat is not None]
         f = sorted({b.frequency_hz for b in beats})
         a = sorted({b.amplitude_rad for b in beats})
         changes = [
@@ -37,14 +37,14 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         ]  # fmt: skip
         for change in changes:
             moved = replace(beat, **change)
-            trial = replace(template, id="proposed", settings={**template.settings, "beat": moved})
+            trial = replace(template, id="proposed", swim=replace(template.swim, beat=moved))
             says = knobs(trial)
             found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
-    elif "force" in template.settings and "force_N" not in template.inputs:
-        forces = [float(t.settings["force"]) for t in trials]
+    elif template.rig.force is not None and "force_N" not in template.inputs:
+        forces = [t.rig.pull for t in trials]
         for force in (0.5 * min(forces), 2.0 * max(forces)):
             if force > 0:
-                trial = replace(template, id="proposed", settings={**template.settings, "force": force})
+                trial = replace(template, id="proposed", rig=replace(template.rig, force=force))
                 found.append((f"a driving force of {force:.3g} N", trial))
     elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
         f = [float(t.inputs["frequency_hz"][0]) for t in trials]
@@ -61,7 +61,7 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     if len(template.time_s) > 20:
         span = float(template.time_s[-1] - template.time_s[0])
         step = float(np.median(np.diff(template.time_s)))
-        if "joints" not in template.settings and template.inputs.get("force_N", ()) is not None:
+        if template.swim.joints is None and template.inputs.get("force_N", ()) is not None:
             longer = template.time_s[0] + step * np.arange(int(2.0 * span / step) + 1)
             if not template.inputs or beat is not None:
                 found.append(

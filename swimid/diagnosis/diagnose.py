@@ -20,10 +20,11 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import digests_of
-from swimid.fitting import fit_common
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
@@ -35,7 +36,7 @@ LOGS = (".csv", ".parquet")
 
 @takes(DiagnoseOptions)
 def diagnose(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: DiagnoseOptions,
     output: Path | None = None,
@@ -48,7 +49,8 @@ def diagnose(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Trials of any experiment.
     output : path, optional
         Gap file to write; its evidence goes beside it.
@@ -62,7 +64,7 @@ def diagnose(
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(
-            trials_file,
+            source,
             options.params,
             robot=options.robot,
             readings=dict(options.readings),
@@ -116,7 +118,7 @@ def diagnose(
         provenance=origin,
     )
     evidence = diagnose_evidence.evidence(
-        gap, file, sources=experiment.robot.sources, notices=fit_common.notices(notices)
+        gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
     outputs: list[Path] = []
     if output is not None:

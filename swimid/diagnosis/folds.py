@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -44,15 +45,17 @@ class Folds:
 
 def setting(trial: Trial) -> str:
     """What was set in a trial, the same text for repeats of one setting."""
-    known = trial.settings
-    parts = []
-    beat = known.get("beat")
-    if beat is not None:
-        parts.append(repr(beat))
-    for key in ("force", "frequency_hz", "amplitude_rad", "coefficients"):
-        if key in known:
-            value = known[key]
-            parts.append(f"{key}={value:.6g}" if isinstance(value, float) else f"{key}={value}")
+    swim, surge = trial.swim, trial.surge
+    parts = [] if swim.beat is None else [repr(swim.beat)]
+    for key, value in (
+        ("force", trial.rig.force),
+        ("frequency_hz", surge.frequency_hz),
+        ("amplitude_rad", surge.amplitude_rad),
+    ):
+        if value is not None and not math.isnan(value):
+            parts.append(f"{key}={value:.6g}")
+    if swim.coefficients is not None:
+        parts.append(f"coefficients={swim.coefficients}")
     for key in ("frequency_hz", "amplitude_rad"):
         if key in trial.inputs and len(trial.inputs[key]) == 1:
             parts.append(f"{key}={trial.inputs[key][0]:.6g}")

@@ -248,12 +248,11 @@ class StrokeTable(_Generic):
 
 def beat_hz(trial: Trial) -> float:
     """Frequency of the drive, or the slowest one the trial resolves where there is none."""
-    beat = trial.settings.get("beat")
+    beat = trial.swim.beat
     if beat is not None and beat.frequency_hz > 0:
         return float(beat.frequency_hz)
-    known = trial.settings.get("frequency_hz")
-    if known:
-        return float(known)
+    if trial.surge.frequency_hz > 0:
+        return trial.surge.frequency_hz
     length = float(trial.time_s[-1] - trial.time_s[0])
     return 1.0 / length if length > 0 else 1.0
 
@@ -282,7 +281,7 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
         if model.body is None:
             spans = [c for c in channels if not c.endswith(("_s", "_s2"))]
             span = max((top(c, 1e-3) for c in spans), default=1.0)
-            pushes = [abs(float(t.settings.get("force", 0.0))) for t in trials]
+            pushes = [abs(t.rig.pull) for t in trials]
             swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
             found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
             axes = []
@@ -305,7 +304,7 @@ def _size(model: Model, trials: Sequence[Trial]) -> tuple[float, float, list[str
     """Mass (kg), length (m) and the axes along which a residual force may act."""
     body = model.body
     if body is None:
-        inertia = [float(t.settings["inertia"]) for t in trials if "inertia" in t.settings]
+        inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
         return float(np.median(inertia)) if inertia else 1.0, 1.0, ["surge"]
     axes = ["surge", "sway", "yaw"] if body.free else []
     return model.scales(trials).inertia, sum(body.lengths_m), axes

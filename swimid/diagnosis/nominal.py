@@ -79,7 +79,7 @@ def prior(
 def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
     """The trial with every logged channel that says something of its own."""
     measured = dict(trial.measured)
-    joints_drive = trial.settings.get("joints") is not None
+    joints_drive = trial.swim.joints is not None
     for channel in channels:
         name = channel.name
         values = trial.inputs.get(name)

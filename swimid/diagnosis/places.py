@@ -69,23 +69,23 @@ def _ranked(cells: Sequence[Cell | None]) -> tuple[Cell, ...]:
 def knobs(trial: Trial) -> dict[str, str]:
     """What was set in a trial, in words."""
     found: dict[str, str] = {}
-    beat = trial.settings.get("beat")
+    beat = trial.swim.beat
     if beat is not None:
         found["frequency"] = f"{beat.frequency_hz:g} Hz"
         found["amplitude"] = f"{math.degrees(beat.amplitude_rad):g} deg"
         found["bias"] = f"{math.degrees(beat.bias_rad):g} deg"
-    for key, kind, unit, factor in (
-        ("frequency_hz", "frequency", "Hz", 1.0),
-        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi),
+    for key, kind, unit, factor, value in (
+        ("frequency_hz", "frequency", "Hz", 1.0, trial.surge.frequency_hz),
+        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi, trial.surge.amplitude_rad),
     ):
-        if key in trial.settings:
-            found.setdefault(kind, f"{factor * float(trial.settings[key]):.3g} {unit}")
+        if not math.isnan(value):
+            found.setdefault(kind, f"{factor * value:.3g} {unit}")
         if len(trial.inputs.get(key, ())) == 1:
             found[kind] = f"{factor * float(trial.inputs[key][0]):.3g} {unit}"
-    if "fin" in trial.settings:
-        found["fin"] = str(trial.settings["fin"])
-    if "force" in trial.settings:
-        found["force"] = f"{float(trial.settings['force']):.3g} N"
+    if trial.cruise.fin:
+        found["fin"] = trial.cruise.fin
+    if trial.rig.force is not None:
+        found["force"] = f"{trial.rig.force:.3g} N"
     return found
 
 
@@ -109,7 +109,7 @@ def regimes(where: Map) -> tuple[Cell, ...]:
 
 def phases(where: Map) -> tuple[Cell, ...]:
     """The gap by phase of the stroke; empty without a beat."""
-    if not any(t.settings.get("beat") is not None for t in where.trials):
+    if not any(t.swim.beat is not None for t in where.trials):
         return ()
     cells = []
     for i in range(PHASES):
@@ -129,7 +129,7 @@ def times(where: Map) -> tuple[Cell, ...]:
         if len(t.time_s) < 10:
             return ()
         span = float(t.time_s[-1] - t.time_s[0])
-        beat = t.settings.get("beat") is not None
+        beat = t.swim.beat is not None
         start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
         first = t.time_s <= t.time_s[0] + start
         early.append((k, first))
@@ -195,7 +195,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
             )
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
         found["trial by time"] = (ids, labels, np.array(thirds))
-    if any(t.settings.get("beat") is not None for t in where.trials):
+    if any(t.swim.beat is not None for t in where.trials):
         rows = []
         for channel in where.channels:
             row = []

@@ -59,8 +59,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     parameters = tuple(
         p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
     )
-    held = trial.settings.get("held", ())
-    parameters = tuple(replace(p, free=False) if p.name in held else p for p in parameters)
+    parameters = tuple(replace(p, free=False) if p.name in trial.held else p for p in parameters)
     found = start_states.estimate(model, parameters, trial, sd, tolerance=TOLERANCE)
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
@@ -176,9 +175,7 @@ def _near(trial: Trial, k: int, fit: Fit) -> Trial:
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, fit.theta, strict=True)
         if owner == k
     }
-    return replace(
-        trial, settings={**trial.settings, "starts": {**trial.settings.get("starts", {}), **known}}
-    )
+    return replace(trial, starts={**trial.starts, **known})
 
 
 def _stretch(

@@ -20,9 +20,9 @@ from swimid.fitting.output_error import STEP_ERROR, FitResult
 from swimid.fitting.residual_tests import autocorrelation, joined, ljung_box
 from swimid.fitting.sandwich import HETEROGENEITY
 from swimid.logs.beat import TOLERANCE
-from swimid.notices import Notice, warn
+from swimid.notices import warn
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
@@ -241,59 +241,50 @@ def prepare(
 
 def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     """Tests of a fit against their limits; warns of each that fails."""
+    yes = {True: "yes", False: "no"}
     found = [
-        ev.Check(
-            name="converged",
-            value="yes" if result.converged else "no",
-            limit="yes",
-            verdict="pass" if result.converged else "fail",
-            text=result.message,
+        blocks.check(
+            "converged", yes[result.converged], "yes", result.converged, otherwise="fail", text=result.message
         )
     ]
     if result.restarts is not None:
+        after = f", after {result.restarts} restarts" if result.restarts else ""
         found.append(
-            ev.Check(
-                name="starts near the answer lead back to it",
-                value=("yes" if result.settled else "no")
-                + (f", after {result.restarts} restarts" if result.restarts else ""),
-                limit="yes",
-                verdict="pass" if result.settled else "warn",
+            blocks.check(
+                "starts near the answer lead back to it",
+                yes[result.settled] + after,
+                "yes",
+                result.settled,
                 text="points and short searches around it",
             )
         )
-    shaky = [
-        label for label, status in result.status.items() if status == "unidentifiable" and "[" not in label
-    ]
-    known = [label for label, status in result.status.items() if status == "estimated" and "[" not in label]
+    shared = {label: status for label, status in result.status.items() if "[" not in label}
+    shaky = [label for label, status in shared.items() if status == "unidentifiable"]
+    known = [label for label, status in shared.items() if status == "estimated"]
     found.append(
-        ev.Check(
-            name="identifiable",
-            value="all" if not shaky else f"not: {', '.join(shaky)}",
-            limit="every estimated parameter",
-            verdict="pass" if not shaky else "warn" if len(known) >= len(shaky) else "fail",
+        blocks.check(
+            "identifiable",
+            "all" if not shaky else f"not: {', '.join(shaky)}",
+            "every estimated parameter",
+            not shaky,
+            otherwise="warn" if len(known) >= len(shaky) else "fail",
             text="a parameter counts as identified when its standard error is below half its size",
         )
     )
     at_bound = [label for label, status in result.status.items() if status == "at-bound"]
     if at_bound:
-        found.append(
-            ev.Check(
-                name="inside bounds",
-                value=", ".join(at_bound),
-                limit="no parameter at a bound",
-                verdict="warn",
-            )
-        )
+        found.append(blocks.check("inside bounds", ", ".join(at_bound), "no parameter at a bound", False))
     found += _whiteness(result)
     if len([t for t in result.trials if t.role == "fit"]) > 2:
         agree = result.scatter_p >= HETEROGENEITY
+        text = "" if agree else f"standard errors are enlarged by {result.scatter:.2f}"
         found.append(
-            ev.Check(
-                name="trials agree",
-                value=_p_text(result.scatter_p),
-                limit=f"p ≥ {HETEROGENEITY:g}",
-                verdict="pass" if agree else "warn",
-                text="" if agree else f"standard errors are enlarged by {result.scatter:.2f}",
+            blocks.check(
+                "trials agree",
+                blocks.p_text(result.scatter_p),
+                f"p ≥ {HETEROGENEITY:g}",
+                agree,
+                text=text,
             )
         )
         if not agree:
@@ -305,26 +296,22 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
             )
     found += _outliers(result)
     if result.step_error:
-        coarse = result.step_error > STEP_ERROR
+        fine = result.step_error <= STEP_ERROR
         found.append(
-            ev.Check(
-                name="integration step",
-                value=f"{result.step_error:.2g} sd",
-                limit=f"≤ {STEP_ERROR:g} sd",
-                verdict="warn" if coarse else "pass",
+            blocks.check(
+                "integration step",
+                f"{result.step_error:.2g} sd",
+                f"≤ {STEP_ERROR:g} sd",
+                fine,
                 text="largest change of a simulated sample when the step is halved",
             )
         )
-        if coarse:
+        if not fine:
             warn(
                 "SWM016",
                 f"halving the integration step changes samples by {result.step_error:.2g} sd of their noise",
             )
     return found + _validation(result)
-
-
-def _p_text(p: float) -> str:
-    return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
 
 
 def _outliers(result: FitResult) -> list[ev.Check]:
@@ -345,11 +332,11 @@ def _outliers(result: FitResult) -> list[ev.Check]:
             continue
         named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
         found.append(
-            ev.Check(
-                name=f"no outliers, {channel}",
-                value=f"{count} of {len(values)} samples",
-                limit=f"within {OUTLIER:g} robust standard deviations",
-                verdict="warn",
+            blocks.check(
+                f"no outliers, {channel}",
+                f"{count} of {len(values)} samples",
+                f"within {OUTLIER:g} robust standard deviations",
+                False,
                 text=named,
             )
         )
@@ -365,24 +352,21 @@ def _whiteness(result: FitResult) -> list[ev.Check]:
     found = []
     for channel in result.noise:
         test = ljung_box(_weighted(result, channel), fitted=0)
+        coloured = "coloured residuals: the standard errors account for it, but the model may miss an effect"
         found.append(
-            ev.Check(
-                name=f"white residuals, {channel}",
-                value=_p_text(test.p_value),
-                limit="p ≥ 0.01",
-                verdict="pass" if test.passed else "warn",
-                text=""
-                if test.passed
-                else "coloured residuals: the standard errors account for it, but the model may miss an "
-                "effect",
+            blocks.check(
+                f"white residuals, {channel}",
+                blocks.p_text(test.p_value),
+                "p ≥ 0.01",
+                test.passed,
+                text="" if test.passed else coloured,
             )
         )
         if not test.passed:
             warn(
                 "SWM013",
-                f"the residuals of {channel} are coloured (Ljung-Box {_p_text(test.p_value)}): the "
-                "model may miss an "
-                "effect; the standard errors account for the colour",
+                f"the residuals of {channel} are coloured (Ljung-Box {blocks.p_text(test.p_value)}): the "
+                "model may miss an effect; the standard errors account for the colour",
             )
     return found
 
@@ -403,11 +387,12 @@ def _validation(result: FitResult) -> list[ev.Check]:
         lost = worse and error > math.sqrt(fitted * nothing)
         worst = max(held_out, key=lambda s: _rms([s.residual]))
         found.append(
-            ev.Check(
-                name=f"validation, {channel.name}",
-                value=numbers.number(error, 3, channel.unit),
-                limit=f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
-                verdict="fail" if lost else "warn" if worse else "pass",
+            blocks.check(
+                f"validation, {channel.name}",
+                numbers.number(error, 3, channel.unit),
+                f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
+                not worse,
+                otherwise="fail" if lost else "warn",
                 text="root-mean-square error on trials that were not fitted"
                 + ("; nearer to that of no model at all than to the fit's" if lost else ""),
             )
@@ -436,24 +421,13 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
         for name, b in known.items()
         if abs(b["found_hz"] - b["stated_hz"]) > max(TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
     ]
-    return ev.Check(
-        name="beat frequency as stated",
-        value="yes" if not wrong else f"not in {len(wrong)} of {len(known)} trials",
-        limit=f"within {100 * TOLERANCE:g} %",
-        verdict="warn" if wrong else "pass",
+    return blocks.check(
+        "beat frequency as stated",
+        "yes" if not wrong else f"not in {len(wrong)} of {len(known)} trials",
+        f"within {100 * TOLERANCE:g} %",
+        not wrong,
         text="found in the heading of each log",
     )
-
-
-def verdict(found: list[ev.Check], answer: str) -> ev.Verdict:
-    """Good when every check passes, bad when one fails, caution between."""
-    bad = [c.name for c in found if c.verdict == "fail"]
-    unsure = [c.name for c in found if c.verdict == "warn"]
-    if bad:
-        return ev.Verdict(level="bad", text=f"{answer} Not to be relied on: {', '.join(bad)}.")
-    if unsure:
-        return ev.Verdict(level="caution", text=f"{answer} Look at: {', '.join(unsure)}.")
-    return ev.Verdict(level="good", text=answer)
 
 
 def _weighted(result: FitResult, channel: str) -> np.ndarray:
@@ -469,65 +443,28 @@ def figures(result: FitResult) -> list[ev.Figure]:
         unit, meaning = units[channel]
         parts = [s for s in result.series if s.channel == channel]
         shown = parts if len(parts) <= MAX_TRIALS else parts[:: math.ceil(len(parts) / MAX_TRIALS)]
-        label = f"{meaning or channel} ({numbers.unit_text(unit) or '1'})"
-        traces = []
-        for group, s in enumerate(shown):
-            held_out = "" if s.role == "fit" else ", held out"
-            x, y = ev.thinned(s.time_s, s.measured, 400)
-            traces.append(ev.Trace(x=x, y=y, style="points", label=f"{s.trial}{held_out}", group=group))
-            x, y = ev.thinned(s.time_s, s.simulated, 400)
-            traces.append(ev.Trace(x=x, y=y, style="line" if s.role == "fit" else "dashed", group=group))
         count = "" if len(shown) == len(parts) else f" {len(shown)} of {len(parts)} trials are shown."
-        found.append(
-            ev.Figure(
-                id=f"overlay-{channel}",
-                title=f"Measured and simulated: {channel}",
-                caption="Points are measured, lines simulated with the estimated parameters; in a "
-                "good fit the "
-                f"lines run through the points of every trial.{count}",
-                panels=[ev.Panel(x_label=result.model.abscissa, y_label=label, traces=traces)],
-            )
-        )
-        residuals = [
-            ev.Trace(x=x, y=y, style="points", label=s.trial, group=group)
-            for group, s in enumerate(shown)
-            for x, y in [ev.thinned(s.time_s, s.weighted, 400)]
+        found += [
+            blocks.measured_and_simulated(
+                f"overlay-{channel}",
+                f"Measured and simulated: {channel}",
+                "Points are measured, lines simulated with the estimated parameters; in a good fit the lines "
+                f"run through the points of every trial.{count}",
+                result.model.abscissa,
+                f"{meaning or channel} ({numbers.unit_text(unit) or '1'})",
+                shown,
+            ),
+            blocks.residuals(
+                f"residuals-{channel}",
+                f"Residuals: {channel}",
+                "Left: measured minus simulated over the noise's standard deviation; good residuals scatter "
+                "about zero, mostly within ±2, without a trend. Right: their autocorrelation with the 95 % "
+                "band of white noise.",
+                result.model.abscissa,
+                shown,
+                autocorrelation(_weighted(result, channel)),
+            ),
         ]
-        correlation = autocorrelation(_weighted(result, channel))
-        found.append(
-            ev.Figure(
-                id=f"residuals-{channel}",
-                title=f"Residuals: {channel}",
-                caption="Left: measured minus simulated over the noise's standard deviation; good residuals "
-                "scatter about zero, mostly within ±2, without a trend. Right: their autocorrelation "
-                "with the "
-                "95 % band of white noise.",
-                columns=2,
-                panels=[
-                    ev.Panel(
-                        x_label=result.model.abscissa,
-                        y_label="residual / sd",
-                        traces=residuals,
-                        marks=[ev.Mark(at=-2.0), ev.Mark(at=0.0), ev.Mark(at=2.0)],
-                    ),
-                    ev.Panel(
-                        x_label="lag (samples)",
-                        y_label="autocorrelation",
-                        traces=[
-                            ev.Trace(x=correlation.lags[1:], y=correlation.values[1:], style="stems"),
-                            ev.Trace(
-                                x=correlation.lags[1:],
-                                y=np.zeros(len(correlation.lags) - 1),
-                                lower=-correlation.bound[1:],
-                                upper=correlation.bound[1:],
-                                label="95 % band",
-                            ),
-                        ],
-                        marks=[ev.Mark(at=0.0)],
-                    ),
-                ],
-            )
-        )
     return found
 
 
@@ -562,14 +499,3 @@ def fitted(verb: str, text: str, file: ParameterFile, evidence: ev.Evidence, out
     """The result of a fit, written where an output is named."""
     outputs = save(output, file, evidence)
     return Fitted(verb, text, file.model_dump(mode="json"), outputs, evidence, file)
-
-
-def judgement(evidence: ev.Evidence) -> str:
-    """The checks in one line for the terminal."""
-    failed = [c.name for c in evidence.checks if c.verdict in ("warn", "fail")]
-    return f"look at {', '.join(failed)}" if failed else "every check passes"
-
-
-def notices(recorded: list[Notice]) -> list[ev.NoticeRecord]:
-    """Recorded warnings as evidence."""
-    return [ev.NoticeRecord(code=n.code, text=n.text) for n in recorded]

@@ -13,6 +13,7 @@ from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.model import Model, Trial, chosen
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted, rows
 
@@ -90,10 +91,10 @@ def fit_model(
     evidence = ev.Evidence(
         verb=verb,
         title=f"Fit of {whose}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         figures=fit_common.figures(result),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=[
             f"{', '.join(shared)} were estimated from {used} ({result.samples} samples) "
             f"by output-error maximum likelihood with the model {model.name}.",
@@ -106,7 +107,7 @@ def fit_model(
         [
             f"{whose}: {used}, {result.samples} samples",
             rows(fit_common.brief(file)),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
         ]
     )
     return fit_common.fitted(verb, text, file, evidence, target)

@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError, nearest, suggestion
 from swimid.fitting.body import Body
 from swimid.fitting.hooks import Hooks
+from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.scales import Scales
 from swimid.progress import Progress, silent
 
@@ -105,8 +106,12 @@ class Trial:
         NaN where missing.
     inputs : dict of name to ndarray
         Measured inputs on the same samples.
-    settings : dict
-        Known constants of this trial (a pulling mass, say), resolved against the robot.
+    rig, swim, cruise, surge : RigInput, SwimInput, CruiseInput, SurgeInput
+        What is known of it beside its samples (a pulling force, a beat), resolved against the robot.
+    starts : dict of parameter name to float
+        Where the search for its own parameters begins, where its log suggests that.
+    held : tuple of str
+        Parameters of single trials that are not estimated in this one.
     value_sd : dict of channel name to ndarray or float
         Known shape of the measurement error (its overall size is still estimated). Without it
         and without ``time_sd_s`` the error is taken as constant over each channel.
@@ -121,10 +126,23 @@ class Trial:
     time_s: Array
     measured: Mapping[str, Array]
     inputs: Mapping[str, Array] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    rig: RigInput = field(default_factory=RigInput)
+    swim: SwimInput = field(default_factory=SwimInput)
+    cruise: CruiseInput = field(default_factory=CruiseInput)
+    surge: SurgeInput = field(default_factory=SurgeInput)
+    starts: Mapping[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
     value_sd: Mapping[str, Array | float] = field(default_factory=dict)
     time_sd_s: float = 0.0
     stamps_uncertain: bool = False
+
+    @property
+    def steady(self) -> tuple[Array, Array]:
+        """Frequency (Hz) and amplitude (rad) of each run's steady beat, shape (runs,); NaN without one."""
+        frequency = self.inputs.get("frequency_hz", self.surge.frequency_hz)
+        amplitude = self.inputs.get("amplitude_rad", self.surge.amplitude_rad)
+        found, size = np.broadcast_arrays(np.atleast_1d(frequency), np.atleast_1d(amplitude))
+        return found.astype(float), size.astype(float)
 
 
 @dataclass(frozen=True)
@@ -214,11 +232,11 @@ class Model(ABC):
 
     def onset(self, trial: Trial) -> float:
         """When the actuators begin to move, s: a drive at time zero, a recorded command with its log."""
-        return 0.0 if "beat" in trial.settings else float(trial.time_s[0])
+        return float(trial.time_s[0]) if trial.swim.beat is None else 0.0
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Frequencies of the drive as far as they are known, Hz."""
-        return [float(t.settings["beat"].frequency_hz) for t in trials if "beat" in t.settings]
+        return [float(t.swim.beat.frequency_hz) for t in trials if t.swim.beat is not None]
 
     def given(self, trial: Trial) -> list[str]:
         """Channels that a trial's run is driven by as they were measured: it does not predict them."""

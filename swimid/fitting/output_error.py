@@ -312,8 +312,8 @@ def _fit_once(
         if path.crept:
             warn(
                 "SWM026",
-                f"the search crept along a flat valley and was ended after {path.iterations} iterations: "
-                f"ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
+                f"the search converged slowly along a flat valley and was ended after {path.iterations} "
+                f"iterations: ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
             )
         noise = noise_model.estimate(problem, path.theta, path.noise, robust=loss == "huber")
         result = _result(problem, path, noise, parameters, tuple(trials), loss)
@@ -398,7 +398,7 @@ class _Search:
         found = sandwich.sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
-        # numbers of single trials (start states) are no answer: they may go on creeping
+        # numbers of single trials (start states) are no answer: they may go on converging slowly
         known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
         return Unnoticed(found.gain, np.where(known, SLIGHT * errors, math.inf))
 

@@ -76,7 +76,7 @@ class Problem:
                 continue
             owners: list[int | None] = [None]
             if parameter.per_trial:
-                held = [parameter.name in t.settings.get("held", ()) for t in self.trials]
+                held = [parameter.name in t.held for t in self.trials]
                 owners = [k for k in range(len(self.trials)) if not held[k]]
             for owner in owners:
                 name = parameter.name
@@ -123,7 +123,7 @@ class Problem:
     def _start_of(self, index: int, owner: int | None) -> float:
         """Where the search for a number begins: as the trial's log suggests, else as the parameter says."""
         parameter = self.parameters[index]
-        known = {} if owner is None else self.trials[owner].settings.get("starts", {})
+        known = {} if owner is None else self.trials[owner].starts
         return float(known.get(parameter.name, parameter.start))
 
     def box(self) -> tuple[Array, Array]:

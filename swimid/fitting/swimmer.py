@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Callable, Collection, Sequence
+from typing import Self
 
 from swimid.fitting.body import Moving
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
 
@@ -72,7 +73,7 @@ class Swimmer(Model):
         """
 
     @abstractmethod
-    def command(self, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float) -> Array:
+    def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
         """What a driven joint is told to do, rad."""
 
     def with_buoyancy(self, factor: float) -> Swimmer | None:
@@ -86,13 +87,13 @@ class Swimmer(Model):
 
     def given(self, trial: Trial) -> list[str]:
         """Measured joints that drive the run where no servo follows them."""
-        if trial.settings.get("joints") is None:
+        if trial.swim.joints is None:
             return []
         return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
 
     def of_trial(self, values: Array, trial: Trial) -> Array:
         """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
-        own = trial.settings.get("coefficients")
+        own = trial.swim.coefficients
         if not own:
             return values
         values = values.copy()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 from swimid.errors import UsageError
 from swimid.inertial import paper
 from swimid.inertial.alone import Declared
+from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.sensor import DEG, MILLI_G, Sensor
 
 
@@ -64,47 +64,46 @@ class Settings:
         }
 
     @classmethod
-    def of_options(cls, given: Mapping[str, Any]) -> Settings:
-        """Settings from the command line's options, None where one was not given.
+    def of(cls, options: TrackImuOptions) -> Settings:
+        """Settings from the options, which are in the field's units.
 
         Raises
         ------
         UsageError
             A rest that ends before it begins.
         """
-        for start, end in given["still"]:
+        for start, end in options.still:
             if not start < end:
                 raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
         usual = Sensor()
-
-        def scaled(name: str, factor: float, default: float | None) -> float | None:
-            return default if given[name] is None else given[name] * factor
-
+        accel_mg, gyro_deg_s, attitude_deg = (
+            options.accel_bias_mg, options.gyro_bias_deg_s, options.attitude_sd_deg
+        )  # fmt: skip
         sensor = Sensor(
-            given["accel_noise"],
-            given["gyro_noise"],
-            scaled("accel_bias_mg", MILLI_G, usual.acceleration_bias_sd) or usual.acceleration_bias_sd,
-            scaled("gyro_bias_deg_s", DEG, usual.rate_bias_sd) or usual.rate_bias_sd,
-            attitude_sd=scaled("attitude_sd_deg", DEG, None),
+            options.accel_noise,
+            options.gyro_noise,
+            usual.acceleration_bias_sd if accel_mg is None else accel_mg * MILLI_G,
+            usual.rate_bias_sd if gyro_deg_s is None else gyro_deg_s * DEG,
+            attitude_sd=None if attitude_deg is None else attitude_deg * DEG,
         )
         declared = Declared(
-            list(given["still"]),
-            given["rests"],
-            tuple(dict.fromkeys(given["zero_mean"])),
-            given["window_s"],
-            given["mean_sd_m_s"],
-            given["top_speed_m_s"],
-            None if given["lever_m"] is None else np.asarray(given["lever_m"], dtype=float),
+            list(options.still),
+            options.rests,
+            tuple(dict.fromkeys(options.zero_mean)),
+            options.window_s,
+            options.mean_sd_m_s,
+            options.top_speed_m_s,
+            None if options.lever_m is None else np.asarray(options.lever_m, dtype=float),
         )
         return cls(
-            given["method"],
-            given["motion_mode"],
-            paper.THRESHOLD_M_S2 if given["threshold_m_s2"] is None else given["threshold_m_s2"],
-            paper.THRESHOLD_RAD_S if given["threshold_rad_s"] is None else given["threshold_rad_s"],
-            given["mount_deg"],
-            given["level_at_rest"],
-            given["clock_offset_s"],
-            given["fix_sd_m"],
+            options.method,
+            options.motion_mode,
+            paper.THRESHOLD_M_S2 if options.threshold_m_s2 is None else options.threshold_m_s2,
+            paper.THRESHOLD_RAD_S if options.threshold_rad_s is None else options.threshold_rad_s,
+            options.mount_deg,
+            options.level_at_rest,
+            options.clock_offset_s,
+            options.fix_sd_m,
             declared,
             sensor,
         )

@@ -30,6 +30,7 @@ from swimid.inertial.alignment import Poses
 from swimid.inertial.checks import REST_LIMIT
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.motion import Motion
+from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record
 from swimid.inertial.run import Run
 from swimid.inertial.settings import Settings
@@ -37,21 +38,23 @@ from swimid.inertial.smoother import Smoothed, gravity
 from swimid.logs import log, mapping, rhythm
 from swimid.logs.log import LogLike
 from swimid.logs.logged import Logged
-from swimid.logs.mapping import Mapping
 from swimid.notices import recorded, warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
 
 
+@takes(TrackImuOptions)
 def track_imu(
     imu: LogLike,
     *,
+    options: TrackImuOptions,
     output: str | Path | None = None,
-    map_path: str | Path | Mapping | dict[str, Any] | None = None,
-    other: LogLike | None = None,
-    settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Logged:
     """Make motion of an inertial recording: velocity, position and attitude with their bands.
+
+    The other log may be a table too: positions (m), angles (rad), or both; and the mapping a dict of names
+    and units of foreign columns.
 
     Parameters
     ----------
@@ -62,12 +65,6 @@ def track_imu(
     output : path, optional
         The log, CSV or Parquet by its ending; ``<stem>.evidence.json`` goes beside it. Without it nothing is
         written; :meth:`~swimid.results.result.Result.save` writes the same later.
-    map_path : path, Mapping or dict, optional
-        ``swimid-mapping/1``: names and units of foreign columns.
-    other : path, Log or DataFrame, optional
-        Another log of the trial to fuse with: positions (m), angles (rad), or both.
-    settings : Settings, optional
-        Method, rests, mounting, errors of the sensor; SI.
     progress : Progress
         Shows reading and smoothing.
 
@@ -89,7 +86,7 @@ def track_imu(
     Notes
     -----
     An error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel, 1965,
-    doi:10.2514/3.3166; Groves, 2013, ch. 14); ``Settings(method="paper")`` follows Shang et al. (2012),
+    doi:10.2514/3.3166; Groves, 2013, ch. 14); ``method="paper"`` follows Shang et al. (2012),
     doi:10.1017/S0263574711001159.
 
     Examples
@@ -106,7 +103,7 @@ def track_imu(
     >>> bool(made.frame[["vx_m_s", "vy_m_s", "vz_m_s"]].abs().to_numpy().max() < 0.01)
     True
     """
-    settings = settings or Settings()
+    settings, map_path, other = Settings.of(options), options.map_path, options.other
     recording = log.unread(imu, name="imu")
     rules = None if map_path is None else mapping.of(map_path)
     given: list[provenance.Input] = [recording]

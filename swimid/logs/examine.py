@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import InputError, NoTrustworthyResult
 from swimid.logs import log, plausible, projection, rhythm, time_order, track_cleaning, track_speed
 from swimid.logs.beat import contradiction
 from swimid.logs.mapping import MappedLog
+from swimid.logs.options import ImportOptions
 from swimid.logs.plausible import Doubt
 from swimid.logs.projection import Projection
 from swimid.logs.rhythm import Rhythm
@@ -29,59 +30,6 @@ _POSE_SPEEDS = ("u", "v", "w", "vx", "vy", "vz")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 #: An angle of a body or a joint that swings farther to either side goes through itself.
 HALF_TURN = np.pi
-
-
-@dataclass(frozen=True)
-class Request:
-    """What was asked for.
-
-    Attributes
-    ----------
-    start_s, end_s : float or None
-        Part of the log that is kept, on its own clock.
-    along : str or None
-        Line the track is projected on, as :func:`swimid.logs.projection.direction` reads it.
-    scale : float or None
-        Metres a pixel.
-    stroke_hz : (float, float) or None
-        Range in which the stroke is known to lie.
-    """
-
-    start_s: float | None = None
-    end_s: float | None = None
-    along: str | None = None
-    scale: float | None = None
-    stroke_hz: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be meant.
-
-        Raises
-        ------
-        UsageError
-        """
-        if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
-            raise UsageError(f"--end {self.end_s:g} lies before --start {self.start_s:g}")
-        if self.scale is not None and not (np.isfinite(self.scale) and self.scale > 0):
-            raise UsageError(f"--scale {self.scale:g}: a pixel has a positive size in metres")
-        if self.stroke_hz is not None and not 0 < self.stroke_hz[0] < self.stroke_hz[1]:
-            raise UsageError("--stroke takes two frequencies in Hz, the lower first")
-        if self.along is not None:
-            try:
-                projection.direction(self.along)
-            except ValueError as error:
-                raise UsageError(f"--along: {error}") from error
-
-    def settings(self) -> dict[str, Any]:
-        """What was asked for, without what was not."""
-        asked = {
-            "start_s": self.start_s,
-            "end_s": self.end_s,
-            "along": self.along,
-            "metres_per_pixel": self.scale,
-            "stroke_hz": None if self.stroke_hz is None else list(self.stroke_hz),
-        }
-        return {key: value for key, value in asked.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -137,7 +85,7 @@ class Examined:
         return self.columns[log.TIME]
 
 
-def examine(source: MappedLog, *, clean: bool | None = None, request: Request | None = None) -> Examined:
+def examine(source: MappedLog, options: ImportOptions) -> Examined:
     """Put a foreign log in order, clean its track, and find its speed and stroke.
 
     ``source.columns`` is emptied on the way: a log of many samples is held once, not twice.
@@ -160,10 +108,10 @@ def examine(source: MappedLog, *, clean: bool | None = None, request: Request | 
     for note in notes:
         warn("SWM057", f"{source.path.name}: {note}")
     _warn_order(order, source.path.name)
-    request = request or Request()
-    cut(columns, request, source)
-    to_metres(columns, request, source)
+    cut(columns, options, source)
+    to_metres(columns, options, source)
     own = log.written_by(source.metadata, "swimid track")
+    clean = options.clean
     cleaning, speed, cleaned = _track(columns, not own if clean is None else clean, clean)
     metadata = dict(source.metadata) | {"source": source.path.name, "imported_by": "swimid import"}
     if cleaning is not None and cleaned:
@@ -171,7 +119,7 @@ def examine(source: MappedLog, *, clean: bool | None = None, request: Request | 
     unit = "px" if any(n in columns for n in PIXELS) and not any(n in columns for n in METRES) else "m"
     telling = {n: v for n, v in measured(columns).items() if n != log.TIME}
     stated = _stated(metadata)
-    stroke = rhythm.find(columns[log.TIME], telling, range_hz=request.stroke_hz, stated_hz=stated)
+    stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
     unknown = "" if stroke is not None else rhythm.unknown(columns[log.TIME], telling)
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
@@ -179,7 +127,7 @@ def examine(source: MappedLog, *, clean: bool | None = None, request: Request | 
     against = _contradiction(stroke, stated, source.path.name)
     if stroke is not None and stroke.doubt:
         warn("SWM033", f"{source.path.name}: {stroke.doubt}")
-    line = along(columns, request, source)
+    line = along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
     return Examined(
@@ -310,7 +258,7 @@ def _contradiction(stroke: Rhythm | None, stated_hz: float | None, name: str) ->
     return against
 
 
-def cut(columns: dict[str, Array], request: Request, source: MappedLog) -> None:
+def cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
     """Keep the part of the log that was asked for.
 
     Raises
@@ -318,11 +266,11 @@ def cut(columns: dict[str, Array], request: Request, source: MappedLog) -> None:
     InputError
         No two samples lie in it.
     """
-    if request.start_s is None and request.end_s is None:
+    if options.start_s is None and options.end_s is None:
         return
     time = columns[log.TIME]
-    low = -np.inf if request.start_s is None else request.start_s
-    high = np.inf if request.end_s is None else request.end_s
+    low = -np.inf if options.start_s is None else options.start_s
+    high = np.inf if options.end_s is None else options.end_s
     kept = (time >= low) & (time <= high)
     if kept.sum() < 2:
         raise InputError(
@@ -349,7 +297,7 @@ def measured(columns: dict[str, Array]) -> dict[str, Array]:
     }
 
 
-def to_metres(columns: dict[str, Array], request: Request, source: MappedLog) -> None:
+def to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
     """Convert the pose of a track in pixels, in place.
 
     Raises
@@ -357,7 +305,7 @@ def to_metres(columns: dict[str, Array], request: Request, source: MappedLog) ->
     InputError
         There is none.
     """
-    if request.scale is None:
+    if options.scale is None:
         return
     if not any(name in columns for name in PIXELS):
         raise InputError("--scale is for a track in pixels: there is no column x_px", file=source.path)
@@ -365,10 +313,10 @@ def to_metres(columns: dict[str, Array], request: Request, source: MappedLog) ->
     if taken:
         raise InputError("there is a track in metres already", file=source.path, column=taken[0])
     for name in [name for name in columns if "_px" in name and _of_pose(name)]:
-        columns[name.replace("_px", "_m")] = columns.pop(name) * request.scale
+        columns[name.replace("_px", "_m")] = columns.pop(name) * options.scale
 
 
-def along(columns: dict[str, Array], request: Request, source: MappedLog) -> Projection | None:
+def along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
     """Put the distance along a line in the place of the pose, in place.
 
     Raises
@@ -376,18 +324,18 @@ def along(columns: dict[str, Array], request: Request, source: MappedLog) -> Pro
     InputError
         There is no track, or it does not move.
     """
-    if request.along is None:
+    if options.along is None:
         return None
     unit = "m" if any(name in columns for name in METRES) else "px"
     names = [name for name in (METRES if unit == "m" else PIXELS) if name in columns]
     if not names:
         raise InputError("--along needs a track: x_m, y_m, z_m, or those in px", file=source.path)
-    towards = projection.direction(request.along)
+    towards = projection.direction(options.along)
     if towards is not None:
         axes = [METRES.index(name.replace("_px", "_m")) for name in names]
         if not np.isclose(np.linalg.norm(towards[axes]), 1.0):
             raise InputError(
-                f"--along {request.along} points out of the plane of {', '.join(names)}", file=source.path
+                f"--along {options.along} points out of the plane of {', '.join(names)}", file=source.path
             )
         towards = towards[axes]
     try:

@@ -5,46 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import imported, log, mapping
-from swimid.logs.examine import Request, examine
+from swimid.logs.examine import examine
 from swimid.logs.imported import Imported
 from swimid.logs.log import LogLike
-from swimid.logs.mapping import Mapping
+from swimid.logs.options import ImportOptions
 from swimid.notices import recorded
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
 
 
+@takes(ImportOptions)
 def import_log(
     source: LogLike,
     *,
-    map_path: str | Path | Mapping | dict[str, Any] | None = None,
+    options: ImportOptions,
     output: str | Path | None = None,
-    clean: bool | None = None,
-    request: Request | None = None,
     progress: Progress = silent,
 ) -> Imported:
     """Make a log in SI units of a foreign recording: rows in order, jumps taken out, the stroke found.
+
+    A mapping, which may be a dict, says which source column becomes which column of the log, and the unit it
+    is written in; without one the columns must be named as in the log format. Repeats and jumps are taken out
+    of logs with two or more position columns that swimid did not track itself.
 
     Parameters
     ----------
     source : path, DataFrame or Log
         A file of any format of ``docs/import.md``; or a table, shape (n, k), one row a sample.
-    map_path : path, Mapping or dict, optional
-        ``swimid-mapping/1``: which source column becomes which column of the log, and the unit it is written
-        in. Without one the columns must be named as in the log format.
     output : path, optional
         The log, CSV or Parquet by its ending, with ``<stem>.evidence.json`` beside it. Without it nothing is
         written; :meth:`~swimid.results.result.Result.save` writes the same later.
-    clean : bool, optional
-        Whether repeats and jumps are taken out of the track. Default: in logs with two or more
-        position columns that swimid did not track itself.
-    request : Request, optional
-        What is cut (s), scaled (m/px) or projected on a line, and where the stroke is known to lie (Hz).
     progress : Progress
         Shows reading and writing.
 
@@ -79,34 +74,32 @@ def import_log(
     >>> list(made.frame), round(made.data["stroke"]["frequency_hz"], 3)
     (['t_s', 'yaw_rad'], 1.5)
     """
-    given = log.unread(source)
+    given, map_path = log.unread(source), options.map_path
     rules = None if map_path is None else mapping.of(map_path)
     inputs: list[provenance.Input] = [given]
     if rules is not None:
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
-    request = request or Request()
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
         # a long file is hashed while it is read
         digests = beside.submit(provenance.digests_of, inputs)
         read = mapping.apply(rules, given, progress=progress)
-        found = examine(read, clean=clean, request=request)
+        found = examine(read, options)
         origin = provenance.collect(
-            inputs, settings={"clean": found.cleaned, **request.settings()}, digests=digests.result()
+            inputs, settings=options.settings(clean=found.cleaned), digests=digests.result()
         )
         name = f"{found.path.stem}.csv" if output is None else output.name
         result = imported.result(found, name, rules, origin, tuple(notices), progress)
     return result if output is None else result.save(output)
 
 
+@takes(ImportOptions)
 def import_logs(
     files: Sequence[str | Path],
     *,
+    options: ImportOptions,
     output: str | Path,
-    map_path: str | Path | None = None,
-    clean: bool | None = None,
-    request: Request | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Write several foreign logs in the log format, each with its evidence, as :func:`import_log` does one.
@@ -130,10 +123,10 @@ def import_logs(
     if not files:
         raise UsageError("name at least one log to import")
     paths = list(dict.fromkeys(Path(file) for file in files))
-    if map_path is not None:
-        mapping.read(map_path)
+    if options.map_path is not None:
+        mapping.of(options.map_path)
     done = [
-        import_log(path, map_path=map_path, output=target, clean=clean, request=request, progress=progress)
+        import_log(path, options=options, output=target, progress=progress)
         for path, target in zip(paths, destinations(paths, Path(output)), strict=True)
     ]
     if len(done) == 1:

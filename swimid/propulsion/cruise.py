@@ -19,8 +19,8 @@ from swimid.propulsion import cruise_evidence as propulsion_cruise_evidence
 from swimid.propulsion import trials as experiment_module
 from swimid.propulsion.cruise_evidence import DEPARTURE_SHARE, DEPARTURE_Z, LAWS
 from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
 
 
@@ -50,7 +50,7 @@ def fit(
     """
     model = experiment.model
     assert isinstance(model, RecoilModel)
-    if all(t.settings.get("inertia_kg_m2") is None for t in experiment.trials):
+    if all(t.cruise.inertia_kg_m2 is None for t in experiment.trials):
         warn(
             "SWM019",
             "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
@@ -86,7 +86,7 @@ def fit(
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=propulsion_cruise_evidence.tables(experiment, points, offsets, departures, everything, result),
         figures=propulsion_cruise_evidence.figures(experiment, result, points),
@@ -218,7 +218,7 @@ def _with_drag_error(
         other = RecoilModel(
             drag_area_kg_m=area,
             moving_mass_kg=mass,
-            fins={t.id: t.settings.get("inertia_kg_m2") for t in trials},
+            fins={t.id: t.cruise.inertia_kg_m2 for t in trials},
         )
         shifts[i] = output_error.fit(other, trials, parameters=choices).estimate - result.estimate
     rho = 0.0
@@ -242,7 +242,7 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
                 continue
             f, a = float(trial.inputs["frequency_hz"][k]), float(trial.inputs["amplitude_rad"][k])
             terminal = float(speed / velocity_ratio(model.b1, 0.0, trial.inputs["distance_m"][k]))
-            inertia = trial.settings.get("inertia_kg_m2")
+            inertia = trial.cruise.inertia_kg_m2
             efficiency = None
             if inertia is not None and a > offset:
                 efficiency = float(

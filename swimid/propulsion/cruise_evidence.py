@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.output_error import FitResult
 from swimid.propulsion.model import SPEED
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate
 
 #: A frequency at which all runs lie off the law by more than this share, and by more standard
@@ -27,15 +27,14 @@ LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
 
 def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate]) -> list[ev.Check]:
     """Whether every frequency, and each exponent set free, follows the law."""
+    off = ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures)
     found = [
-        ev.Check(
-            name="every frequency follows the law",
-            value="all"
-            if not departures
-            else ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures),
-            limit=f"within {100 * DEPARTURE_SHARE:g} % or {DEPARTURE_Z:g} standard errors",
-            verdict="pass" if not departures else "warn",
-            text="" if not departures else "left out of the fit",
+        blocks.check(
+            "every frequency follows the law",
+            off or "all",
+            f"within {100 * DEPARTURE_SHARE:g} % or {DEPARTURE_Z:g} standard errors",
+            not departures,
+            text="left out of the fit" if departures else "",
         )
     ]
     for name, law in LAWS.items():
@@ -65,56 +64,44 @@ def tables(
     result: FitResult,
 ) -> list[ev.Table]:
     """Fins, runs, offsets, and the fit with and without the departures."""
-    fins = [
-        [
-            t.id,
-            experiment.robot.fins[t.id].height_m,
-            experiment.robot.fins[t.id].length_m,
-            experiment.robot.fins[t.id].area_m2,
-            None
-            if t.settings.get("inertia_kg_m2") is None
-            else numbers.number(1e7 * t.settings["inertia_kg_m2"], 5),
-        ]
-        for t in experiment.trials
+    fins: list[dict[str, blocks.Cell]] = []
+    for t in experiment.trials:
+        fin, inertia = experiment.robot.fins[t.id], t.cruise.inertia_kg_m2
+        fins.append(
+            {
+                "fin": t.id,
+                "height (m)": fin.height_m,
+                "length (m)": fin.length_m,
+                "area (m²)": fin.area_m2,
+                "hydrodynamic inertia (g cm²)": None if inertia is None else numbers.number(1e7 * inertia, 5),
+            }
+        )
+    runs: list[dict[str, blocks.Cell]] = [
+        {
+            "fin": p["fin"],
+            "f (Hz)": p["frequency_hz"],
+            "amplitude (deg)": round(p["amplitude_deg"], 3),
+            "average speed (cm/s)": numbers.number(100 * p["mean_speed_m_s"], 4),
+            "terminal speed (cm/s)": numbers.number(100 * p["terminal_speed_m_s"], 4),
+            "force (mN)": numbers.number(1e3 * p["propulsive_force_N"], 4),
+            "Strouhal, fin": numbers.number(p["strouhal_fin"], 3),
+            "Strouhal, axle": numbers.number(p["strouhal_axle"], 3),
+            "efficiency (%)": None if p["efficiency"] is None else numbers.number(100 * p["efficiency"], 3),
+        }
+        for p in points
     ]
     tables = [
-        ev.Table(
-            id="fins",
-            title="Fins",
-            columns=["fin", "height (m)", "length (m)", "area (m²)", "hydrodynamic inertia (g cm²)"],
-            rows=fins,
-            caption="A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
+        blocks.table(
+            "fins",
+            "Fins",
+            fins,
+            "A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
         ),
-        ev.Table(
-            id="points",
-            title="Runs",
-            columns=[
-                "fin",
-                "f (Hz)",
-                "amplitude (deg)",
-                "average speed (cm/s)",
-                "terminal speed (cm/s)",
-                "force (mN)",
-                "Strouhal, fin",
-                "Strouhal, axle",
-                "efficiency (%)",
-            ],
-            rows=[
-                [
-                    p["fin"],
-                    p["frequency_hz"],
-                    round(p["amplitude_deg"], 3),
-                    numbers.number(100 * p["mean_speed_m_s"], 4),
-                    numbers.number(100 * p["terminal_speed_m_s"], 4),
-                    numbers.number(1e3 * p["propulsive_force_N"], 4),
-                    numbers.number(p["strouhal_fin"], 3),
-                    numbers.number(p["strouhal_axle"], 3),
-                    numbers.number(100 * p["efficiency"], 3) if p["efficiency"] is not None else None,
-                ]
-                for p in points
-            ],
-            caption="Force is drag at terminal speed. Strouhal number with the fin's length as lever "
-            "of the wake "
+        blocks.table(
+            "points",
+            "Runs",
+            runs,
+            "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake "
             "width (the source's Eq 28) and with the distance from the axle to the trailing edge.",
         ),
     ]
@@ -128,22 +115,17 @@ def tables(
             )
         )
     if departures:
-        names = [n for n in result.labels if "[" not in n]
-        tables.append(
-            ev.Table(
-                id="departures",
-                title="With and without the frequencies that depart from the law",
-                columns=["parameter", "without", "with"],
-                rows=[
-                    [
-                        n,
-                        numbers.measured(result.value(n), result.stderr(n)),
-                        numbers.measured(everything.value(n), everything.stderr(n)),
-                    ]
-                    for n in names
-                ],
-            )
-        )
+        rows: list[dict[str, blocks.Cell]] = [
+            {
+                "parameter": n,
+                "without": numbers.measured(result.value(n), result.stderr(n)),
+                "with": numbers.measured(everything.value(n), everything.stderr(n)),
+            }
+            for n in result.labels
+            if "[" not in n
+        ]
+        title = "With and without the frequencies that depart from the law"
+        tables.append(blocks.table("departures", title, rows))
     return tables
 
 
@@ -156,28 +138,39 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
         if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2
     ]
     by_frequency, by_amplitude, force, wake = [], [], [], []
+    frequency = itemgetter("frequency_hz")
     for group, trial in enumerate(experiment.trials):
+        fin = trial.id
         at = sorted(
-            (p for p in points if p["fin"] == trial.id and abs(p["amplitude_deg"] - amplitude) < 1e-6),
-            key=lambda p: p["frequency_hz"],
+            (p for p in points if p["fin"] == fin and abs(p["amplitude_deg"] - amplitude) < 1e-6),
+            key=frequency,
         )
         if at:
             f = np.linspace(0.0, max(p["frequency_hz"] for p in at), 60)[1:]
             by_frequency += [
-                _runs(at, "frequency_hz", lambda p: 100 * p["mean_speed_m_s"], group),
+                blocks.points(at, frequency, lambda p: 100 * p["mean_speed_m_s"], label=fin, group=group),
                 ev.Trace(x=f, y=100 * _law(result, trial, f, np.full(len(f), amplitude)), group=group),
             ]
-            force.append(_runs(at, "frequency_hz", lambda p: 1e3 * p["propulsive_force_N"], group))
-            wake.append(_runs(at, "frequency_hz", lambda p: p["strouhal"], group))
+            thrust = blocks.points(
+                at, frequency, lambda p: 1e3 * p["propulsive_force_N"], label=fin, group=group
+            )
+            force.append(thrust)
+            wake.append(blocks.points(at, frequency, itemgetter("strouhal"), label=fin, group=group))
         for f0 in frequencies[:1]:
             swept = sorted(
-                (p for p in points if p["fin"] == trial.id and p["frequency_hz"] == f0),
-                key=lambda p: p["amplitude_deg"],
+                (p for p in points if p["fin"] == fin and p["frequency_hz"] == f0),
+                key=itemgetter("amplitude_deg"),
             )
             if swept:
                 a = np.linspace(0.0, max(p["amplitude_deg"] for p in swept), 80)[1:]
                 by_amplitude += [
-                    _runs(swept, "amplitude_deg", lambda p: (100 * p["mean_speed_m_s"]) ** 1.5, group),
+                    blocks.points(
+                        swept,
+                        itemgetter("amplitude_deg"),
+                        lambda p: (100 * p["mean_speed_m_s"]) ** 1.5,
+                        label=fin,
+                        group=group,
+                    ),
                     ev.Trace(x=a, y=(100 * _law(result, trial, np.full(len(a), f0), a)) ** 1.5, group=group),
                 ]
     panels = [
@@ -232,16 +225,6 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
         ),
         *fit_common.figures(result)[1:],
     ]
-
-
-def _runs(points: list[dict[str, Any]], x: str, y: Callable[[dict[str, Any]], float], group: int) -> ev.Trace:
-    return ev.Trace(
-        x=[p[x] for p in points],
-        y=[y(p) for p in points],
-        style="points",
-        label=points[0]["fin"],
-        group=group,
-    )
 
 
 def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

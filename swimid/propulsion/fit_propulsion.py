@@ -7,6 +7,7 @@ from pathlib import Path
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -14,12 +15,13 @@ from swimid.propulsion import cruise as propulsion_cruise
 from swimid.propulsion import surge as propulsion_surge
 from swimid.propulsion import trials as experiment_module
 from swimid.propulsion.options import FitPropulsionOptions
+from swimid.results import blocks
 from swimid.results.fitted import Fitted, rows
 
 
 @takes(FitPropulsionOptions)
 def fit_propulsion(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitPropulsionOptions,
     output: Path | None = None,
@@ -33,7 +35,8 @@ def fit_propulsion(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         A cruise experiment (recoil law, boxfish paper Eqs 3-6, 25-27), or straight free-swim
         trials (beat-averaged surge: thrust by a power of amplitude, quadratic drag).
     output : path, optional
@@ -47,7 +50,7 @@ def fit_propulsion(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = experiment_module.load(trials_file, drag=options.drag)
+        experiment = experiment_module.load(source, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         if experiment.name == "cruise":
@@ -68,12 +71,12 @@ def fit_propulsion(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
     file, evidence = page
-    evidence.notices = fit_common.notices(notices)
+    evidence.notices = blocks.notices(notices)
     summary = "\n".join(
         [
             f"{experiment.name} of {experiment.robot.name}",
             rows(fit_common.brief(file)),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
         ]
     )
     return fit_common.fitted("fit-propulsion", summary, file, evidence, output)

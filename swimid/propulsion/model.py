@@ -169,7 +169,7 @@ class RecoilModel(Model):
     in the law; both can be freed to test it.
 
     A trial is one fin; its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` per
-    run, its settings ``fin`` and, where known, ``inertia_kg_m2``. A fin of unknown inertia has
+    run, what is known of its fin :attr:`Trial.cruise`. A fin of unknown inertia has
     the parameter ``inertia_<fin>`` instead.
     """
 
@@ -240,8 +240,8 @@ class RecoilModel(Model):
         return RecoilScales(self, trials)
 
     def _inertia(self, values: Array, trial: Trial) -> float:
-        inertia = trial.settings.get("inertia_kg_m2")
-        return float(values[self.index(f"inertia_{trial.settings['fin']}")] if inertia is None else inertia)
+        inertia = trial.cruise.inertia_kg_m2
+        return float(values[self.index(f"inertia_{trial.cruise.fin}")] if inertia is None else inertia)
 
     def _power(
         self, values: Array, trial: Trial, frequency_hz: Array, amplitude_rad: Array, inertia_kg_m2: float
@@ -250,7 +250,7 @@ class RecoilModel(Model):
         efficiency, offset, p, q = values[:4]
         effective = np.maximum(amplitude_rad - np.deg2rad(offset), 0.0)
         # the exponents are about the middle of what was driven, so that freeing one leaves eta
-        f_mid, a_mid = trial.settings["middle"]
+        f_mid, a_mid = trial.cruise.middle
         return np.asarray(
             8
             * efficiency
@@ -312,9 +312,9 @@ class RecoilModel(Model):
 
         found = []
         for k in range(len(trial.time_s)):
-            settings = dict(trial.settings)
-            if "rows" in settings:
-                settings["rows"] = settings["rows"][k : k + 1]
+            cruise = trial.cruise
+            if cruise.rows is not None:
+                cruise = replace(cruise, rows=cruise.rows[k : k + 1])
             found.append(
                 replace(
                     trial,
@@ -323,7 +323,7 @@ class RecoilModel(Model):
                     measured={n: v[k : k + 1] for n, v in trial.measured.items()},
                     inputs={n: v[k : k + 1] for n, v in trial.inputs.items()},
                     value_sd={n: of_run(v, k) for n, v in trial.value_sd.items()},
-                    settings=settings,
+                    cruise=cruise,
                 )
             )
         return found
@@ -333,8 +333,8 @@ class SurgeModel(Model):
     """Beat-averaged surge of straight swimming: thrust by a power of amplitude, quadratic drag.
 
     ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial, with
-    n = 2 unless it is freed; m is estimated where several frequencies were driven. A trial's
-    settings are ``amplitude_rad``, ``frequency_hz`` and ``start_s``.
+    n = 2 unless it is freed; m is estimated where several frequencies were driven. What is
+    known of a trial is its :attr:`Trial.surge`.
     """
 
     name = "surge-propulsion"
@@ -379,8 +379,8 @@ class SurgeModel(Model):
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Surge at the trial's samples, in closed form (see :meth:`Model.simulate`)."""
         _, drag, _, _, u0 = values
-        a = self._thrust(values, trial.settings["amplitude_rad"], trial.settings["frequency_hz"])
-        return {"u_m_s": _closed_form(trial.time_s - trial.settings["start_s"], a, drag, u0)}
+        a = self._thrust(values, trial.surge.amplitude_rad, trial.surge.frequency_hz)
+        return {"u_m_s": _closed_form(trial.time_s - trial.surge.start_s, a, drag, u0)}
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
         """Typical sizes of trials."""
@@ -404,9 +404,9 @@ class SurgeModel(Model):
         if not hooks.moves:
             return hooks.seen(self.simulate(values, trial), trial.time_s)
         drag, u0 = float(values[1]), float(values[4])
-        settings = trial.settings
+        surge = trial.surge
         stroke = hooks.beaten(
-            Stroke(np.array([settings["frequency_hz"]]), np.array([settings["amplitude_rad"]]), np.ones(1))
+            Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
         )
         a = float(stroke.thrust[0]) * self._thrust(
             values, float(stroke.amplitude_rad[0]), float(stroke.frequency_hz[0])
@@ -415,14 +415,14 @@ class SurgeModel(Model):
         if c["mass"] <= 0:
             return {"u_m_s": np.full(len(trial.time_s), np.nan)}
         a, quadratic, linear, dry = (v / c["mass"] for v in (a, c["quadratic"], c["linear"], c["dry"]))
-        t = trial.time_s - settings["start_s"]
+        t = trial.time_s - surge.start_s
         if linear == dry == 0 and not hooks.flow:
             speed = _closed_form(t, a, quadratic, u0)
         else:
             half = _half_steps(t)
             water = np.zeros(len(half))
             for flow in hooks.flow:
-                water = water + flow(settings["start_s"] + half)[1][:, 0]
+                water = water + flow(surge.start_s + half)[1][:, 0]
             run = _integrated(half, water, a, quadratic, linear, dry, u0)
             speed = np.interp(t, half[::2], run)
         return hooks.seen({"u_m_s": speed}, trial.time_s)

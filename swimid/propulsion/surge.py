@@ -14,8 +14,8 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.notices import warn
 from swimid.progress import Progress
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
 
 #: What is said of start states.
@@ -105,7 +105,7 @@ def fit(
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=[
             ev.Table(
@@ -130,7 +130,7 @@ def fit(
 
 def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> dict[str, Estimate]:
     """The amplitude exponent of thrust set free, where several amplitudes were driven."""
-    amplitudes = {round(t.settings["amplitude_rad"], 6) for t in experiment.trials if t.role == "fit"}
+    amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     if len(amplitudes) < 2:
         return {}
     name = "amplitude_exponent"

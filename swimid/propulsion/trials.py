@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
+from swimid.fitting.inputs import CruiseInput, SurgeInput
 from swimid.fitting.model import Trial
 from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
@@ -124,9 +125,6 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
         rows = np.array([f == fin for f in table.fin])
         speed = table.mean_speed_m_s[rows]
         distance = table.distance_m[rows]
-        settings: dict[str, object] = {"fin": fin, "middle": middle, "rows": np.flatnonzero(rows)}
-        if inertia is not None:
-            settings["inertia_kg_m2"] = inertia
         trials.append(
             Trial(
                 id=fin,
@@ -138,7 +136,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
                     "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
                     "distance_m": distance,
                 },
-                settings=settings,
+                cruise=CruiseInput(fin, inertia, middle, np.flatnonzero(rows)),
                 value_sd={
                     SPEED: np.nan_to_num(
                         np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed), nan=1.0
@@ -195,11 +193,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
                 role=entry.role,
                 time_s=time,
                 measured={"u_m_s": speed},
-                settings={
-                    "amplitude_rad": float(np.deg2rad(drive.amplitude_deg)),
-                    "frequency_hz": frequency,
-                    "start_s": float(time[0]),
-                },
+                surge=SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0])),
             )
         )
     if turning:
@@ -219,13 +213,13 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
             column="drive.waveform",
             hint="write a trials file for each",
         )
-    if any(t.settings["amplitude_rad"] <= 0 for t in trials):
+    if any(t.surge.amplitude_rad <= 0 for t in trials):
         raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
     # frequencies measured as one setting scatter by their error: take the settings' medians
     trials = _pooled_frequencies(trials)
     model = SurgeModel(
-        amplitudes_rad=[t.settings["amplitude_rad"] for t in trials],
-        frequencies_hz=[t.settings["frequency_hz"] for t in trials],
+        amplitudes_rad=[t.surge.amplitude_rad for t in trials],
+        frequencies_hz=[t.surge.frequency_hz for t in trials],
         speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
     )
     waveform, asymmetry = next(iter(waveforms))
@@ -252,11 +246,9 @@ def _said(waveform: tuple[str, float]) -> str:
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
     """Frequencies within the tolerance of each other are one setting: their median."""
-    values = np.array([t.settings["frequency_hz"] for t in trials])
+    values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < TOLERANCE])) for v in values]
-    return [
-        replace(t, settings={**t.settings, "frequency_hz": f}) for t, f in zip(trials, pooled, strict=True)
-    ]
+    return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:

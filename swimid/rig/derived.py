@@ -34,7 +34,7 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     if experiment.name == "falling-weight":
         for trial in trials:
 
-            def terminal(c: Mapping[str, float], force: float = trial.settings["force"]) -> float:
+            def terminal(c: Mapping[str, float], force: float = trial.rig.pull) -> float:
                 return _terminal_speed(c, force)
 
             _add(found, f"terminal_speed[{trial.id}]", estimate(result, trial, terminal, "m/s"))
@@ -62,7 +62,7 @@ def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> 
     """
 
     def at(values: Array) -> float:
-        return quantity(result.model.coefficients(values, trial.settings))  # type: ignore[attr-defined]
+        return quantity(result.model.coefficients(values, trial.rig))  # type: ignore[attr-defined]
 
     values = result.values(trial.id)
     centre = at(values)
@@ -129,12 +129,11 @@ def _drag_possible(experiment: Experiment, result: FitResult) -> ev.Check | None
     """Whether the drag coefficient is one that any body has at the speeds reached."""
     name = "drag_coefficient"
     density = experiment.robot.fluid.density_kg_m3
-    sized = [t for t in result.trials if t.role == "fit" and t.settings.get("area_factor")]
+    sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
     if name not in result.labels or not sized:
         return None
     reynolds = max(
-        theory.reynolds(_fastest(result, t), 2.0 * t.settings["area_factor"] / density, density)
-        for t in sized
+        theory.reynolds(_fastest(result, t), 2.0 * t.rig.area_factor / density, density) for t in sized
     )
     most = theory.most_drag_coefficient(reynolds)
     if not math.isfinite(most):
@@ -183,13 +182,12 @@ def _force_possible(experiment: Experiment) -> ev.Check | None:
     gravity = experiment.robot.fluid.gravity_m_s2
     worst: tuple[float, float, str] | None = None
     for trial in experiment.trials:
-        s = trial.settings
-        water = _most_water(experiment, trial)
-        if s["pulley"] or not math.isfinite(water) or s["inertia"] <= 0:
+        rig, water = trial.rig, _most_water(experiment, trial)
+        if rig.pulley or not math.isfinite(water) or rig.inertia <= 0:
             continue
-        most = gravity * max(s["inertia"], water - s["inertia"])
-        if worst is None or s["force"] / most > worst[0] / worst[1]:
-            worst = s["force"], most, trial.id
+        most = gravity * max(rig.inertia, water - rig.inertia)
+        if worst is None or rig.pull / most > worst[0] / worst[1]:
+            worst = rig.pull, most, trial.id
     if worst is None:
         return None
     force, most, name = worst
@@ -223,22 +221,22 @@ def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, 
     displaced = max(_displaced(experiment, t) for t in result.trials)
     if displaced <= 0:
         return None
-    area = max(2.0 * float(t.settings.get("area_factor", 0.0)) / density for t in result.trials)
+    area = max(2.0 * t.rig.area_factor / density for t in result.trials)
     most = theory.most_added_mass(displaced, area if along and area else None, density)
     return most, "a body of its mass and size" if along and area else "a body of its mass"
 
 
 def _displaced(experiment: Experiment, trial: Trial) -> float:
     """Most water a trial's body displaces, kg, as far as its mass and size tell."""
-    s, gravity = trial.settings, experiment.robot.fluid.gravity_m_s2
+    rig, gravity = trial.rig, experiment.robot.fluid.gravity_m_s2
     pulling = (experiment.facts.get("pulling_mass_kg") or {}).get(trial.id)
     if pulling is not None:
-        return float(s["inertia"]) - pulling - experiment.robot.rig.pulley_inertia_kg
-    mass = float(s["inertia"])
-    if s.get("pulley", True):
+        return rig.inertia - pulling - experiment.robot.rig.pulley_inertia_kg
+    mass = rig.inertia
+    if rig.pulley:
         return mass
     # what rises is lighter than its water by its lift; but no lighter than its size allows
-    return max(mass, min(mass + float(s["force"]) / gravity, _most_water(experiment, trial)))
+    return max(mass, min(mass + rig.pull / gravity, _most_water(experiment, trial)))
 
 
 def _most_water(experiment: Experiment, trial: Trial) -> float:
@@ -246,7 +244,7 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
     body, density = experiment.robot.body, experiment.robot.fluid.density_kg_m3
     if body.length_m and body.width_m and body.height_m:
         return density * body.length_m * body.width_m * body.height_m
-    factor = float(trial.settings.get("area_factor", 0.0))
+    factor = trial.rig.area_factor
     return theory.most_displaced(2.0 * factor / density, density) if factor else math.inf
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,11 +14,12 @@ from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.fitting.profile import profile_interval
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.fitted import Fitted, rows
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
@@ -31,7 +31,7 @@ from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd
 
 @takes(FitDragOptions)
 def fit_drag(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitDragOptions,
     output: Path | None = None,
@@ -44,7 +44,8 @@ def fit_drag(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
 
@@ -56,7 +57,7 @@ def fit_drag(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(trials_file, coordinate=options.coordinate)
+        experiment = rig_experiment.load(source, coordinate=options.coordinate)
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
@@ -91,11 +92,11 @@ def fit_drag(
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=_tables(experiment, file, pair, result),
         figures=fit_common.figures(result) + _speed_figure(pair),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -164,7 +165,7 @@ def _two_point(
 ) -> two_point.TwoPointResult | None:
     """The paper's method, where it applies; raises only when it was asked for."""
     body, rig = experiment.robot.body, experiment.robot.rig
-    pulled = [t for t in experiment.trials if t.settings.get("pulley") and t.role == "fit"]
+    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
     reason = None
     if experiment.name != "falling-weight" or len(pulled) < 3:
         reason = "it needs a falling-weight experiment with at least three pulling masses"
@@ -180,9 +181,9 @@ def _two_point(
             [
                 two_point.Drop(
                     t.id,
-                    t.settings["force"] / gravity,
-                    t.time_s - t.settings["release_s"],
-                    t.measured["x_m"] - t.settings["x0"],
+                    t.rig.pull / gravity,
+                    t.time_s - t.rig.begin_s,
+                    t.measured["x_m"] - t.rig.x0,
                 )
                 for t in pulled
             ],
@@ -243,48 +244,40 @@ def _tables(
     pair: two_point.TwoPointResult | None,
     result: output_error.FitResult,
 ) -> list[ev.Table]:
-    tables = []
-    rows: list[list[Any]] = []
+    rows: list[dict[str, blocks.Cell]] = []
     names = ("drag_coefficient", "added_mass", "pulley_friction")
     estimates = theory.estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
     for name in dict.fromkeys([*names, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
-        e = fitted[name]
-        row: list[Any] = [
-            name,
-            "not identifiable"
-            if e.status == "unidentifiable"
-            else numbers.measured(e.value, e.stderr, e.unit),
+        e, known = fitted[name], "not identifiable"
+        if e.status != "unidentifiable":
+            known = numbers.measured(e.value, e.stderr, e.unit)
+        two, bias = "", ""
+        if pair is not None and name in pair.stderr:
+            two = numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        if pair is not None and name in pair.bias:
+            bias = numbers.number(pair.bias[name], 2, e.unit)
+        by_theory = [
+            f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
         ]
-        row.append(
-            ""
-            if pair is None or name not in pair.stderr
-            else numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
+        rows.append(
+            {
+                "parameter": name,
+                "maximum likelihood": known,
+                "two-point": two,
+                "two-point bias": bias,
+                "theory": "; ".join(by_theory),
+            }
         )
-        row.append(
-            "" if pair is None or name not in pair.bias else numbers.number(pair.bias[name], 2, e.unit)
-        )
-        row.append(
-            "; ".join(
-                f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
-            )
-        )
-        rows.append(row)
-    if rows:
-        tables.append(
-            ev.Table(
-                id="methods",
-                title="Both methods and theory side by side",
-                columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
-                rows=rows,
-                caption="The two-point method takes the moving mass as equal for all pulling "
-                "weights; its bias is "
-                "what it gives on perfect data computed at its own answer, and is part of its stated error.",
-            )
-        )
-    return tables
+    if not rows:
+        return []
+    caption = (
+        "The two-point method takes the moving mass as equal for all pulling weights; its bias is what it "
+        "gives on perfect data computed at its own answer, and is part of its stated error."
+    )
+    return [blocks.table("methods", "Both methods and theory side by side", rows, caption)]
 
 
 def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
@@ -307,13 +300,14 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
         traces.append(ev.Trace(x=grams[order], y=line, group=i))
     return [
-        ev.Figure(
-            id="speed-squared",
-            title="Squared speed against pulling mass",
-            caption="Speeds read off at two displacements, with straight lines (Eq 13). Where the "
-            "points do not lie "
+        blocks.figure(
+            "speed-squared",
+            "Squared speed against pulling mass",
+            "Speeds read off at two displacements, with straight lines (Eq 13). Where the points do not lie "
             "on lines, the friction or the drag changes with speed.",
-            panels=[ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)],
+            "pulling mass (g)",
+            "squared speed (m²/s²)",
+            traces,
         )
     ]
 
@@ -377,5 +371,5 @@ def _summary(
                 for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
             )
         )
-    lines.append(f"{evidence.verdict.level.upper()}: " + fit_common.judgement(evidence))
+    lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
     return "\n".join(lines)

@@ -12,14 +12,14 @@ For a rotation, moments of inertia take the place of masses and moments that of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numba
 import numpy as np
 
 from swimid.fitting.hooks import MOST_FORCES, Hooks, no_force
+from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Trial
 from swimid.fitting.scales import Scales
 from swimid.rig.dry_friction import MOST_EVENTS, breakaway
@@ -226,7 +226,7 @@ class RigScales(Scales):
     @property
     def inertia(self) -> float:
         """The known inertia and the added, kg or kg m2; 1 where nothing tells."""
-        known = [float(t.settings["inertia"]) for t in self.trials if "inertia" in t.settings]
+        known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
         return float(np.median(known)) + self.model.start("added_mass", "added_inertia") if known else 1.0
 
     @property
@@ -234,10 +234,7 @@ class RigScales(Scales):
         """The pull, or the restoring force over the extent of the motion, N or N m."""
         if self.model.rig.swings:
             return max(self.model.start("stiffness"), 1e-12) * self.span
-        known = [
-            float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.settings.get("force", 0.0))))))
-            for t in self.trials
-        ]
+        known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
         return float(np.median(known)) or 0.1 if known else 0.1
 
     @property
@@ -249,9 +246,7 @@ class RigScales(Scales):
     def quadratic(self) -> float:
         """The quadratic drag at the start values, the least of all trials."""
         start = np.array([p.start for p in self.model.parameters])
-        return min(
-            (self.model.coefficients(start, t.settings)["quadratic"] for t in self.trials), default=0.0
-        )
+        return min((self.model.coefficients(start, t.rig)["quadratic"] for t in self.trials), default=0.0)
 
 
 class RigModel(Model):
@@ -259,10 +254,7 @@ class RigModel(Model):
 
     Build it with :func:`falling_weight`, :func:`towed` or :func:`free_decay`.
 
-    A trial's settings give ``inertia`` (known part, pulling mass and pulley included),
-    ``area_factor`` (``rho A / 2``, or 1 where the quadratic coefficient itself is estimated),
-    ``force`` (constant known force), ``pulley`` (whether pulley friction acts), ``release_s``
-    and ``x0``. A measured force is the trial's input ``force_N``.
+    What is known of a trial is its :attr:`Trial.rig`; a measured force is its input ``force_N``.
     """
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
@@ -297,7 +289,7 @@ class RigModel(Model):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Where a trial's displacement starts."""
-        return {self.coordinate: float(trial.settings.get("x0", 0.0))}
+        return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
         for name in names:
@@ -305,15 +297,15 @@ class RigModel(Model):
                 return float(values[self._at[name]])
         return 0.0
 
-    def coefficients(self, values: Array, settings: Mapping[str, Any]) -> dict[str, float]:
-        """Coefficients of the equation of motion for one trial's settings."""
+    def coefficients(self, values: Array, known: RigInput) -> dict[str, float]:
+        """Coefficients of the equation of motion for what is known of one trial."""
         drag = self._value(values, "drag_coefficient")
         friction = 0.0
-        if settings.get("pulley", False):
+        if known.pulley:
             friction = self._value(values, "pulley_friction") + self._value(values, "friction_deviation")
         return {
-            "inertia": float(settings["inertia"]) + self._value(values, "added_mass", "added_inertia"),
-            "quadratic": drag * float(settings.get("area_factor", 0.0))
+            "inertia": known.inertia + self._value(values, "added_mass", "added_inertia"),
+            "quadratic": drag * known.area_factor
             + self._value(values, "quadratic_drag", "quadratic_damping"),
             "linear": self._value(values, "linear_drag", "linear_damping"),
             "dry": friction + self._value(values, "dry_friction"),
@@ -323,16 +315,15 @@ class RigModel(Model):
 
     def _whole(self, values: Array, trial: Trial) -> dict[str, float]:
         """The coefficients, the constant force and the initial state."""
-        settings = trial.settings
         return {
-            **self.coefficients(values, settings),
-            "force": self._value(values, "force_offset") + float(settings.get("force", 0.0)),
-            "x0": float(settings.get("x0", 0.0)) + self._value(values, "start_offset"),
+            **self.coefficients(values, trial.rig),
+            "force": self._value(values, "force_offset") + trial.rig.pull,
+            "x0": trial.rig.x0 + self._value(values, "start_offset"),
             "v0": self._value(values, "initial_speed"),
         }
 
     def _release(self, values: Array, trial: Trial) -> float:
-        return float(trial.settings.get("release_s", 0.0)) + self._value(values, "clock_offset")
+        return trial.rig.begin_s + self._value(values, "clock_offset")
 
     def _step(self, time_s: Array) -> float:
         # from the log's times alone: a step that moved with the parameters would roughen derivatives

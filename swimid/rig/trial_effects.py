@@ -166,7 +166,7 @@ def _friction(
 ) -> tuple[FitResult, random_effect.Spread]:
     """The fit with a friction that differs by chance."""
     none = random_effect.Spread(0.0, 0.0, 1.0)
-    pulled = [t for t in plain.trials if t.role == "fit" and t.settings.get("pulley")]
+    pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
     if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < random_effect.FEWEST:
         reason = f"it takes at least {random_effect.FEWEST} trials with a pulley"
@@ -332,12 +332,12 @@ def _mass_that_fits(odd: Odd, stated: float) -> float | None:
 
     def error(log_factor: float) -> float:
         factor = math.exp(log_factor)
-        settings = {
-            **trial.settings,
-            "force": trial.settings["force"] * factor,
-            "inertia": trial.settings["inertia"] + stated * (factor - 1.0),
-        }
-        seen = odd.others.model.simulate(values, replace(trial, settings=settings))
+        known = replace(
+            trial.rig,
+            force=trial.rig.pull * factor,
+            inertia=trial.rig.inertia + stated * (factor - 1.0),
+        )
+        seen = odd.others.model.simulate(values, replace(trial, rig=known))
         return float(np.nanmean((trial.measured[channel] - seen[channel]) ** 2))
 
     grid = np.linspace(-math.log(30.0), math.log(30.0), 121)

@@ -11,6 +11,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.fitting.experiment import Experiment, inputs_of, read_log, warn_mass
+from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
@@ -106,7 +107,7 @@ def _samples(log: Log, column: str) -> tuple[Array, Array]:
 
 def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experiment:
     factors = _area_factors(entries.trials, robot, path)
-    records, settings, logs = [], [], []
+    records, known, logs = [], [], []
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("x_m",))
         logs.append(log.source)
@@ -121,12 +122,12 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
                 "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
             )
         records.append(encoder.understand(time, position, robot.rig.encoder_resolution_m))
-        settings.append(_falling_settings(path, entry, robot, factor, time, position, records[-1]))
+        known.append(_falling(path, entry, robot, factor, time, position, records[-1]))
     model = rig.falling_weight(
-        mass_kg=float(np.median([s["inertia"] for s in settings])) or 1.0,
-        force_N=float(np.median([s["force"] for s in settings])),
+        mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
+        force_N=float(np.median([k.pull for k in known])),
         area_known=factors[0] is not None,
-        pulley=any(s["pulley"] for s in settings),
+        pulley=any(k.pulley for k in known),
     )
     # No trial was released a whole trial's length away from its log.
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
@@ -134,14 +135,14 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         replace(p, lower=-span, upper=span) if p.name == "clock_offset" else p for p in model.parameters
     )
     # A start that is not the origin carries the noise of the sample it is taken from.
-    if any(s["x0"] != 0 for s in settings):
+    if any(k.x0 != 0 for k in known):
         model.parameters = tuple(
             replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters
         )
 
     def trials(rounding: str) -> list[Trial]:
         made = []
-        for entry, record, known in zip(entries.trials, records, settings, strict=True):
+        for entry, record, one in zip(entries.trials, records, known, strict=True):
             position = encoder.true_position(record, rounding)
             # the row that sets the origin is a definition, not a measurement
             use = np.ones(len(position), dtype=bool)
@@ -153,7 +154,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
                     role=entry.role,
                     time_s=record.time_s[use],
                     measured={"x_m": position[use]},
-                    settings=known,
+                    rig=one,
                     value_sd={"x_m": record.position_sd} if record.position_sd else {},
                     time_sd_s=record.time_sd_s,
                     stamps_uncertain=record.kind == "clicks",
@@ -205,7 +206,7 @@ def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, 
     return time[:last], position[:last]
 
 
-def _falling_settings(
+def _falling(
     path: Path,
     entry: FallingWeightTrial,
     robot: Robot,
@@ -213,7 +214,7 @@ def _falling_settings(
     time: Array,
     position: Array,
     record: encoder.Displacement,
-) -> dict[str, Any]:
+) -> RigInput:
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -237,14 +238,14 @@ def _falling_settings(
     # only a count says for certain that the body has moved: a camera's first sample has noise
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
     release = 0.0 if at_zero else float(time[0]) - (1.4 * float(quickest) if counted else 0.0)
-    return {
-        "inertia": mass,
-        "force": force,
-        "pulley": pulley,
-        "area_factor": factor if factor is not None else 0.0,
-        "release_s": release,
-        "x0": 0.0 if from_origin else float(position[0]),
-    }
+    return RigInput(
+        inertia=mass,
+        force=force,
+        pulley=pulley,
+        area_factor=factor if factor is not None else 0.0,
+        release_s=release,
+        x0=0.0 if from_origin else float(position[0]),
+    )
 
 
 # ------------------------------------------------------------ towed
@@ -277,16 +278,16 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
                 time_s=log.time_s,
                 measured=measured,
                 inputs={"force_N": force},
-                settings={
-                    "inertia": _mass(entry, robot, path),
-                    "area_factor": factor or 0.0,
-                    "release_s": float(log.time_s[0]),
-                    "x0": first,
-                },
+                rig=RigInput(
+                    inertia=_mass(entry, robot, path),
+                    area_factor=factor or 0.0,
+                    release_s=float(log.time_s[0]),
+                    x0=first,
+                ),
             )
         )
     model = rig.towed(
-        mass_kg=float(np.median([t.settings["inertia"] for t in trials])),
+        mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
         area_known=factors[0] is not None,
     )
@@ -320,10 +321,10 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
                 role=entry.role,
                 time_s=time,
                 measured={name: values},
-                settings={"inertia": inertia, "release_s": float(time[0]), "x0": float(values[0])},
+                rig=RigInput(inertia, release_s=float(time[0]), x0=float(values[0])),
             )
         )
-    inertia = trials[0].settings["inertia"]
+    inertia = trials[0].rig.inertia
     rig_values = robot.rig
     stiffness = (
         getattr(rig_values, f"{axis}_stiffness_N_m_rad", None) if rotation else rig_values.stiffness_N_m

@@ -68,7 +68,7 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
         Standard deviation of each channel's noise: makes misfits of the measured channels, over it, or in
         the channel's unit where it is not known. None: no misfits.
     """
-    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    beat = trial.swim.drive
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     measured = {}
     units = {c.name: c.unit for c in model.channels}
@@ -143,7 +143,7 @@ def _in_plane(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[st
         "surge_amplitude_m_s": Quantity(0.5 * float(np.ptp(surge)), "m/s"),
         f"{turn}_amplitude_rad": Quantity(0.5 * float(np.ptp(course)), "rad"),
     }
-    beat = run.trial.settings.get("beat")
+    beat = run.trial.swim.beat
     if beat is None or beat.bias_rad or beat.asymmetry:
         found[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
     return found
@@ -168,7 +168,7 @@ def _in_space(columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
 
 def drive_of(trial: Trial) -> dict[str, float]:
     """The numbers of a trial's drive a sweep may vary; empty where measured joints drive it."""
-    beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
+    beat, stroke = trial.swim.beat, trial.swim.stroke
     if isinstance(stroke, Cycle):
         return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
     if isinstance(beat, Beat):
@@ -201,14 +201,14 @@ def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
     A stroke keeps its number of whole cycles; a beat its time, or its ramp and four beats where that is
     longer.
     """
-    stroke, beat = trial.settings.get("stroke"), trial.settings.get("beat")
+    stroke, beat = trial.swim.stroke, trial.swim.beat
     given = {**drive_of(trial), **drive}
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     if isinstance(stroke, Cycle):
         moved = replace(stroke, frequency_hz=given["frequency_hz"], scale=given["scale"])
         count = max(math.floor((end - begin) * stroke.frequency_hz + 1e-6), 1)
         begin, end = 0.0, count / moved.frequency_hz
-        settings: dict[str, Any] = {**trial.settings, "stroke": moved}
+        swim = replace(trial.swim, stroke=moved)
     else:
         assert isinstance(beat, Beat)
         moved_beat = replace(
@@ -218,10 +218,10 @@ def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
             bias_rad=math.radians(given["bias_deg"]),
         )
         begin, end = 0.0, max(end, beat.ramp_s + swim_quantities.BEATS / given["frequency_hz"])
-        settings = {**trial.settings, "beat": moved_beat}
+        swim = replace(trial.swim, beat=moved_beat)
     # a model keeps trajectories by the trial's name
     name = ", ".join([trial.id, *(f"{k} {v!r}" for k, v in drive.items())])
-    return replace(trial, id=name, time_s=np.array([begin, end]), measured={}, inputs={}, settings=settings)
+    return replace(trial, id=name, time_s=np.array([begin, end]), measured={}, inputs={}, swim=swim)
 
 
 def errors(model: Swimmer, values: Array, trial: Trial) -> dict[str, tuple[float, float]]:

@@ -15,13 +15,14 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
@@ -97,7 +98,7 @@ class Study:
 
 @takes(SensitivityOptions)
 def sensitivity(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: SensitivityOptions,
     output: Path | None = None,
@@ -110,7 +111,8 @@ def sensitivity(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment.
     output : Path, optional
         Sensitivity file to write; its evidence goes beside it.
@@ -127,7 +129,7 @@ def sensitivity(
     if method == "none" and not sweep:
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
-        experiment, applied = _loaded(trials_file, options)
+        experiment, applied = _loaded(source, options)
         model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
@@ -175,7 +177,7 @@ def sensitivity(
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
             file.measured = _measured(experiment, applied, sweep)
             checks += sensitivity_evidence.sweep_checks(file.sweep, bool(applied.uncertain()[0]))
-    verdict = fit_common.verdict(checks, sensitivity_evidence.answer(file))
+    verdict = blocks.verdict(checks, sensitivity_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="sensitivity",
@@ -184,7 +186,7 @@ def sensitivity(
         checks=checks,
         tables=sensitivity_evidence.tables(file),
         figures=sensitivity_evidence.figures(file),
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=sensitivity_evidence.methods(file),
         references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
         provenance=origin,
@@ -198,15 +200,15 @@ def sensitivity(
     return Sensitivity("sensitivity", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
-def _loaded(trials_file: str | Path, options: SensitivityOptions) -> tuple[Experiment, Applied]:
+def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
     chosen, readings = dict(options.chosen), dict(options.readings)
     if options.params is None:
         if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(trials_file, readings=readings, max_step=options.dt)
+        experiment = swimmer.load(source, readings=readings, max_step=options.dt)
         return experiment, Applied(experiment.model, chosen=chosen)
     loaded = catalogue.load(
-        trials_file,
+        source,
         options.params,
         robot=options.robot,
         chosen=chosen,

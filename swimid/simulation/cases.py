@@ -10,6 +10,7 @@ import numpy as np
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
@@ -148,7 +149,7 @@ def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[
         model = experiment.model
         swimmer_model = model.swimmer
         if swimmer_model is not None:
-            beat, stroke = trial.settings.get("beat"), trial.settings.get("stroke")
+            beat, stroke = trial.swim.beat, trial.swim.stroke
             if beat is not None:
                 metadata["drive"] = drive_block(beat)
             if stroke is not None:
@@ -187,27 +188,27 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
         ) from error
     experiment = "free-swim" if model.free_base and not model.in_space else "multibody"
     metadata = _metadata(options, robot.name, experiment=experiment, dt_s=options.dt)
-    pose: dict[str, Any] = {"pose": (0.0,) * len(model.pose)} if model.free_base else {}
+    pose = (0.0,) * len(model.pose) if model.free_base else None
     if options.input is not None:
         if options.frequency_hz is not None or options.amplitude_deg is not None:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
         time, joints = _recorded_joints(options, model)
-        trial = Trial("run", "fit", time, {}, settings={"joints": joints, **pose})
+        trial = Trial("run", "fit", time, {}, swim=SwimInput(joints=joints, pose=pose))
         metadata["input"] = options.input.name
     elif options.stroke is not None:
         stroke = swimmer.cycle_of(_stroke(options), model)
-        trial = Trial("run", "fit", _times(options, stroke), {}, settings={"stroke": stroke, **pose})
+        trial = Trial("run", "fit", _times(options, stroke), {}, swim=SwimInput(stroke=stroke, pose=pose))
         metadata["drive"] = stroke_block(stroke)
     elif model.driven:
         beat = _beat(options, model)
-        trial = Trial("run", "fit", _times(options), {}, settings={"beat": beat, **pose})
+        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(beat, pose=pose))
         metadata["drive"] = drive_block(beat)
     else:
         if options.frequency_hz is not None or options.amplitude_deg is not None:
             raise UsageError(f"the robot '{robot.name}' has no driven joint: there is nothing to beat")
-        trial = Trial("run", "fit", _times(options), {}, settings=pose)
+        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(pose=pose))
     frequency = _frequency(model, trial, values)
     return Case(
         "run",
@@ -324,14 +325,14 @@ def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
     phase = float(values[model.index("drive_phase")])
     time = trial.time_s - float(values[model.index("clock_offset")])
     return {
-        axis.column.replace("joint", "cmd"): model.command(k, trial.settings, time, phase)
+        axis.column.replace("joint", "cmd"): model.command(k, trial.swim, time, phase)
         for k, axis in enumerate(model.driven)
     }
 
 
 def _frequency(model: Swimmer, trial: Trial, values: Array) -> float | None:
     """Frequency of a run's beat, Hz: the drive's, or that found in its first driven joint."""
-    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    beat = trial.swim.drive
     if beat is not None:
         return float(beat.frequency_hz)
     for angle in commands(model, trial, values).values():
@@ -364,7 +365,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
     body = model.body
     if body is None:
         return _cycle_quantities(model, trial, frequency)
-    beat = trial.settings.get("beat")
+    beat = trial.swim.beat
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     ramp = max(begin, beat.ramp_s) if beat is not None else begin
     window = swim_quantities.last_beats(ramp, end, frequency)
@@ -373,9 +374,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
     times = window.times()
     # the run itself begins where the trial does
     lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
-    fine = Trial(
-        f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, settings=trial.settings
-    )
+    fine = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
     told = beat is not None and bool(beat.bias_rad or beat.asymmetry)
 
     def compute(values: Array) -> dict[str, Quantity]:
@@ -421,18 +420,11 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile) -> Case:
     inertia = _body_inertia(robot) + options.pulling_mass_kg + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
     applied = Applied(model, file, place(options), options.chosen)
-    settings = {
-        "inertia": inertia,
-        "force": force,
-        "pulley": True,
-        "area_factor": factor,
-        "release_s": 0.0,
-        "x0": 0.0,
-    }
-    trial = Trial("run", "fit", _times(options), {}, settings=settings)
+    on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
+    trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
     def compute(values: Array) -> dict[str, Quantity]:
-        c = model.coefficients(values, settings)
+        c = model.coefficients(values, on_rig)
         net = force - c["dry"]
         found = {}
         if net > 0 and (c["quadratic"] > 0 or c["linear"] > 0):
@@ -464,14 +456,9 @@ def _towed(options: SimulateOptions, file: ParameterFile) -> Case:
         area_known=known,
     )
     applied = Applied(model, file, place(options), options.chosen)
-    settings = {
-        "inertia": _body_inertia(robot),
-        "area_factor": factor,
-        "release_s": float(log.time_s[0]),
-        "x0": 0.0,
-    }
+    on_rig = RigInput(_body_inertia(robot), area_factor=factor, release_s=float(log.time_s[0]))
     force = {"force_N": log["force_N"]}
-    trial = Trial("run", "fit", log.time_s, {}, inputs=force, settings=settings)
+    trial = Trial("run", "fit", log.time_s, {}, inputs=force, rig=on_rig)
     metadata = _metadata(options, robot.name, experiment="towed", input=options.input.name)
     return Case("run", applied, applied.values(), trial, force, metadata)
 
@@ -525,16 +512,14 @@ def _cruise(options: SimulateOptions, file: ParameterFile) -> Case:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
-    settings: dict[str, Any] = {"fin": options.fin, "middle": (1.0, 1.0)}
-    if options.fin not in unknown:
-        settings["inertia_kg_m2"] = inertias[options.fin]
+    cruise = CruiseInput(options.fin, None if options.fin in unknown else inertias[options.fin])
     far = 1e9
     inputs = {
         "frequency_hz": np.array([options.frequency_hz]),
         "amplitude_rad": np.deg2rad([float(options.amplitude_deg or 0.0)]),
         "distance_m": np.array([options.distance_m or far]),
     }
-    trial = Trial(options.fin, "fit", np.zeros(1), {}, inputs=inputs, settings=settings)
+    trial = Trial(options.fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=cruise)
 
     def compute(values: Array) -> dict[str, Quantity]:
         mean = float(model.simulate(values, trial)[SPEED][0])
@@ -564,12 +549,8 @@ def _surge(options: SimulateOptions, file: ParameterFile) -> Case:
     model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
     catalogue.set_references(model, file, parameters_format.place(options.params))
     applied = Applied(model, file, place(options), options.chosen)
-    settings = {
-        "amplitude_rad": math.radians(options.amplitude_deg),
-        "frequency_hz": options.frequency_hz,
-        "start_s": 0.0,
-    }
-    trial = Trial("run", "fit", _times(options), {}, settings=settings)
+    surge = SurgeInput(options.frequency_hz, math.radians(options.amplitude_deg))
+    trial = Trial("run", "fit", _times(options), {}, surge=surge)
 
     def compute(values: Array) -> dict[str, Quantity]:
         return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}

@@ -12,13 +12,13 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common
 from swimid.fitting.experiment import Experiment
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.simulation import (
     catalogue,
@@ -41,7 +41,7 @@ GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 @takes(CompareOptions)
 def compare(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: CompareOptions,
     output: Path | None = None,
@@ -55,7 +55,8 @@ def compare(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
 
@@ -68,7 +69,7 @@ def compare(
     """
     with recorded(repeat=True) as notices:
         loaded = catalogue.load(
-            trials_file,
+            source,
             options.params,
             robot=options.robot,
             chosen=dict(options.chosen),
@@ -92,7 +93,7 @@ def compare(
         file = _file(experiment, done, options.params, origin)
         file.profiles = [p.record for p in profiles]
         checks = _checks(file)
-    verdict = fit_common.verdict(checks, _answer(file))
+    verdict = blocks.verdict(checks, _answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="compare",
@@ -104,7 +105,7 @@ def compare(
             *compare_strokes_evidence.figures(profiles, buoyancy),
             *compare_evidence.figures(experiment, done, file),
         ],
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=[
             *_methods(experiment, done, options.params),
             *compare_strokes_evidence.methods(profiles, buoyancy),

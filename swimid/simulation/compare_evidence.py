@@ -8,12 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from swimid.fitting import fit_common
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.simulation import compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, CycleTable, TrialComparison
@@ -417,5 +416,5 @@ def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
     estimated = sum(t.start == "estimated" for t in file.trials)
     if estimated:
         lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
-    lines += ["", f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}"]
+    lines += ["", f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}"]
     return "\n".join(lines)

@@ -80,7 +80,7 @@ class Compared:
     @property
     def drive(self) -> dict[str, Any]:
         """What drove the trial, as a trials file says it."""
-        beat = self.trial.settings.get("beat")
+        beat = self.trial.swim.beat
         return simulate_cases.drive_block(beat) if beat is not None else {}
 
 
@@ -215,7 +215,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
 def _frequency(
     model: Swimmer, body: Body, trial: Trial, values: Array, pairs: dict[str, Pair]
 ) -> float | None:
-    beat = trial.settings.get("beat")
+    beat = trial.swim.beat
     if beat is not None:
         return float(beat.frequency_hz)
     commands = simulate_cases.commands(model, trial, values)
@@ -295,7 +295,7 @@ def mean_speed(done: Compared, body: Body) -> Speed | None:
     """Mean speed over the last whole beats, measured and simulated by the same rule."""
     if done.frequency_hz is None or not body.free:
         return None
-    beat = done.trial.settings.get("beat")
+    beat = done.trial.swim.beat
     begin = max(float(done.trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
     pose = [done.pairs.get(name) for name in body.pose[:2]]
     surge = done.pairs.get(body.velocity[0])

@@ -132,7 +132,7 @@ class _Seen:
 
 def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
     """With the speed in the vertical plane and the pitch rate."""
-    stroke, time = done.trial.settings.get("stroke"), done.trial.time_s
+    stroke, time = done.trial.swim.stroke, done.trial.time_s
     half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
     found = dict(columns)
     if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
@@ -237,7 +237,7 @@ def _cycles(members: Sequence[_Seen]) -> list[CycleComparison]:
 
 def _quantities(seen: _Seen) -> list[dict[str, dict[str, float]]]:
     trial = seen.done.trial
-    stroke = trial.settings.get("stroke")
+    stroke = trial.swim.stroke
     if stroke is None:
         return []
     return [

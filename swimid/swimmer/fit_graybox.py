@@ -19,9 +19,11 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.tied import Tied, groups_by_prefix
 from swimid.logs import trials as trials_format
+from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.fitted import Fitted, rows
@@ -38,7 +40,7 @@ from swimid.swimmer.profiles import Profiles
 
 @takes(FitGrayboxOptions)
 def fit_graybox(
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     *,
     options: FitGrayboxOptions,
     output: Path | None = None,
@@ -52,7 +54,8 @@ def fit_graybox(
 
     Parameters
     ----------
-    trials_file : path
+    source : path or TrialSet
+        Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment with a robot that has links.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
@@ -67,7 +70,7 @@ def fit_graybox(
     """
     with recorded(repeat=True) as notices:
         experiment = swimmer.load(
-            trials_file,
+            source,
             readings=options.readings,
             channels=options.channels,
             start_state=options.start_state,
@@ -116,7 +119,7 @@ def fit_graybox(
         result = start_states.with_held_out(result)
         if options.method == "hybrid":
             stages[front.AFTER] = result
-        file = _file(experiment, result, origin, left_out, output, trials_file, options)
+        file = _file(experiment, result, origin, left_out, output, source, options)
         checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
         if ends:
             checks.append(fit_graybox_evidence.starts_check(ends))
@@ -132,11 +135,11 @@ def fit_graybox(
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=fit_common.verdict(checks, fit_common.answer(file)),
+        verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
         tables=tables,
         figures=figures,
-        notices=fit_common.notices(notices),
+        notices=blocks.notices(notices),
         methods=methods,
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -158,7 +161,7 @@ def fit_graybox(
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
-        place = trials_format.place(trials_file)
+        place = trials_format.place(source)
         raise NoTrustworthyResult(
             f"the fit did not converge: {result.message}{kept}",
             hint="the model may lack an effect, which its coefficients cannot stand in for: "
@@ -178,21 +181,21 @@ def fit_graybox(
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
-            f"{evidence.verdict.level.upper()}: {fit_common.judgement(evidence)}",
-            *_next(checks, trials_file, output),
+            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
+            *_next(checks, source, output),
         ]
     )
     return Fitted("fit-graybox", summary, file.model_dump(mode="json"), outputs, evidence, file)
 
 
-def _next(checks: Sequence[ev.Check], trials_file: str | Path, output: Path | None) -> list[str]:
+def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Path | None) -> list[str]:
     """What to do about residuals that are more than noise."""
     if not any(
         c.verdict == "warn" and c.name.startswith(("white", "trials agree", "inside")) for c in checks
     ):
         return []
     params = f" --params {output}" if output else ""
-    listing = trials_format.place(trials_file)
+    listing = trials_format.place(source)
     return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
 
 
@@ -298,7 +301,7 @@ def _file(
     origin: dict[str, Any],
     left_out: list[str],
     output: Path | None,
-    trials_file: str | Path,
+    source: str | Path | TrialSet,
     options: FitGrayboxOptions,
 ) -> ParameterFile:
     settings: dict[str, Any] = {}
@@ -311,7 +314,7 @@ def _file(
         settings["fixed_as_unidentifiable"] = left_out
     file = fit_common.parameter_file(
         result,
-        robot=_robot_reference(experiment, trials_file, output),
+        robot=_robot_reference(experiment, source, output),
         provenance=origin,
         settings=settings,
         method="point of a Pareto front"
@@ -325,11 +328,11 @@ def _file(
     return file.model_copy(update={"parameters": parameters})
 
 
-def _robot_reference(experiment: Experiment, trials_file: str | Path, output: Path | None) -> str:
+def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:
     """The robot as the parameter file names it: built in, or a path relative to that file."""
     assert experiment.robot_path is not None
     name, path = experiment.robot.name, experiment.robot_path.resolve()
     if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
         return name
-    folder = output.parent if output else trials_format.place(trials_file).parent
+    folder = output.parent if output else trials_format.place(source).parent
     return Path(os.path.relpath(path, folder.resolve())).as_posix()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
 from swimid.fitting.tied import Tied
 from swimid.logs.beat import find_beat
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
@@ -55,15 +54,15 @@ def _path(result: FitResult, across: str, along: str, view: str) -> list[ev.Figu
             traces.append(ev.Trace(x=x[::step], y=y[::step], style=style, label=label, group=group))
     if not traces:
         return []
-    panel = ev.Panel(
-        x_label=f"{across[:-2]} (m)", y_label=f"{along[:-2]} (m)", traces=traces, equal_aspect=True
-    )
     return [
-        ev.Figure(
-            id="track" if view == "from above" else "track-side",
-            title=f"Paths {view}",
-            caption="Points are measured, lines simulated with the estimated parameters.",
-            panels=[panel],
+        blocks.figure(
+            "track" if view == "from above" else "track-side",
+            f"Paths {view}",
+            "Points are measured, lines simulated with the estimated parameters.",
+            f"{across[:-2]} (m)",
+            f"{along[:-2]} (m)",
+            traces,
+            equal_aspect=True,
         )
     ]
 
@@ -71,11 +70,11 @@ def _path(result: FitResult, across: str, along: str, view: str) -> list[ev.Figu
 def starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
     """How many starts end in the minimum that is reported."""
     agree = multistart.agreeing(ends)
-    return ev.Check(
-        name="one minimum",
-        value=f"{agree} of {len(ends)} starts end in it",
-        limit="every start",
-        verdict="pass" if agree == len(ends) else "warn",
+    return blocks.check(
+        "one minimum",
+        f"{agree} of {len(ends)} starts end in it",
+        "every start",
+        agree == len(ends),
         text="the other starts end higher; the lowest is reported" if agree < len(ends) else "",
     )
 
@@ -86,76 +85,76 @@ def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.
     ranking = identifiability.ranked(result)
     if len(ranking) > 1:
         tables.append(
-            ev.Table(
-                id="ranking",
-                title="What the trials know best",
-                columns=["parameter", "share of its own", "status"],
-                rows=[[label, round(share, 4), result.status[label]] for label, share in ranking],
-                caption="From the best to the least identifiable parameter. The share is the part of the "
-                "trials' sensitivity to it that those above it, and the start states, cannot imitate.",
+            blocks.table(
+                "ranking",
+                "What the trials know best",
+                [
+                    {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
+                    for label, share in ranking
+                ],
+                "From the best to the least identifiable parameter. The share is the part of the trials' "
+                "sensitivity to it that those above it, and the start states, cannot imitate.",
             )
         )
     if ends:
         tables.append(
-            ev.Table(
-                id="starts",
-                title="Starts",
-                columns=["start", "converged", "cost"],
-                rows=[[k + 1, end.converged, float(end.cost)] for k, end in enumerate(ends)],
-                caption="The cost is the mean squared residual, averaged geometrically over the channels.",
+            blocks.table(
+                "starts",
+                "Starts",
+                [
+                    {"start": k, "converged": end.converged, "cost": float(end.cost)}
+                    for k, end in enumerate(ends, start=1)
+                ],
+                "The cost is the mean squared residual, averaged geometrically over the channels.",
             )
         )
     readings = experiment.robot.readings
     if readings:
         tables.append(
-            ev.Table(
-                id="readings",
-                title="How the source was read",
-                columns=["reading", "question", "chosen", "meaning"],
-                rows=[[k, r.question, r.chosen, r.options[r.chosen].says] for k, r in readings.items()],
-                caption="Other readings are options of the robot file (--reading NAME=OPTION).",
+            blocks.table(
+                "readings",
+                "How the source was read",
+                [
+                    {
+                        "reading": k,
+                        "question": r.question,
+                        "chosen": r.chosen,
+                        "meaning": r.options[r.chosen].says,
+                    }
+                    for k, r in readings.items()
+                ],
+                "Other readings are options of the robot file (--reading NAME=OPTION).",
             )
         )
     return tables
 
 
 def _metrics_table(result: FitResult) -> ev.Table:
-    rows: list[list[Any]] = []
+    rows: list[dict[str, blocks.Cell]] = []
     units = {c.name: c.unit for c in result.model.channels}
-    drives = {t.id: t.settings.get("beat") for t in result.trials}
+    drives = {t.id: t.swim.beat for t in result.trials}
     for s in result.series:
         score = metrics.score(s.measured, s.simulated)
         _, relative = metrics.peak_error(s.measured, s.simulated)
         rows.append(
-            [
-                s.trial,
-                "held out" if s.role == "validate" else "fit",
-                s.channel,
-                numbers.number(score.rmse, 3, units[s.channel]),
-                numbers.percent(score.nrmse),
-                numbers.number(100 * score.vaf, 4, "%"),
-                numbers.number(100 * relative, 3, "%"),
-                numbers.number(_dtw(s), 3, units[s.channel]),
-                _phase(s, drives[s.trial]),
-            ]
+            {
+                "trial": s.trial,
+                "role": "held out" if s.role == "validate" else "fit",
+                "channel": s.channel,
+                "RMSE": numbers.number(score.rmse, 3, units[s.channel]),
+                "NRMSE": numbers.percent(score.nrmse),
+                "VAF": numbers.number(100 * score.vaf, 4, "%"),
+                "peak error": numbers.number(100 * relative, 3, "%"),
+                "DTW distance": numbers.number(_dtw(s), 3, units[s.channel]),
+                "phase error": _phase(s, drives[s.trial]),
+            }
         )
-    return ev.Table(
-        id="metrics",
-        title="Errors of every trial",
-        columns=[
-            "trial",
-            "role",
-            "channel",
-            "RMSE",
-            "NRMSE",
-            "VAF",
-            "peak error",
-            "DTW distance",
-            "phase error",
-        ],
-        rows=rows,
-        caption="NRMSE is over the measured range (tendon fish, Eq 13); the peak error is the difference of "
-        "the largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
+    return blocks.table(
+        "metrics",
+        "Errors of every trial",
+        rows,
+        "NRMSE is over the measured range (tendon fish, Eq 13); the peak error is the difference of the "
+        "largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
         "within 5 % of the record; the phase error is taken at the beat.",
     )
 

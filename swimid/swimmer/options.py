@@ -58,7 +58,7 @@ class FitGrayboxOptions(Options):
         help="Do trials start at rest at their first sample? auto: unless a log's first stretch moves.",
     )
     start_from: Source = option(None, help="Parameter file to start the search from.", recorded=False)
-    loss: Literal["linear", "huber"] = option("linear", help="huber: outliers pull less.")
+    loss: Literal["linear", "huber"] = option("linear", help="huber: robust loss, outliers weigh less.")
     starts: int = option(1, ge=1, help="Start from so many points in the bounds.")
     seed: int = option(0, help="Of the random starts.")
     subset: bool = option(False, help="Hold what the trials cannot tell, until all the rest is known.")
@@ -69,8 +69,8 @@ class FitGrayboxOptions(Options):
         help="nsga2: a Pareto front of time-warped distances, and a point chosen on it. "
         "hybrid: least squares that starts there.",
     )
-    population: int = option(80, ge=4, part=FRONT, help="nsga2, hybrid: points at a time.")
-    generations: int = option(50, ge=1, part=FRONT, help="nsga2, hybrid: so many times.")
+    population: int = option(80, ge=4, part=FRONT, help="nsga2, hybrid: population size.")
+    generations: int = option(50, ge=1, part=FRONT, help="nsga2, hybrid: number of generations.")
     crossover: float = option(0.8, ge=0, le=1, part=FRONT, help="nsga2, hybrid: probability of crossover.")
     fronts: Literal["profile", "overall"] = option(
         "profile",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs import course
@@ -130,7 +131,7 @@ def load(
         if start_state == "auto" and t.id not in moving
     }
     trials = [
-        replace(t, settings={**t.settings, "held": held.get(t.id, ()), "starts": _starts(t, log, model)})
+        replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model))
         for t, log in zip(trials, read, strict=True)
     ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
@@ -256,24 +257,22 @@ def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[
     commands = [a.column.replace("joint", "cmd") for a in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
     log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
-    settings: dict[str, Any] = {"coefficients": _own_coefficients(entry, path, model)}
+    swim = SwimInput(coefficients=_own_coefficients(entry, path, model))
     if isinstance(entry.drive, StrokeDrive):
-        settings["stroke"] = cycle_of(entry.drive, model, path)
+        swim = replace(swim, stroke=cycle_of(entry.drive, model, path))
     elif entry.drive is not None:
-        settings["beat"] = beat_of(entry.drive)
+        swim = replace(swim, beat=beat_of(entry.drive))
     elif model.driven:
         motions = [_motion(model, k, log) for k in range(len(model.driven))]
-        settings["joints"] = [motion for motion, _ in motions]
-        settings["commanded"] = any(commanded for _, commanded in motions)
+        swim = replace(swim, joints=[m for m, _ in motions], commanded=any(told for _, told in motions))
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     pose = [log[name] if name in log else np.full(len(log), np.nan) for name in model.pose]
     # in its plane a robot is where the log says or nowhere; a side view tells half of a pose in space
     if model.free_base and (len(pose) > 3 or all(name in log for name in model.pose)):
-        settings["pose"] = tuple(
-            float(values[np.isfinite(values)][0]) if np.isfinite(values).any() else 0.0 for values in pose
-        )
+        first = (float(v[np.isfinite(v)][0]) if np.isfinite(v).any() else 0.0 for v in pose)
+        swim = replace(swim, pose=tuple(first))
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
-    return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, settings=settings), log
+    return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
 
 
 def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
@@ -363,7 +362,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
 
 def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
-    beat = trial.settings.get("beat") or trial.settings.get("stroke")
+    beat = trial.swim.drive
     still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
     begun = 0.0 if still else trial.time_s[0]
     if beat is not None and begun > max(UNDER_WAY * beat.ramp_s, OPENING_S):

@@ -11,9 +11,11 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic
 from swimid.notices import warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.tracking import camera, census, draft, motion, pick, propose
 from swimid.tracking.draft import SetupDraft
+from swimid.tracking.options import Pick, TrackSetupOptions
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.run import Run, follow
@@ -26,15 +28,6 @@ _TRIES = 3
 
 
 @dataclass(frozen=True)
-class Pick:
-    """A marker shown by hand: its name and one of its pixels. Several of one name look alike."""
-
-    name: str
-    x: float
-    y: float
-
-
-@dataclass(frozen=True)
 class _Draft:
     """A setup, the run that tried it, a remark on each kind of marker, and what was passed over."""
 
@@ -44,21 +37,18 @@ class _Draft:
     passed: list[Passed]
 
 
+@takes(TrackSetupOptions)
 def track_setup(
     video: str | Path,
     *,
+    options: TrackSetupOptions,
     output: str | Path | None = None,
-    picks: tuple[Pick, ...] = (),
-    frame: int = 0,
-    metres_per_pixel: float | None = None,
-    scale_points: tuple[float, float, float, float] | None = None,
-    scale_distance_m: float | None = None,
-    plane: str = "horizontal",
-    fps: float | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> SetupDraft:
     """Propose markers, draw them, and draft a setup that ``track_video`` takes as it is.
+
+    Without picks the markers are proposed from what moves. Without any scale positions are in pixels.
 
     Parameters
     ----------
@@ -66,17 +56,6 @@ def track_setup(
         The film to draft from.
     output : path, optional
         The setup file; a PNG with the markers drawn in goes beside it. Without it nothing is written.
-    picks : tuple of Pick
-        Markers shown by hand in ``frame``; head first, then tail. Picks of one name are equal markers.
-        Without any they are proposed from what moves.
-    frame : int
-        The frame the picks are in.
-    metres_per_pixel, scale_points, scale_distance_m
-        The scale: a factor, m/px; or x1, y1, x2, y2 in px and their distance, m.
-    plane : {"horizontal", "vertical"}
-        Camera above, or at the side.
-    fps : float, optional
-        True frame rate, Hz, to be written into the setup.
     force : bool
         Replace an existing setup.
     progress : Progress
@@ -105,11 +84,13 @@ def track_setup(
         output = atomic.check_writable(output, inputs=(video,))
         if output.exists() and not force:
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
-    scale = _scale(metres_per_pixel, scale_points, scale_distance_m)
+    scale = _scale(options.metres_per_pixel, options.scale_points, options.scale_distance_m)
     video = Path(video)
-    common: dict[str, Any] = {"scale": scale, "plane": plane, "frame_rate_hz": fps}
+    common: dict[str, Any] = {"scale": scale, "plane": options.plane, "frame_rate_hz": options.fps}
     drafted = (
-        _by_hand(video, picks, frame, common, progress) if picks else _unattended(video, common, progress)
+        _by_hand(video, options.picks, options.frame, common, progress)
+        if options.picks
+        else _unattended(video, common, progress)
     )
     setup, run = _measured(drafted.setup, drafted.run), drafted.run
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}

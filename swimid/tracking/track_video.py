@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -16,12 +15,14 @@ from swimid.logs import log
 from swimid.logs.log import Log
 from swimid.logs.logged import Logged
 from swimid.notices import Notice, recorded, warn
+from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence
 from swimid.results.evidence import Check
 from swimid.tracking import checks, overlay, pictures, plane, pose, stills, swim
 from swimid.tracking import setup as setup_format
 from swimid.tracking.census import describe_colours
+from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.run import follow
@@ -75,38 +76,27 @@ class Track(Logged):
         return [*written, plot]
 
 
+@takes(TrackVideoOptions)
 def track_video(
     video: str | Path,
     *,
-    setup: str | Path | Setup | Mapping[str, Any],
+    options: TrackVideoOptions,
     output: str | Path | None = None,
-    overlay_path: str | Path | None = None,
-    fps: float | None = None,
-    max_gap_s: float | None = None,
-    window_s: tuple[float | None, float | None] = (None, None),
     metadata: dict[str, Any] | None = None,
     progress: Progress = silent,
 ) -> Track:
     """Track the markers of a video: pose, speeds and stroke of the robot.
 
+    The setup is a file, a Setup or a dict: colours of the markers, scale, camera; ``track_setup`` drafts one.
+    The log holds every frame, whatever part speeds and stroke of the result are over.
+
     Parameters
     ----------
     video : path
         The film; or a folder of pictures, or a pattern of their names (``%05d.png``).
-    setup : path, Setup or dict
-        ``swimid-setup/1``: colours of the markers, scale, camera. ``track_setup`` drafts one.
     output : path, optional
         The log, CSV or Parquet by its ending. Beside it go ``<stem>.evidence.json`` and ``<stem>.png``.
         Without it nothing is written; :meth:`Track.save` writes the same files later.
-    overlay_path : path, optional
-        Video with the track drawn in.
-    fps : float, optional
-        True frame rate, Hz, over the container's and the setup's.
-    max_gap_s : float, optional
-        Longest dropout that is bridged, s, over the setup's.
-    window_s : (float or None, float or None)
-        From and to, s from the first frame: what speeds and stroke of the result are over. The log
-        holds every frame. Default: the steady part.
     metadata : dict, optional
         Further ``# key: value`` lines of the log.
     progress : Progress
@@ -139,10 +129,12 @@ def track_video(
     >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
     >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
     """
+    setup, overlay_path, fps, max_gap_s = options.setup, options.overlay_path, options.fps, options.max_gap_s
     if fps is not None and not (math.isfinite(fps) and fps > 0):
         raise UsageError(f"--fps {fps:g} must be above 0")
     if max_gap_s is not None and not (math.isfinite(max_gap_s) and max_gap_s >= 0):
         raise UsageError(f"--max-gap {max_gap_s:g} must not be negative")
+    window_s = (options.from_s, options.to_s)
     swim.check_window(window_s)
     video = Path(video)
     if output is not None:

@@ -58,11 +58,8 @@ def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
     """Frequency (Hz) and amplitude (rad) of every steady beat."""
     found: list[list[Array]] = [[], []]
     for trial in trials:
-        known = {**trial.settings, **trial.inputs}
-        if "frequency_hz" in known and "amplitude_rad" in known:
-            pair = np.broadcast_arrays(np.atleast_1d(known["frequency_hz"]), known["amplitude_rad"])
-            for values, part in zip(found, pair, strict=True):
-                values.append(part)
+        for values, part in zip(found, trial.steady, strict=True):
+            values.append(part)
     frequency, amplitude = (np.concatenate(v).astype(float) if v else np.zeros(0) for v in found)
     there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
     return frequency[there], amplitude[there]

@@ -97,11 +97,11 @@ class Tether(Effect):
             return Hooks(coefficients=(change,))
         if model.body is not None:
             *line, behind = values
-            start_x, start_y, heading = trial.settings.get("pose", (0.0, 0.0, 0.0))[:3]
+            start_x, start_y, heading = trial.swim.posed()
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = model.body.reference_m
             return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
-        origin = float(trial.settings.get("x0", 0.0))
+        origin = trial.rig.x0
         return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
 
 

@@ -1,4 +1,4 @@
-"""Water that moves to and fro: waves, and their reflections in a pool."""
+"""Oscillatory (orbital) flow: waves, and their reflections in a pool."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Waves(Effect):
 
     name = "waves"
     stage = "environment"
-    meaning = "water that moves to and fro: waves or their reflections"
+    meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
 
@@ -89,7 +89,8 @@ class Waves(Effect):
         frequency, a, b = (float(v) for v in values)
         omega = 2.0 * math.pi * frequency
         column = 0 if self.axis == "x" else 1
-        begin = float(trial.settings.get("release_s", trial.time_s[0]))
+        release = trial.rig.release_s
+        begin = float(trial.time_s[0]) if release is None else release
 
         def flow(time_s: Array) -> tuple[Array, Array]:
             moved, velocity = np.zeros((len(time_s), 2)), np.zeros((len(time_s), 2))
@@ -104,8 +105,9 @@ class Waves(Effect):
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     """A channel as the model has it at its start values; nothing where it cannot be simulated."""
-    known = trial.settings.get("starts", {})
-    values = np.array([known.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters])
+    values = np.array(
+        [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
+    )
     with np.errstate(all="ignore"):
         found = model.simulate(values, trial).get(channel)
     return found if found is not None and np.isfinite(found).all() else np.zeros(len(trial.time_s))
@@ -129,7 +131,7 @@ def lines(model: Model, trials: Sequence[Trial], axis: str) -> tuple[float, ...]
         there = np.isfinite(trial.measured[name])
         time = trial.time_s[there] - trial.time_s[0]
         width = 1.0 / max(float(time[-1]), 1e-9)
-        beat = trial.settings.get("beat")
+        beat = trial.swim.beat
         base = float(beat.frequency_hz) if beat is not None else 0.0
         harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)

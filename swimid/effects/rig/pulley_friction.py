@@ -53,7 +53,7 @@ class PulleyFriction(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the dry friction."""
-        if not (self.everywhere or trial.settings.get("pulley", False)):
+        if not (self.everywhere or trial.rig.pulley):
             return Hooks()
 
         def change(c: dict[str, float]) -> None:
@@ -63,4 +63,4 @@ class PulleyFriction(Effect):
 
 
 def _pulley(trials: Sequence[Trial]) -> bool:
-    return any(t.settings.get("pulley", False) for t in trials)
+    return any(t.rig.pulley for t in trials)

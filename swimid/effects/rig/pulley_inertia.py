@@ -25,7 +25,7 @@ class PulleyInertia(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Rigs with a pulley."""
-        pulley = any(t.settings.get("pulley", False) for t in trials)
+        pulley = any(t.rig.pulley for t in trials)
         return [self] if model.rig is not None and pulley else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
@@ -44,7 +44,7 @@ class PulleyInertia(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia of trials with a pulley."""
-        if not trial.settings.get("pulley", False):
+        if not trial.rig.pulley:
             return Hooks()
 
         def change(c: dict[str, float]) -> None:

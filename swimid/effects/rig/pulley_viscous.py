@@ -26,7 +26,7 @@ class PulleyViscous(Effect):
         """Rigs with a pulley whose model estimates no linear drag."""
         if model.rig is None or model.estimates(*OWN):
             return []
-        return [self] if any(t.settings.get("pulley", False) for t in trials) else []
+        return [self] if any(t.rig.pulley for t in trials) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per speed, N s/m."""
@@ -45,7 +45,7 @@ class PulleyViscous(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the linear drag of trials with a pulley."""
-        if not trial.settings.get("pulley", False):
+        if not trial.rig.pulley:
             return Hooks()
 
         def change(c: dict[str, float]) -> None:

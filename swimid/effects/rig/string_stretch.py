@@ -73,7 +73,7 @@ class StringStretch(Effect):
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Falling weights on a pulley."""
-        pulley = any(t.settings.get("pulley", False) for t in trials)
+        pulley = any(t.rig.pulley for t in trials)
         return [self] if common.pulled(model) and pulley else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
@@ -101,13 +101,13 @@ class StringStretch(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds the stretch to the displacement the pulley shows."""
         compliance, unloaded, damping = (float(v) for v in values)
-        weight = float(trial.settings.get("force", 0.0)) / GRAVITY
-        if compliance <= 0 or weight <= 0 or not trial.settings.get("pulley", False):
+        weight = trial.rig.pull / GRAVITY
+        if compliance <= 0 or weight <= 0 or not trial.rig.pulley:
             return Hooks()
         assert model.rig is not None
         omega = 1.0 / math.sqrt(compliance * weight)
         start = -unloaded * compliance * weight * GRAVITY
-        release = float(trial.settings.get("release_s", 0.0))
+        release = trial.rig.begin_s
         coordinate, rate = model.rig.displacement.name, model.rig.speed.name
 
         def shown(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:

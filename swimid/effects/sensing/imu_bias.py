@@ -1,4 +1,4 @@
-"""A gyroscope that turns at rest."""
+"""Gyroscope bias: a turn rate that is read at rest."""
 
 from __future__ import annotations
 

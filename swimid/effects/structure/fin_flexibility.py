@@ -100,19 +100,18 @@ class FinFlexibility(Effect):
 
 def _stroke_speed(model: Model, length: float, trials: Sequence[Trial]) -> float:
     """Typical speed of a fin of this length (m) across itself, m/s."""
-    beats = [t.settings["beat"] for t in trials if t.settings.get("beat") is not None]
+    beats = [t.swim.beat for t in trials if t.swim.beat is not None]
     found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
     return (float(np.median(found)) if found else 0.0) or model.scales(trials).speed
 
 
 def _typical(trials: Sequence[Trial]) -> tuple[float, float]:
     """Median load and median inertia of the fins, 1 where that is not known."""
-    known = [t.settings["inertia_kg_m2"] for t in trials if t.settings.get("inertia_kg_m2") is not None]
+    known = [t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None]
     middle = float(np.median(known)) if known else 1.0
     loads = []
     for trial in trials:
-        about = {**trial.settings, **trial.inputs}
-        own = trial.settings.get("inertia_kg_m2")
-        load = np.square(about.get("frequency_hz", 1.0)) * np.abs(about.get("amplitude_rad", 1.0))
-        loads += list(np.atleast_1d(load) * (middle if own is None else own))
+        own = trial.cruise.inertia_kg_m2
+        frequency, amplitude = (np.where(np.isnan(v), 1.0, v) for v in trial.steady)
+        loads += list(np.square(frequency) * np.abs(amplitude) * (middle if own is None else own))
     return float(np.median(loads)) if loads else 1.0, middle

@@ -42,8 +42,8 @@ class JointLocked(Effect):
         if model.body is None:
             return []
         columns = [axis.column for axis in model.body.passive]
-        given = any(t.settings.get("commanded") for t in trials)
-        beaten = any(t.settings.get("joints") is None for t in trials)
+        given = any(t.swim.commanded for t in trials)
+        beaten = any(t.swim.joints is None for t in trials)
         for axis in model.body.driven:
             law = axis.driven
             assert law is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.progress import Progress, silent
@@ -80,9 +81,7 @@ class Trajectory:
 class MultilinkModel(Swimmer):
     """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
 
-    A trial's settings give ``beat`` (a :class:`drive.Beat`) or ``joints`` (a motion for each
-    driven joint), ``pose``, the reference point's pose at the first sample, from which the
-    start offsets count, and ``coefficients``, those that were set otherwise in this trial.
+    What is known of a trial is its :attr:`Trial.swim`.
 
     Parameters
     ----------
@@ -137,20 +136,19 @@ class MultilinkModel(Swimmer):
 
     def origin(self, trial: Trial) -> dict[str, float]:
         """Pose at the first sample."""
-        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        pose = trial.swim.posed()
         return dict(zip(self.pose, (float(p) for p in pose), strict=True))
 
     def commanded(self, trial: Trial) -> bool:
         """Whether a drive or a recorded command moves the joints, not their measured angles."""
-        if trial.settings.get("joints") is None:
-            return "beat" in trial.settings
-        return bool(trial.settings.get("commanded"))
+        swim = trial.swim
+        return swim.beat is not None if swim.joints is None else swim.commanded
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
         """What each driven joint is told to do."""
         time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
         for number, axis in enumerate(self.assembly.driven):
-            angle, rate, _ = joint_motion(axis, number, trial.settings, time, 0.0)
+            angle, rate, _ = joint_motion(axis, number, trial.swim, time, 0.0)
             yield time, angle, float(np.max(np.abs(rate)))
 
     def prepare(self, progress: Progress = silent) -> None:
@@ -295,9 +293,9 @@ class MultilinkModel(Swimmer):
         """Refuse coefficients that make masses no body has (:meth:`Assembly.check`)."""
         self.assembly.check(values[: self._count])
 
-    def command(self, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float) -> Array:
+    def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
         """What a driven joint is told to do, rad."""
-        return joint_motion(self.assembly.driven[number], number, settings, time_s, phase_rad)[0]
+        return joint_motion(self.assembly.driven[number], number, swim, time_s, phase_rad)[0]
 
     # -------------------------------------------------------- simulation
 
@@ -371,7 +369,7 @@ class MultilinkModel(Swimmer):
             own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
             tables = hooks.changed(own, "tables")
         if hooks.force:
-            x, y, _ = trial.settings.get("pose", (0.0, 0.0, 0.0))
+            x, y, _ = trial.swim.posed()
             frame = (x, y, 0.0 if self._heading_matters() else self._start_heading(values, trial))
             at = (-body.reference.station_m, body.reference.offset_m)
             forced = engine.outside(hooks.force, frame, at, len(self.assembly.links))
@@ -381,13 +379,13 @@ class MultilinkModel(Swimmer):
         return Trajectory(begin, step, states, rates, table[::2, :, :3])
 
     def _start_heading(self, values: Array, trial: Trial) -> float:
-        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        pose = trial.swim.posed()
         return float(pose[2]) + self._value(values, self.starts[2])
 
     def _table(
         self, values: Array, trial: Trial, begin: float, step: float, steps: int, hooks: Hooks = NONE
     ) -> Array:
-        if trial.settings.get("joints") is not None and not trial.settings.get("commanded"):
+        if trial.swim.measured:
             hooks = NONE  # measured joints are what the actuators did
         phase = self._value(values, "drive_phase")
         servos = tuple(
@@ -430,7 +428,7 @@ class MultilinkModel(Swimmer):
         for k, (axis, servo) in enumerate(zip(self.assembly.driven, self._servos, strict=True)):
             part = 0.5 if servo is None else 0.25
             time = begin + part * step * np.arange(steps / part + 1.0)
-            found.append(joint_motion(axis, k, trial.settings, time, phase))
+            found.append(joint_motion(axis, k, trial.swim, time, phase))
         with self._lock:
             _keep(self._motions, key, found, KEPT)
         return found
@@ -482,7 +480,7 @@ class MultilinkModel(Swimmer):
         assert body is not None
         n = self.assembly.unknowns
         a, b = -body.reference.station_m, body.reference.offset_m
-        pose = trial.settings.get("pose", (0.0, 0.0, 0.0))
+        pose = trial.swim.posed()
         offsets = [self._value(values, name) for name in self.starts]
         theta = states[:, 2]
         c, s = np.cos(theta), np.sin(theta)
@@ -551,17 +549,13 @@ def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
     return begin, step, max(1, math.ceil((end - begin) / step - 1e-6))
 
 
-def joint_motion(
-    axis: Axis, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float
-) -> drive.Motion:
+def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> drive.Motion:
     """What a driven joint is told to do: its share of the beat, or its measured angle."""
-    joints = settings.get("joints")
-    if joints is not None:
-        motion: drive.Motion = joints[number](time_s)
-        return motion
+    if swim.joints is not None:
+        return swim.joints[number](time_s)
     law = axis.joint.driven
     assert law is not None
-    beat = settings.get("beat")
+    beat = swim.beat
     if beat is None:
         zero = np.zeros_like(time_s)
         return zero, zero, zero
@@ -598,7 +592,7 @@ def warm_up() -> None:
     time = np.linspace(0.0, 0.1, 6)
     beat = drive.Beat("a-cpg", 1.0, 0.3)
     model.simulate(
-        np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, settings={"beat": beat})
+        np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, swim=SwimInput(beat))
     )
     drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
     drive.measured(np.arange(6.0), np.zeros(6))

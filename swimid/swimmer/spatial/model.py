@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs.rotation import angles, from_angles
@@ -58,9 +59,7 @@ class Tree(Protocol):
 class MultibodyModel(Swimmer):
     """A robot with links in space (:mod:`swimid.swimmer.spatial.engine`).
 
-    A trial's settings give ``beat`` (a :class:`drive.Beat`), ``stroke`` (a
-    :class:`swimid.swimmer.spatial.stroke.Cycle`) or ``joints`` (a motion for each driven hinge), and
-    ``pose``, the reference point's pose at the first sample, from which the start offsets count. A robot of a
+    What is known of a trial is its :attr:`Trial.swim`. A robot of a
     planar file moves in space as in its plane.
 
     Parameters
@@ -179,9 +178,9 @@ class MultibodyModel(Swimmer):
         """Refuse coefficients that make masses no body has."""
         self.tree.check(values[: self._count])
 
-    def command(self, number: int, settings: Mapping[str, Any], time_s: Array, phase_rad: float) -> Array:
+    def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
         """What a driven hinge is told to do, rad."""
-        return hinge_motion(self.tree.driven[number], number, settings, time_s, phase_rad)[0]
+        return hinge_motion(self.tree.driven[number], number, swim, time_s, phase_rad)[0]
 
     def with_buoyancy(self, factor: float) -> MultibodyModel | None:
         """The same model with every volume that displaces water multiplied; None where none does."""
@@ -203,7 +202,7 @@ class MultibodyModel(Swimmer):
 
     def _posed(self, values: Array, trial: Trial) -> Array:
         """Pose of the reference point at the first sample, shape (6,)."""
-        pose = np.array(trial.settings.get("pose", (0.0,) * 6), dtype=float)
+        pose = np.array(trial.swim.posed(6), dtype=float)
         return pose + [self._value(values, name) for name in self.starts]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -296,7 +295,7 @@ class MultibodyModel(Swimmer):
     def _table(
         self, values: Array, trial: Trial, begin: float, step: float, steps: int, hooks: Hooks
     ) -> Array:
-        if trial.settings.get("joints") is not None and not trial.settings.get("commanded"):
+        if trial.swim.measured:
             hooks = NONE  # measured joints are what the actuators did
         phase = self._value(values, "drive_phase")
         known = dict(zip(self.tree.names, values, strict=False))
@@ -304,13 +303,13 @@ class MultibodyModel(Swimmer):
         motions = []
         for k, (axis, servo) in enumerate(zip(self.tree.driven, self._servos, strict=True)):
             if servo is None:
-                motion = hinge_motion(axis, k, trial.settings, half, phase)
+                motion = hinge_motion(axis, k, trial.swim, half, phase)
                 if hooks.command:
                     motion = drive.deviated(motion, hooks.actuated(half, motion[0], k), 0.5 * step)
                 motions.append(motion)
                 continue
             fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
-            command = hooks.actuated(fine, hinge_motion(axis, k, trial.settings, fine, phase)[0], k)
+            command = hooks.actuated(fine, hinge_motion(axis, k, trial.swim, fine, phase)[0], k)
             omega, damping = 2 * math.pi * servo[0].at(known), servo[1].at(known)
             answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
             motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
@@ -332,19 +331,17 @@ class MultibodyModel(Swimmer):
         return dict(zip((*POSE, *VELOCITY), (*pose, *velocity.T, *(spin * SIGNS).T), strict=True))
 
 
-def hinge_motion(axis: Axis, number: int, settings: Any, time_s: Array, phase_rad: float) -> drive.Motion:
+def hinge_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> drive.Motion:
     """What a driven hinge is told to do: a measured angle, its part of the stroke, its share of the beat."""
-    joints = settings.get("joints")
-    if joints is not None:
-        motion: drive.Motion = joints[number](time_s)
-        return motion
+    if swim.joints is not None:
+        return swim.joints[number](time_s)
     law = axis.driven
     assert law is not None
     lag = math.radians(law.phase_lag_deg)
-    stroke: Cycle | None = settings.get("stroke")
+    stroke: Cycle | None = swim.stroke
     if stroke is not None:
         return stroke.motion(axis.name, time_s, phase_rad=phase_rad - lag)
-    beat: drive.Beat | None = settings.get("beat")
+    beat: drive.Beat | None = swim.beat
     if beat is None:
         zero = np.zeros_like(time_s)
         return zero, zero, zero

@@ -1,0 +1,135 @@
+"""What is known of a trial beside its samples, by the family of its experiment.
+
+Every trial has all of them; where an experiment knows nothing of a kind, its fields are at their defaults,
+which say so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+#: Time (s) -> angle, rate and acceleration of a joint.
+Motion = Callable[[Array], tuple[Array, Array, Array]]
+
+
+@dataclass(frozen=True)
+class RigInput:
+    """A body on a test rig.
+
+    Attributes
+    ----------
+    inertia : float
+        Known part, kg or kg m2, pulling mass and pulley included; NaN where none is known.
+    force : float, optional
+        Constant known force, N.
+    pulley : bool
+        A pulley's friction acts.
+    area_factor : float
+        ``rho A / 2``, kg/m; 0 where the quadratic coefficient itself is estimated.
+    release_s : float, optional
+        Time of release; zero where none is stated.
+    x0 : float
+        Displacement at release, m or rad.
+    """
+
+    inertia: float = math.nan
+    force: float | None = None
+    pulley: bool = False
+    area_factor: float = 0.0
+    release_s: float | None = None
+    x0: float = 0.0
+
+    @property
+    def pull(self) -> float:
+        """The constant force, N; 0 where there is none."""
+        return 0.0 if self.force is None else self.force
+
+    @property
+    def begin_s(self) -> float:
+        """Time of release, s."""
+        return 0.0 if self.release_s is None else self.release_s
+
+
+@dataclass(frozen=True)
+class SwimInput:
+    """A robot with links.
+
+    Attributes
+    ----------
+    beat : swimid.swimmer.planar.drive.Beat, optional
+    stroke : swimid.swimmer.spatial.stroke.Cycle, optional
+    joints : sequence of Motion, optional
+        Of each driven joint, in place of a drive.
+    commanded : bool
+        The joints' motions are what they were told, not what was measured of them.
+    pose : tuple of float, optional
+        Of the reference point at the first sample, from which the start offsets count.
+    coefficients : mapping of str to float, optional
+        Those that were set otherwise in this trial.
+    """
+
+    beat: Any = None
+    stroke: Any = None
+    joints: Sequence[Motion] | None = None
+    commanded: bool = False
+    pose: tuple[float, ...] | None = None
+    coefficients: Mapping[str, float] | None = None
+
+    @property
+    def drive(self) -> Any:
+        """The beat or the stroke; None where measured joints, or nothing, move it."""
+        return self.stroke if self.beat is None else self.beat
+
+    @property
+    def measured(self) -> bool:
+        """Measured joints move it: they are what the actuators did."""
+        return self.joints is not None and not self.commanded
+
+    def posed(self, count: int = 3) -> tuple[float, ...]:
+        """The start pose; at the origin where none is known."""
+        return (0.0,) * count if self.pose is None else self.pose
+
+
+@dataclass(frozen=True)
+class CruiseInput:
+    """Timed runs of one fin.
+
+    Attributes
+    ----------
+    fin : str
+    inertia_kg_m2 : float, optional
+        Hydrodynamic inertia of the fin, where it is known.
+    middle : (float, float)
+        Frequency (Hz) and amplitude (rad) about which the exponents of the law count.
+    rows : ndarray of int, optional
+        Rows of the table.
+    """
+
+    fin: str = ""
+    inertia_kg_m2: float | None = None
+    middle: tuple[float, float] = (1.0, 1.0)
+    rows: NDArray[np.intp] | None = None
+
+
+@dataclass(frozen=True)
+class SurgeInput:
+    """A steady beat of which only the mean over each beat is looked at.
+
+    Attributes
+    ----------
+    frequency_hz, amplitude_rad : float
+        NaN where there is no such beat.
+    start_s : float
+        Time of the first sample.
+    """
+
+    frequency_hz: float = math.nan
+    amplitude_rad: float = math.nan
+    start_s: float = 0.0

@@ -1,0 +1,72 @@
+"""The options of ``track imu``, in the field's units."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from swimid.options import Options, Source, option
+
+
+class TrackImuOptions(Options):
+    """What ``track imu`` can be told."""
+
+    map_path: Source = option(None, flag="--map", help="Mapping of foreign columns and units.")
+    other: Source = option(None, flag="--with", help="Another log of the trial to fuse with (a camera's).")
+    method: Literal["smoother", "paper"] = option(
+        "smoother", help="Error-state smoother, or the steps of Shang et al. (2012)."
+    )
+    motion_mode: Literal["marching", "receding", "rotating"] = option(
+        "marching", help="The paper's motion mode: which constant parts are removed."
+    )
+    threshold_m_s2: float | None = option(
+        None, ge=0, help="The paper's threshold on accelerations  [default: 0.02]."
+    )
+    threshold_rad_s: float | None = option(
+        None, ge=0, help="The paper's threshold on turn rates  [default: 0.01]."
+    )
+    still: tuple[tuple[float, float], ...] = option(
+        (), metavar="T0 T1", help="Times, s, between which the robot rests. Repeatable."
+    )
+    rests: Literal["ends", "all", "none"] = option(
+        "ends",
+        flag="--rest",
+        help="Still periods found that are rests: those at both ends of the log, all, or none.",
+    )
+    zero_mean: tuple[Literal["sway", "heave"], ...] = option(
+        (), help="Declare that this velocity has no mean over --window-s. Repeatable."
+    )
+    window_s: float = option(2.0, gt=0, help="Window of --zero-mean, s: whole strokes.")
+    mean_sd_m_s: float = option(0.02, gt=0, help="How far that mean may be from 0, m/s.")
+    top_speed_m_s: float = option(2.0, gt=0, help="Speed the robot never exceeds, m/s.")
+    mount_deg: tuple[float, float, float] | None = option(
+        None, metavar="ROLL PITCH YAW", help="How the sensor is turned in the body, degrees."
+    )
+    level_at_rest: bool = option(
+        False, help="The robot rests level: take the tilt seen there as the mounting's."
+    )
+    lever_m: tuple[float, float, float] | None = option(
+        None, metavar="X Y Z", help="The sensor's place seen from the reference point, body axes, m."
+    )
+    clock_offset_s: float | None = option(
+        None, help="Add this to the times of the other log  [default: estimated]."
+    )
+    fix_sd_m: float | None = option(
+        None, gt=0, help="Noise of the other log's positions, m  [default: estimated]."
+    )
+    accel_noise: float | None = option(
+        None, gt=0, help="Accelerometer noise, m/s2/sqrt(Hz)  [default: from still periods]."
+    )
+    gyro_noise: float | None = option(
+        None, gt=0, help="Gyroscope noise, rad/s/sqrt(Hz)  [default: from still periods]."
+    )
+    accel_bias_mg: float | None = option(
+        None, gt=0, help="Accelerometer bias before any calibration, mg  [default: 10]."
+    )
+    gyro_bias_deg_s: float | None = option(
+        None, gt=0, help="Gyroscope bias before any calibration, deg/s  [default: 1]."
+    )
+    attitude_sd_deg: float | None = option(
+        None,
+        gt=0,
+        help="Error of quaternions in the log, or of the attitude filter, deg  [default: 2, 1].",
+    )
