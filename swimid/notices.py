@@ -39,6 +39,7 @@ CODES: dict[str, str] = {
     "SWM030": "measurement departs from the propulsion law",
     "SWM031": "free exponent disagrees with the law",
     "SWM032": "beat frequency contradicts the metadata",
+    "SWM033": "two frequencies, one of which is no stroke",
     "SWM040": "frames without a marker",
     "SWM041": "no calibration: output in pixels",
     "SWM042": "marker separation is not constant",

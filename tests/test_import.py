@@ -629,3 +629,25 @@ def test_a_table_of_deeplabcut(swimid: Run, tmp_path: Path) -> None:
     )
     # rows of a picture count downwards
     assert record["y_px"].mean() == pytest.approx(-200, abs=1)
+
+
+def test_a_hum_beside_the_stroke_is_told(swimid: Run, tmp_path: Path) -> None:
+    """The heading hums at 10 Hz, the sway beats at 1.3 Hz: never a verdict of good."""
+    rng, t = np.random.default_rng(0), np.arange(1200) / 60
+    beat = 2 * np.pi * 1.3 * t
+    columns = (
+        t,
+        0.2 * t + 0.0005 * rng.normal(size=len(t)),
+        0.004 * np.sin(beat) + 0.0005 * rng.normal(size=len(t)),
+        0.05 * np.sin(beat + 0.3) + 0.06 * np.sin(20 * np.pi * t) + 0.005 * rng.normal(size=len(t)),
+    )
+    lines = [",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True)]
+    (tmp_path / "hum.csv").write_text("\n".join(["t_s,x_m,y_m,yaw_rad", *lines, ""]))
+    made = ("import", tmp_path / "hum.csv", "-o", tmp_path / "run.csv", "--force", "--json")
+    ran = swimid(*made)
+    result = ran.json["result"]
+    assert result["stroke"]["frequency_hz"] == pytest.approx(1.3, rel=2e-3)
+    assert result["stroke"]["rivals_hz"]["yaw_rad"] == pytest.approx(10.0, rel=1e-3)
+    assert result["verdict"]["level"] == "caution"
+    assert "SWM033" in ran.err
+    assert swimid(*made, "--stroke", "0.5", "3").json["result"]["verdict"]["level"] == "good"

@@ -93,11 +93,9 @@ def test_a_known_sum_of_unlike_parameters_is_one_of_ratios(swimid: Run, tmp_path
 
 
 class TestPossible:
-    @pytest.mark.parametrize("stated, level", [(1.0, None), (1e3, "BAD")])
-    def test_added_mass_of_a_bead(
-        self, swimid: Run, tmp_path: Path, stated: float, level: str | None
-    ) -> None:
-        """A bead of 35 mg in water; the second time its weight is given in millinewtons."""
+    @pytest.mark.parametrize("stated, level", [(1.0, "GOOD"), (3.0, "CAUTION"), (10.0, "BAD"), (1e3, "BAD")])
+    def test_added_mass_of_a_bead(self, swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
+        """A bead of 35 mg in water, its weight given rightly, too large by a factor, or in millinewtons."""
         mass, radius, density = 3.5e-5, 1e-3, 997.0
         displaced, area = density * 4 / 3 * np.pi * radius**3, np.pi * radius**2
         force = (mass - displaced) * 9.81
@@ -121,10 +119,70 @@ class TestPossible:
             lines.append(f"  - {{log: b{k}.csv, driving_force_N: {force * stated}}}")
         (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
         ran = swimid("fit-drag", tmp_path / "t.yaml")
-        assert ("SWM072" in ran.err) is (level == "BAD")
-        assert ("added mass possible" in ran.out) is (level == "BAD")
-        if level:
-            assert ran.out.strip().splitlines()[-1].startswith(level)
+        last = ran.out.strip().splitlines()[-1]
+        assert ("SWM072" in ran.err) is (stated > 1.0)
+        assert ("driving force possible" in last) is (stated > 1.0)
+        assert ("added mass possible" in last) is (level == "BAD")
+        if stated > 1.0:
+            assert last.startswith(level)
+
+    @pytest.mark.parametrize("factor", [1.0, 10.0])
+    def test_every_pulling_weight_ten_times_too_large(
+        self, swimid: Run, tmp_path: Path, factor: float
+    ) -> None:
+        """All trials agree with each other; what they come to no body has."""
+        weights = tuple(range(10, 41, 5))
+        trials = generator.write_falls(
+            tmp_path,
+            np.random.default_rng(0),
+            stated_g={weight: factor * weight for weight in weights},
+        )
+        ran = swimid("fit-drag", trials)
+        last = ran.out.strip().splitlines()[-1]
+        assert ("drag coefficient possible" in last) is (factor > 1.0)
+        assert ("SWM072" in ran.err) is (factor > 1.0)
+        assert last.startswith("BAD") is (factor > 1.0)
+
+    def test_a_body_that_rises(self, swimid: Run, tmp_path: Path) -> None:
+        """A ball of 2.7 g and 40 mm in water is driven by twelve times its weight, which is its lift."""
+        mass, radius, density = 2.7e-3, 0.02, 997.0
+        displaced, area = density * 4 / 3 * np.pi * radius**3, np.pi * radius**2
+        force = (displaced - mass) * 9.81
+        rng = np.random.default_rng(2)
+        (tmp_path / "ball.yaml").write_text(
+            "format: swimid-robot/1\nname: ball\n"
+            f"body: {{inertial_mass_kg: {mass}, frontal_area_m2: {area}}}\n"
+        )
+        lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: ball.yaml", "trials:"]
+        time = np.arange(0, 0.8, 1 / 120)
+        whole, drag = mass + 0.5 * displaced, 0.25 * density * area
+        for k in range(3):
+            run = solve_ivp(
+                lambda _, s: [s[1], (force - drag * s[1] ** 2) / whole],
+                (0, 0.8), [0, 0], t_eval=time, rtol=1e-10, atol=1e-14,
+            )  # fmt: skip
+            rows = np.c_[time, run.y[0] + rng.normal(0, 2e-4, len(time))]
+            np.savetxt(tmp_path / f"r{k}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
+            lines.append(f"  - {{log: r{k}.csv, driving_force_N: {force}}}")
+        (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
+        ran = swimid("fit-drag", tmp_path / "t.yaml", "--json")
+        assert "SWM072" not in ran.err
+        assert ran.json["result"]["parameters"]["added_mass"]["value"] == pytest.approx(
+            0.5 * displaced, rel=0.05
+        )
+
+    def test_drag_of_discs_and_balls_is_below_the_most(self) -> None:
+        """Clift, Grace and Weber (1978), tables 5.1 and 6.2: balls and discs across the flow."""
+        for reynolds, ball, disc in (
+            (0.1, 245.0, 207.0),
+            (1.0, 27.2, 23.9),
+            (10.0, 4.26, 4.1),
+            (100.0, 1.09, 1.8),
+        ):
+            assert max(ball, disc) < theory.most_drag_coefficient(reynolds)
+        assert theory.most_drag_coefficient(1e5) < 3.01
+        # of oil the viscosity is not known
+        assert math.isnan(theory.most_drag_coefficient(theory.reynolds(1.0, 0.1, 880.0)))
 
     def test_bounds_hold_what_is_known(self) -> None:
         """Spheres, discs, cubes and long prisms have less added mass than their bound."""

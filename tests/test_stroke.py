@@ -165,3 +165,76 @@ def test_a_heading_that_goes_round_is_unwrapped() -> None:
     found = rhythm.find(T, {"yaw_rad": np.mod(angle, 2 * np.pi)})
     assert found is not None
     assert found.beat.frequency_hz == pytest.approx(1.1, rel=0.005)
+
+
+def _hummed(hum_rad: float, seed: int = 0, hum_hz: float = 10.0) -> tuple[Array, dict[str, Array]]:
+    """A robot that beats at 1.3 Hz, 0.05 rad and 4 mm of sway, with a hum in its heading."""
+    rng, t = np.random.default_rng(seed), np.arange(1200) / 60
+    beat = 2 * np.pi * 1.3 * t
+    yaw = 0.05 * np.sin(beat + 0.3) + hum_rad * np.sin(2 * np.pi * hum_hz * t) + 0.005 * rng.normal(size=1200)
+    x = 0.2 * t + 0.0005 * rng.normal(size=1200)
+    return t, {"x_m": x, "y_m": 0.004 * np.sin(beat) + 0.0005 * rng.normal(size=1200), "yaw_rad": yaw}
+
+
+@pytest.mark.parametrize("hum_rad", [0.0, 0.01, 0.02, 0.03, 0.05, 0.06, 0.07, 0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("hum_hz", [4.7, 10.0])
+def test_a_hum_in_the_heading_is_no_stroke(hum_rad: float, hum_hz: float) -> None:
+    found = rhythm.find(*_hummed(hum_rad, hum_hz=hum_hz))
+    assert found is not None
+    assert found.beat.frequency_hz == pytest.approx(1.3, rel=2e-3)
+    # from a tenth of the stroke's power on it is told
+    if hum_rad >= 0.02:
+        assert found.rivals["yaw_rad"].frequency_hz == pytest.approx(hum_hz, rel=1e-3)
+    if hum_rad == 0.0:
+        assert not found.doubt
+
+
+@pytest.mark.parametrize("hum_rad", [0.0, 0.02, 0.05, 0.1, 0.2])
+def test_of_two_beats_in_a_heading_alone_none_is_sure(hum_rad: float) -> None:
+    time, columns = _hummed(hum_rad)
+    found = rhythm.find(time, {"yaw_rad": columns["yaw_rad"]})
+    assert found is not None
+    told = {round(found.beat.frequency_hz, 1), *(round(b.frequency_hz, 1) for b in found.rivals.values())}
+    assert told == ({1.3, 10.0} if hum_rad else {1.3})
+
+
+def test_what_the_drive_beats_at_is_the_stroke() -> None:
+    """A roll and a heading that hum together are two motions, and yet no stroke."""
+    time, columns = _hummed(0.3)
+    rng = np.random.default_rng(1)
+    hum = 0.2 * np.sin(2 * np.pi * 10 * time) + 0.01 * rng.normal(size=len(time))
+    joint = 0.3 * np.sin(2 * np.pi * 1.3 * time) + 0.01 * rng.normal(size=len(time))
+    found = rhythm.find(time, {"yaw_rad": columns["yaw_rad"], "roll_rad": hum, "joint1_rad": joint})
+    assert found is not None
+    assert found.beat.frequency_hz == pytest.approx(1.3, rel=1e-3)
+    assert set(found.rivals) == {"yaw_rad", "roll_rad"}
+
+
+def test_a_stated_or_given_frequency_ends_the_doubt() -> None:
+    time, columns = _hummed(0.1)
+    for options in ({"stated_hz": 1.3}, {"range_hz": (0.5, 3.0)}):
+        found = rhythm.find(time, columns, **options)  # type: ignore[arg-type]
+        assert found is not None
+        assert found.beat.frequency_hz == pytest.approx(1.3, rel=1e-3)
+        assert not found.doubt
+
+
+def test_faster_than_any_swimmer_beats() -> None:
+    time = np.arange(2000) / 100
+    shaking = np.sin(2 * np.pi * 24 * time) + 0.1 * np.random.default_rng(0).normal(size=len(time))
+    found = rhythm.find(time, {"yaw_rad": shaking})
+    assert found is not None
+    assert "faster than" in found.doubt
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["plain", "drift and turns", "harmonics", "second harmonic larger", "red noise", "wandering phase"],
+)
+def test_one_stroke_has_no_rival(kind: str) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        values, _ = _stroke(rng, rng.uniform(0.7, 2.0), kind)
+        found = rhythm.find(T, {"yaw_rad": values})
+        assert found is not None
+        assert not found.doubt

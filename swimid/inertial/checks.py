@@ -135,6 +135,6 @@ def _stroke(run: Run) -> Iterator[Check]:
         f"harmonics {harmonics}"
     )
     if stated is None:
-        yield check("Stroke", value, None)
+        yield check("Stroke", value, False if run.doubt else None, text=run.doubt)
     else:
         yield check("Stroke", value, not run.contradicted, f"metadata: {stated:g} Hz")

@@ -68,6 +68,11 @@ class Run:
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     @property
+    def doubt(self) -> str:
+        """What speaks against the stroke, where the metadata states none; empty where nothing does."""
+        return self.stroke.doubt if self.stroke is not None and self.stated_hz is None else ""
+
+    @property
     def contradicted(self) -> bool:
         """Whether the stated frequency lies outside the stroke's interval, and off by more than 3 %."""
         stroke, stated = self.stroke, self.stated_hz

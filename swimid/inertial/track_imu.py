@@ -296,6 +296,8 @@ def _warn(run: Run, notes: list[str]) -> None:
             f"({run.rest_score:.1f} deviations rms): "
             "one of them is no rest of the body, or the sensor is worse than stated",
         )
+    if run.doubt:
+        warn("SWM033", f"{name}: {run.doubt}")
     if run.stroke is not None and run.contradicted:
         low, high = run.stroke.interval_hz
         warn(

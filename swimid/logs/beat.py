@@ -29,6 +29,8 @@ FALSE_ALARM = 0.01
 #: A beat explains at least this share of what moves faster than the drift; beside a harmonic larger than
 #: itself at least the lower one.
 SHARE, FAINTEST = 0.1, 0.02
+#: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
+TOGETHER = 0.03
 #: Peaks of the spectrum that are looked at.
 CANDIDATES = 6
 #: Windows whose phases are regressed; of more, only so many are spread over the record.
@@ -87,7 +89,14 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
 def find_beat(
     time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
 ) -> Beat | None:
-    """The strongest periodic component of a channel, or None where there is none.
+    """The strongest periodic component of a channel, or None where there is none: the first of all it has."""
+    return next(iter(find_beats(time_s, values, lowest_hz=lowest_hz, highest_hz=highest_hz)), None)
+
+
+def find_beats(
+    time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
+) -> list[Beat]:
+    """The periodic components of a channel that are no multiples of each other, the strongest first.
 
     Parameters
     ----------
@@ -99,8 +108,9 @@ def find_beat(
 
     Returns
     -------
-    Beat or None
-        None where the record is too short, or nothing in it keeps its phase from window to window.
+    list of Beat
+        Empty where the record is too short, or nothing in it keeps its phase from window to window. Those
+        after the first explain at least :data:`FAINTEST` of what moves faster than the drift.
 
     Notes
     -----
@@ -117,13 +127,13 @@ def find_beat(
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
     if len(t) < 2 * SAMPLES:
-        return None
+        return []
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, FEWEST_CYCLES / duration)
     # no more frequencies than an even record of as many samples has, however uneven this one is
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
-        return None
+        return []
     found = []
     for candidate in (_examined(t, x, f) for f in _peaks(t, x, low, high, duration)):
         if candidate is None or candidate.chance >= FALSE_ALARM or candidate.share < FAINTEST:
@@ -135,17 +145,33 @@ def find_beat(
         if resolved and abs(beat.frequency_hz - candidate.frequency_hz) < 1.0 / duration:
             found.append((candidate.chance, beat))
     limit = FALSE_ALARM / max(duration * (high - low), 1.0)
-    sure = [beat for chance, beat in found if chance < limit and beat.share >= SHARE]
-    if not sure:
-        return None
-    largest = max(sure, key=lambda beat: beat.amplitude)
+    sure = [beat for chance, beat in found if chance < limit]
+    large = [beat for beat in sure if beat.share >= SHARE]
+    if not large:
+        return []
+    largest = max(large, key=lambda beat: beat.amplitude)
     # a harmonic may be larger than the stroke itself, which then is there as well
     below = [
         beat
         for _, beat in found
         if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
     ]
-    return max(below, key=lambda beat: beat.amplitude, default=largest)
+    first = max(below, key=lambda beat: beat.amplitude, default=largest)
+    others = [beat for beat in sure if _apart(beat, first) and not multiple(beat, first, 1.0 / duration)]
+    return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
+
+
+def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
+    """Which harmonic one beat is of another, as far as their errors tell; 0 where it is none."""
+    order = round(beat.frequency_hz / of.frequency_hz)
+    error = 3.0 * float(np.hypot(beat.stderr_hz, order * of.stderr_hz))
+    off = abs(beat.frequency_hz - order * of.frequency_hz)
+    return order if off <= max(TOGETHER * of.frequency_hz, error, resolution_hz) else 0
+
+
+def _apart(beat: Beat, other: Beat) -> bool:
+    """Whether windows of two cycles of a beat do not see the other as well."""
+    return abs(beat.frequency_hz - other.frequency_hz) > beat.frequency_hz / WINDOW
 
 
 @dataclass(frozen=True)

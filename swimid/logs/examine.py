@@ -125,6 +125,8 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     for doubt in doubts:
         warn("SWM002", f"{source.path.name}, '{doubt.column}': {doubt.text}")
     against = _contradiction(stroke, stated, source.path.name)
+    if stroke is not None and stroke.doubt:
+        warn("SWM033", f"{source.path.name}: {stroke.doubt}")
     line = along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]

@@ -156,6 +156,11 @@ def _checks(found: Examined) -> list[Check]:
         why = "with fewer the path between samples is not known, and its speed too low"
         value, limit = numbers.number(per_stroke, 3), f"≥ {RESOLVED:g}"
         checks.append(check("Samples a stroke", value, per_stroke >= RESOLVED, limit, why))
+    if stroke is not None:
+        beats = (f"{beat.frequency_hz:.4g} Hz" for beat in (stroke.beat, *stroke.rivals.values()))
+        why = stroke.doubt or "multiples of it counted in"
+        limit = "no channel beats at another"
+        checks.append(check("One stroke", " against ".join(beats), not stroke.doubt, limit, why))
     if stroke is not None and "frequency_hz" in found.metadata:
         stated, against = f"{found.metadata['frequency_hz']} Hz", found.against
         name = "Stroke against the metadata"
@@ -368,6 +373,7 @@ def _facts(found: Examined, record: Evidence) -> dict[str, Any]:
                 {"order": h.order, "amplitude": h.amplitude, "stderr": h.stderr} for h in stroke.harmonics
             ],
             "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
             "contradiction": found.against,
         },
         "line": None
@@ -424,8 +430,9 @@ def _summary(found: Examined, machine: dict[str, Any]) -> str:
             f"{numbers.number(found.projection.extent, 3, found.unit)} long; "
             f"rms distance from it {numbers.number(found.projection.across, 3, found.unit)}"
         )
-    if found.against:
-        lines.append(f"  BEWARE  {found.against}")
+    for against in (found.against, stroke.doubt if stroke is not None else ""):
+        if against:
+            lines.append(f"  BEWARE  {against}")
     level = machine["verdict"]["level"].upper()
     return "\n".join([*lines, f"{level}: {machine['verdict']['text']}"])
 

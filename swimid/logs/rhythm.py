@@ -4,24 +4,42 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from swimid.logs.beat import FEWEST_CYCLES, TOLERANCE, Beat, find_beat
+from swimid.logs.beat import FEWEST_CYCLES, SHARE, TOLERANCE, Beat, find_beats, multiple
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
 #: Channels that swing once a stroke, to one side and to the other.
 SIDEWAYS = re.compile(
-    r"(joint|cmd|fin|tail)\w*|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
+    r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
+    r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
 )
 #: Channels that may swing twice a stroke: both half strokes push.
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
-#: Channels that agree within this share beat together.
-TOGETHER = 0.03
+#: What beats by itself: where it is logged, its frequency is the stroke's.
+DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
+#: What moves the place of the swimmer to a side.
+MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
+#: One motion is one witness, in however many channels it is seen.
+MOTIONS = tuple(
+    re.compile(part)
+    for part in (
+        DRIVEN.pattern,
+        MOVED.pattern,
+        r"yaw_\w+|wz_rad_s",
+        r"roll_rad|wx_rad_s",
+        r"pitch_\w+|wy_rad_s",
+        rf"{PUSHED.pattern}|surge|\w+_axis",
+    )
+)
+#: The fastest stroke of robots, and of fish longer than some centimetres (Bainbridge, J. Exp. Biol. 35, 1958:
+#: up to 25 Hz of dace of 5 cm; 20 Hz of those of 8 cm); what is faster shakes.
+FASTEST_STROKE_HZ = 20.0
 #: Rate above which a channel is averaged before its beat is sought, Hz.
 FASTEST_HZ = 60.0
 #: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
@@ -64,6 +82,8 @@ class Rhythm:
         What each channel that beats at all beats at.
     maybe_double : bool
         Only channels that may swing twice a stroke were there.
+    rivals : dict of str to Beat
+        By channel, the largest beat that is no multiple of the stroke: the one or the other is no stroke.
     """
 
     beat: Beat
@@ -71,6 +91,21 @@ class Rhythm:
     harmonics: list[Harmonic]
     channels: dict[str, Beat]
     maybe_double: bool
+    rivals: dict[str, Beat] = field(default_factory=dict)
+
+    @property
+    def doubt(self) -> str:
+        """In words, what speaks against this stroke; empty where nothing does."""
+        said = []
+        if self.rivals:
+            others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
+            said.append(
+                f"{self.channel} beats at {self.beat.frequency_hz:.4g} Hz, {others}, which is no multiple of "
+                "it: one of them is no stroke but a hum or a sway of its own"
+            )
+        if self.beat.frequency_hz > FASTEST_STROKE_HZ:
+            said.append(f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but tiny fish beat")
+        return "; ".join(said)
 
     @property
     def interval_hz(self) -> tuple[float, float]:
@@ -146,9 +181,12 @@ def find(
 
     Notes
     -----
-    The frequency is that which most channels beat at, those at twice of it counted in: surge and
-    drag follow both half strokes. Of the channels at it the one with the smallest standard error
-    gives the value; they are not independent, so nothing is averaged.
+    The frequency is that which the drive beats at, where it is logged; else that which is seen in most
+    motions (a heading, a sway), those at twice of it counted in: surge and drag follow both half strokes. As
+    many motions told by each of two, it is the one that moves the place: a heading that swings takes with
+    it whatever is not its pivot, and what shakes one sensor only moves nothing. Of the channels at
+    it the one with the smallest standard error gives the value; they are not independent, so nothing is
+    averaged. What contradicts it is kept as :attr:`Rhythm.rivals`, but where the frequency is stated.
     """
     track = swing(columns)
     once = {name: values for name, values in columns.items() if SIDEWAYS.fullmatch(name)}
@@ -159,33 +197,78 @@ def find(
     if stated_hz is not None and range_hz is None:
         ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
     for within in ranges:
-        for offered in (once, twice):
-            beats = _beats(time_s, offered, within)
-            if beats:
-                return _chosen(time_s, offered, beats, offered is twice)
+        pushed = _beats(time_s, twice, within)
+        swung = _beats(time_s, once, within)
+        if not swung and not pushed:
+            continue
+        seen = {**swung, **pushed}
+        chosen = _chosen(swung or pushed, seen)
+        told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= TOLERANCE * stated_hz
+        rivals = {} if told else _rivals(chosen, seen)
+        return _rhythm(time_s, {**once, **twice}, chosen, swung or pushed, rivals, double=not swung)
     return None
 
 
-def _chosen(time_s: Array, offered: Mapping[str, Array], beats: dict[str, Beat], double: bool) -> Rhythm:
-    """The stroke that most channels support, in the channel that tells it best."""
+def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
+    """Of the beats of some channels the stroke, by what all channels show."""
 
-    def support(frequency: float) -> float:
-        return sum(
-            beat.share
-            for beat in beats.values()
-            if any(abs(beat.frequency_hz / (k * frequency) - 1) < TOGETHER for k in (1, 2))
+    def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
+        at_it = {
+            name: max((_part(b, beats) for b in beats if multiple(b, beat) in (1, 2)), default=0.0)
+            for name, beats in seen.items()
+        }
+        names = [name for name, share in at_it.items() if share > 0]
+        motions = sum(any(motion.fullmatch(name) for name in names) for motion in MOTIONS)
+        return (
+            beat.frequency_hz <= FASTEST_STROKE_HZ,
+            any(DRIVEN.fullmatch(name) for name in names),
+            motions,
+            any(MOVED.fullmatch(name) for name in names),
+            round(sum(at_it.values()), 3),
+            -beat.frequency_hz,
         )
 
-    chosen = max(beats.values(), key=lambda beat: (round(support(beat.frequency_hz), 3), -beat.frequency_hz))
-    at_it = {
-        name: beat
-        for name, beat in beats.items()
-        if abs(beat.frequency_hz / chosen.frequency_hz - 1) < TOGETHER
-    }
-    channel = min(at_it, key=lambda name: at_it[name].stderr_hz)
-    values = _unwrapped(offered[channel]) if channel.endswith("_rad") else offered[channel]
-    harmonics = _harmonics(*_as_logged(time_s, values), at_it[channel].frequency_hz)
-    return Rhythm(at_it[channel], channel, harmonics, beats, double)
+    return max((beat for beats in candidates.values() for beat in beats), key=worth)
+
+
+def _part(beat: Beat, beats: list[Beat]) -> float:
+    """Share of a channel's variance that one of its beats explains, beats of other frequencies counted in."""
+    return beats[0].share * beat.amplitude**2 / sum(b.amplitude**2 for b in beats)
+
+
+def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
+    """The largest beat of each channel that is no multiple of the stroke, where it is no ripple upon it."""
+    found = {}
+    for name, beats in seen.items():
+        stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
+        against = [
+            beat
+            for beat in beats
+            if not multiple(beat, chosen)
+            and (beat.amplitude**2 >= SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
+        ]
+        if against:
+            found[name] = max(against, key=lambda beat: beat.amplitude)
+    return found
+
+
+def _rhythm(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    chosen: Beat,
+    beats: Mapping[str, list[Beat]],
+    rivals: dict[str, Beat],
+    *,
+    double: bool,
+) -> Rhythm:
+    """The stroke as the channel shows it that tells it best."""
+    at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
+    best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
+    channel = min(best, key=lambda name: best[name].stderr_hz)
+    values = _unwrapped(columns[channel]) if channel.endswith("_rad") else columns[channel]
+    harmonics = _harmonics(*_as_logged(time_s, values), best[channel].frequency_hz)
+    first = {name: found[0] for name, found in beats.items()}
+    return Rhythm(best[channel], channel, harmonics, first, double, rivals)
 
 
 def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
@@ -201,14 +284,14 @@ def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
 
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
-) -> dict[str, Beat]:
+) -> dict[str, list[Beat]]:
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
         time, prepared = _prepared(time_s, _unwrapped(values) if name.endswith("_rad") else values)
-        beat = find_beat(time, prepared, lowest_hz=low, highest_hz=high) if len(time) else None
-        if beat is not None:
-            found[name] = beat
+        beats = find_beats(time, prepared, lowest_hz=low, highest_hz=high) if len(time) else []
+        if beats:
+            found[name] = beats
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -96,6 +96,8 @@ class Swimming:
     amplitudes : dict of str to Estimate
         Of the stroke's fundamental, half of peak to peak: ``sway``, across the mean heading (the path,
         where none is known; length), and ``turn``, of the heading (rad); those that stand clear of the noise.
+    doubt : str
+        What speaks against the stroke, in words; empty where nothing does.
     """
 
     begin_s: float
@@ -109,6 +111,7 @@ class Swimming:
     stroke: Beat | None
     frequency_hz: Estimate | None
     amplitudes: dict[str, Estimate]
+    doubt: str = ""
 
     @property
     def steady(self) -> bool:
@@ -157,13 +160,13 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
     begin, end = float(track.time_s[known[0]]), float(track.time_s[known[-1]])
     kind: Literal["given", "steady part", "whole track"] = "given"
     if window_s == (None, None):
-        steady = _steady(_blocks(track, begin, end, _period(_stroke(track, begin, end))))
+        steady = _steady(_blocks(track, begin, end, _period(_stroke(track, begin, end)[0])))
         kind = "whole track" if steady is None else "steady part"
         begin, end = steady or (begin, end)
     else:
         begin = begin if window_s[0] is None else max(window_s[0], begin)
         end = end if window_s[1] is None else min(window_s[1], end)
-    stroke = _stroke(track, begin, end)
+    stroke, doubt = _stroke(track, begin, end)
     blocks = _blocks(track, begin, end, _period(stroke))
     advance = change = along = across = None
     if len(blocks.middle) >= 3:
@@ -177,7 +180,9 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
         frequency = Estimate(stroke.frequency_hz, *stroke.interval_hz)
         amplitudes = _amplitudes(track, begin, end, stroke.frequency_hz)
     path = _path_speed(track, begin, end)
-    return Swimming(begin, end, kind, path, advance, change, along, across, stroke, frequency, amplitudes)
+    return Swimming(
+        begin, end, kind, path, advance, change, along, across, stroke, frequency, amplitudes, doubt
+    )
 
 
 def _level(change: Estimate, speed: float) -> bool:
@@ -189,11 +194,11 @@ def _period(stroke: Beat | None) -> float | None:
     return None if stroke is None else 1.0 / stroke.frequency_hz
 
 
-def _stroke(track: Track, begin: float, end: float) -> Beat | None:
-    """The stroke of a window; a track without a heading tells it by its course, too."""
+def _stroke(track: Track, begin: float, end: float) -> tuple[Beat | None, str]:
+    """The stroke of a window and what speaks against it; a track without a heading tells it by its course."""
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
-        return None
+        return None, ""
     unknown = ~track.measured[rows]
     vx, vy = track.velocity[:, rows]
     # Channel names are those of the log; which unit of length they carry is nothing to a rhythm.
@@ -209,13 +214,17 @@ def _stroke(track: Track, begin: float, end: float) -> Beat | None:
     columns = {name: np.where(unknown, np.nan, values) for name, values in columns.items()}
     found = rhythm.find(track.time_s[rows], columns)
     if found is None or found.maybe_double:
-        return None
+        return None, ""
+
     # Whatever bends swings a little about a cubic: a stroke stands clear of the noise of what was measured.
+    def clear(beat: Beat) -> bool:
+        return bool(_amplitudes(track, begin, end, beat.frequency_hz))
+
+    if clear(found.beat):
+        rivals = {name: beat for name, beat in found.rivals.items() if clear(beat)}
+        return found.beat, replace(found, rivals=rivals).doubt
     others = sorted(found.channels.values(), key=lambda beat: -beat.share)
-    for beat in [found.beat, *others]:
-        if _amplitudes(track, begin, end, beat.frequency_hz):
-            return beat
-    return None
+    return next((beat for beat in others if clear(beat)), None), ""
 
 
 def _under_way(velocity: Array) -> bool:

@@ -101,12 +101,61 @@ def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> 
 
 
 def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
-    """Whether the added mass or inertia is one a body of this size can have; warns where it is not."""
+    """Whether a body can have the added mass and drag found, and the stated force; warns where it cannot.
+
+    The bounds rest on what is known without the force: body mass, frontal area, size. One that the stated
+    force widened would let a wrong force pass with whatever follows from it.
+    """
+    found = [
+        _inertia_possible(experiment, result),
+        _drag_possible(experiment, result),
+        _force_possible(experiment),
+    ]
+    return [check for check in found if check is not None]
+
+
+def _inertia_possible(experiment: Experiment, result: FitResult) -> ev.Check | None:
     name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
     limit = None if name is None else _most(experiment, result, name)
     if name is None or limit is None:
-        return []
+        return None
     most, basis = limit
+    return _estimate_possible(
+        result, name, most, basis, "look at masses, forces and their units, and at what the model lacks"
+    )
+
+
+def _drag_possible(experiment: Experiment, result: FitResult) -> ev.Check | None:
+    """Whether the drag coefficient is one that any body has at the speeds reached."""
+    name = "drag_coefficient"
+    density = experiment.robot.fluid.density_kg_m3
+    sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
+    if name not in result.labels or not sized:
+        return None
+    reynolds = max(
+        theory.reynolds(_fastest(result, t), 2.0 * t.rig.area_factor / density, density) for t in sized
+    )
+    most = theory.most_drag_coefficient(reynolds)
+    if not math.isfinite(most):
+        return None
+    basis = f"a body of any shape at a Reynolds number of {numbers.number(reynolds, 2)}"
+    return _estimate_possible(
+        result,
+        name,
+        most,
+        basis,
+        "look at forces, areas, lengths and their units, and at what the model lacks",
+    )
+
+
+def _fastest(result: FitResult, trial: Trial) -> float:
+    """Highest speed of a trial as it was fitted, m/s."""
+    speed = result.model.simulate(result.values(trial.id), trial)["u_m_s"]
+    return float(np.nanmax(np.abs(speed), initial=0.0))
+
+
+def _estimate_possible(result: FitResult, name: str, most: float, basis: str, hint: str) -> ev.Check:
+    """Check of an estimate against the most a body can have; warns where it is above."""
     value, error = result.value(name), result.stderr(name) or 0.0
     unit = next(p.unit for p in result.parameters if p.name == name)
     verdict: Literal["pass", "warn", "fail"] = "pass"
@@ -115,24 +164,52 @@ def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
         warn(
             "SWM072",
             f"{name} is {numbers.measured(value, error or None, unit)}, but {basis} can have "
-            f"{numbers.number(most, 2, unit)} at most: look at masses, forces and their units, and at what "
-            "the model lacks",
+            f"{numbers.number(most, 2, unit)} at most: {hint}",
         )
-    return [
-        ev.Check(
-            name=f"{name.replace('_', ' ')} possible",
-            value=numbers.measured(value, error or None, unit),
-            limit=f"≤ {numbers.number(most, 2, unit)}",
-            verdict=verdict,
-            text=f"the most {basis} can have",
+    return ev.Check(
+        name=f"{name.replace('_', ' ')} possible",
+        value=numbers.measured(value, error or None, unit),
+        limit=f"≤ {numbers.number(most, 2, unit)}",
+        verdict=verdict,
+        text=f"the most {basis} can have",
+    )
+
+
+def _force_possible(experiment: Experiment) -> ev.Check | None:
+    """Whether weight or lift can be as large as the stated force that drives a body without a pulley."""
+    if experiment.name != "falling-weight":
+        return None
+    gravity = experiment.robot.fluid.gravity_m_s2
+    worst: tuple[float, float, str] | None = None
+    for trial in experiment.trials:
+        rig, water = trial.rig, _most_water(experiment, trial)
+        if rig.pulley or not math.isfinite(water) or rig.inertia <= 0:
+            continue
+        most = gravity * max(rig.inertia, water - rig.inertia)
+        if worst is None or rig.pull / most > worst[0] / worst[1]:
+            worst = rig.pull, most, trial.id
+    if worst is None:
+        return None
+    force, most, name = worst
+    if force > most:
+        warn(
+            "SWM072",
+            f"the driving force of '{name}', {numbers.number(force, 3, 'N')}, is more than a body of its "
+            f"mass and size weighs or lifts, {numbers.number(most, 3, 'N')}: look at its unit and the mass",
         )
-    ]
+    return ev.Check(
+        name="driving force possible",
+        value=f"{numbers.number(force, 3, 'N')} in {name}",
+        limit=f"≤ {numbers.number(most, 3, 'N')}",
+        verdict="pass" if force <= most else "warn",
+        text="the whole weight of the body, or the lift of the largest one of its size; only a drive of "
+        "another kind is stronger",
+    )
 
 
 def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, str] | None:
     """Largest possible added mass or inertia, and of what."""
-    body, fluid = experiment.robot.body, experiment.robot.fluid
-    density = fluid.density_kg_m3
+    body, density = experiment.robot.body, experiment.robot.fluid.density_kg_m3
     along = result.model.channels[0].name == "x_m"
     if body.length_m and body.width_m and body.height_m:
         box = (body.length_m, body.width_m, body.height_m, density)
@@ -141,13 +218,34 @@ def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, 
         return theory.most_added_mass_in_box(*box, along=along), "a body in its box"
     if name == "added_inertia":
         return None
-    known = [t.rig for t in result.trials]
-    # a body that a net force drives without a pulley may be lighter than the fluid: the force is its lift
-    displaced = max(k.inertia + (0.0 if k.pulley else k.pull / fluid.gravity_m_s2) for k in known)
+    displaced = max(_displaced(experiment, t) for t in result.trials)
     if displaced <= 0:
         return None
-    area = max(2.0 * k.area_factor / density for k in known) if along else 0.0
-    return theory.most_added_mass(displaced, area or None, density), "a body of its mass"
+    area = max(2.0 * t.rig.area_factor / density for t in result.trials)
+    most = theory.most_added_mass(displaced, area if along and area else None, density)
+    return most, "a body of its mass and size" if along and area else "a body of its mass"
+
+
+def _displaced(experiment: Experiment, trial: Trial) -> float:
+    """Most water a trial's body displaces, kg, as far as its mass and size tell."""
+    rig, gravity = trial.rig, experiment.robot.fluid.gravity_m_s2
+    pulling = (experiment.facts.get("pulling_mass_kg") or {}).get(trial.id)
+    if pulling is not None:
+        return rig.inertia - pulling - experiment.robot.rig.pulley_inertia_kg
+    mass = rig.inertia
+    if rig.pulley:
+        return mass
+    # what rises is lighter than its water by its lift; but no lighter than its size allows
+    return max(mass, min(mass + rig.pull / gravity, _most_water(experiment, trial)))
+
+
+def _most_water(experiment: Experiment, trial: Trial) -> float:
+    """Mass of the water in the largest body of a trial's size, kg; infinite where that is not known."""
+    body, density = experiment.robot.body, experiment.robot.fluid.density_kg_m3
+    if body.length_m and body.width_m and body.height_m:
+        return density * body.length_m * body.width_m * body.height_m
+    factor = trial.rig.area_factor
+    return theory.most_displaced(2.0 * factor / density, density) if factor else math.inf
 
 
 def _add(found: dict[str, Estimate], name: str, e: Estimate | None) -> None:

@@ -12,6 +12,11 @@ _PRISM = np.array(
     [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
 )
 
+#: A body is no more than so many times as long as its frontal area is wide.
+SLENDER = 10.0
+#: Densities of fresh and salt water, and their kinematic viscosity at 20 degrees.
+WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
+
 
 def prism_added_mass(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
     """Added mass of a box moving along its length, kg.
@@ -92,6 +97,44 @@ def most_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_
     if frontal_area_m2 is None:
         return 10.0 * displaced_kg
     return 3.0 * displaced_kg + 0.8 * density_kg_m3 * frontal_area_m2**1.5
+
+
+def most_displaced(frontal_area_m2: float, density_kg_m3: float) -> float:
+    """Mass of the water that a body displaces which is :data:`SLENDER` times as long as wide, kg.
+
+    >>> round(most_displaced(np.pi / 4, 1000.0))
+    7854
+    """
+    diameter = 2.0 * float(np.sqrt(frontal_area_m2 / np.pi))
+    return density_kg_m3 * frontal_area_m2 * SLENDER * diameter
+
+
+def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:
+    """Reynolds number with the diameter of the frontal area; NaN in a fluid that is not water.
+
+    >>> round(reynolds(1.0, np.pi / 4, 1000.0))
+    1000000
+    """
+    low, high = WATER_KG_M3
+    if not low <= density_kg_m3 <= high:
+        return float("nan")
+    return speed_m_s * 2.0 * float(np.sqrt(frontal_area_m2 / np.pi)) / WATER_VISCOSITY_M2_S
+
+
+def most_drag_coefficient(reynolds_number: float) -> float:
+    """Largest drag coefficient of any body, on its frontal area; NaN where the Reynolds number is.
+
+    Notes
+    -----
+    Hoerner, Fluid-Dynamic Drag (1965), chapter 3: discs and plates across the flow have 1.17 to 2, an open
+    half cylinder 2.3, nothing has 3. In slow flow viscosity adds 24/Re to a sphere, 20.4/Re to a disc and
+    64/Re to a body ten times as long as wide (a prolate spheroid along its axis; Happel and Brenner, Low
+    Reynolds Number Hydrodynamics, section 5-11).
+
+    >>> most_drag_coefficient(1e4), most_drag_coefficient(1.0)
+    (3.0072, 75.0)
+    """
+    return 3.0 + 72.0 / reynolds_number if reynolds_number > 0 else float("nan")
 
 
 def estimates(robot: Robot) -> list[Theory]:

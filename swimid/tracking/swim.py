@@ -12,8 +12,9 @@ from swimid.errors import UsageError
 from swimid.logs import swimming
 from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
+from swimid.notices import warn
 from swimid.results import numbers
-from swimid.results.evidence import Figure, Mark, Table
+from swimid.results.evidence import Check, Figure, Mark, Table, check
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 
 #: Names of the stroke's amplitudes by the plane of motion.
@@ -121,6 +122,17 @@ class FilmedSwim:
             return head
         change = 100 * found.change.value / max(found.advance.value, 1e-300)
         return f"{head}; the speed changes by {change:+.0f} % over it"
+
+    def checks(self) -> list[Check]:
+        """Whether the channels of the track agree on one stroke; warns where they do not."""
+        stroke, doubt = self.found.stroke, self.found.doubt
+        if stroke is None:
+            return []
+        if doubt:
+            warn("SWM033", doubt)
+        value = f"{stroke.frequency_hz:.4g} Hz{', doubted' if doubt else ''}"
+        why = doubt or "Multiples of it counted in."
+        return [check("One stroke", value, not doubt, "heading and path agree", why)]
 
     def table(self) -> Table:
         """The figures with their intervals."""

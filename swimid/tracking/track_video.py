@@ -183,6 +183,7 @@ def _track(
     result = pose.build(track, rules, ground)
     found = checks.run(track, result, rules, run.kept)
     swum = swim.find(result, rules.plane, window_s)
+    found += swum.checks()
     count, total = int(result.measured.sum()), len(result.times)
 
     columns = pose.columns(result, track, rules)
