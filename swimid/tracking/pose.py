@@ -210,8 +210,8 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     areas, and the latter is at most the radius R away from it: with a hidden share e of the area, the
     visible part's is off by at most R e / (1 - e), and by less than R. The whole area is the usual one on
     the plane, known to its scatter. A stretch of smaller ones counts as hidden where two in a row fall short
-    by more than the scatter does anywhere in :data:`FALSE_ALARM` of all films, or one by :data:`ALONE` times as
-    much as one does: the codec and the phase of the pixels make single frames look small.
+    by more than the scatter does anywhere in :data:`FALSE_ALARM` of all films, or one by :data:`ALONE` times
+    as much as one does: the codec and the phase of the pixels make single frames look small.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
