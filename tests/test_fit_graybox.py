@@ -19,13 +19,14 @@ from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import identifiability, output_error
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, Trial
 from swimid.progress import Step
 from swimid.results import evidence, parameters
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.fit_graybox import fit_graybox
+from swimid.swimmer.planar.model import MultilinkModel
 from tests.blind import swim_actuation
 from tests.conftest import Ran
 from tests.generators import gap_trials, swimmer
@@ -557,15 +558,29 @@ class TestWrongModels:
     """A model that lacks an effect is the normal case: the fit ends, writes, and says what comes next."""
 
     @pytest.mark.slow
-    def test_play_of_the_servos_takes_no_longer(self, tmp_path: Path) -> None:
+    def test_play_of_the_servos_takes_no_longer(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         """Twelve runs of a fish whose servos have 0.05 rad of play, against the same without."""
         spent = {}
+        simulate = MultilinkModel.simulate
+        counted: list[str] = []
+
+        def counting(self: MultilinkModel, values: np.ndarray, trial: Trial) -> dict[str, np.ndarray]:
+            # from several threads at once: appending is one step
+            counted.append(trial.id)
+            return simulate(self, values, trial)
+
+        monkeypatch.setattr(MultilinkModel, "simulate", counting)
         for name, acts in (("right", []), ("wrong", [swim_actuation.play([0.05] * 3)])):
             folder = tmp_path / name
             gap_trials.write(folder, "tfish", acts, settings=TWELVE, scatter=0.0, seed=7)
             experiment = swimmer_trials.load(folder / "trials.yaml")
+            counted.clear()
             result = output_error.fit(experiment.model, experiment.trials, unfinished=True)
-            spent[name] = result.evaluations
+            # every simulation that the fit took is counted, those of restarts and tests as well
+            assert result.evaluations == len(counted)
+            spent[name] = len(counted)
             if name == "right":
                 assert result.converged
                 assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.fitting import output_error
+from swimid.fitting import multistart, output_error, restarts
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
 from swimid.rig import model as rig_model
@@ -39,6 +39,18 @@ class Terrace(Model):
         return {"x_m": slope * trial.time_s + values[1]}
 
 
+class Valley(Model):
+    """A cost whose valley is bent, as smooth as any: two standard errors along it lead far up its side."""
+
+    name = "valley"
+    channels = (Channel("x_m", "m"),)
+    parameters = (Parameter("a", "1", -10.0, 10.0, 1.0, 1.0), Parameter("b", "1", -10.0, 10.0, 1.0, 1.0))
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        a, b = values
+        return {"x_m": 100.0 * (b - a**2) * np.sin(9 * trial.time_s) + a * np.cos(9 * trial.time_s)}
+
+
 def _line(rng: np.random.Generator) -> list[Trial]:
     time = np.linspace(0.0, 1.0, 200)
     return [Trial("a", "fit", time, {"x_m": 2.0 * time + 0.5 + rng.normal(0, 0.05, 200)})]
@@ -51,6 +63,38 @@ def test_a_search_caught_on_a_step_goes_on_from_beside_it(rng: np.random.Generat
         found = output_error.fit(Terrace(0.05), trials)
     assert found.restarts
     assert found.cost < 0.9 * alone.cost
+
+
+def test_corners_are_told_from_bends(rng: np.random.Generator) -> None:
+    """Stairs are searched with derivatives of their own from many starts; a bend is not taken for them."""
+    time = np.linspace(0.0, 1.0, 200)
+    measured = Valley().simulate(np.array([0.8, 0.6]), Trial("a", "fit", time, {}))["x_m"]
+    data = [Trial("a", "fit", time, {"x_m": measured + rng.normal(0, 2.0, 200)})]
+    bent = output_error.fit(Valley(), data, tested=False)
+    stairs = output_error.fit(Terrace(0.05), _line(rng), tested=False)
+    for seed in range(5):
+        around = restarts.held(bent, seed=seed)
+        assert not around.rough
+        assert around.evaluations < 60
+        assert restarts.held(stairs, seed=seed).rough
+
+
+def test_all_that_a_fit_simulates_is_counted(rng: np.random.Generator) -> None:
+    """Searches begun again as well, and the tests of each answer."""
+    counted = [0]
+
+    class Counting(Terrace):
+        def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+            counted[0] += 1
+            return super().simulate(values, trial)
+
+    with pytest.warns(SwimidWarning, match="SWM073"):
+        found = output_error.fit(Counting(0.05), _line(rng))
+    assert found.restarts
+    assert found.evaluations == counted[0]
+    counted[0] = 0
+    several, _ = multistart.multistart(Counting(0.05), _line(rng), starts=3)
+    assert several.evaluations == counted[0]
 
 
 def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:

@@ -113,3 +113,17 @@ def test_a_block_on_a_ramp_gives_its_acceleration(tmp_path):
     assert found["acceleration"]["value"] == pytest.approx(340, rel=0.03)
     assert found["steady_speed"] is None
     assert found["stroke_frequency"] is None
+
+
+@pytest.mark.parametrize("radius", [5, 7, 9])
+def test_a_whole_marker_is_not_called_hidden(tmp_path, radius):
+    """Its area scatters by the phase of the pixels and by the codec, in single frames by six deviations."""
+    course = clutter.straight(30, 110, 35, 0, sway=8, beat_hz=0.9)
+    things = [clutter.disc(course, radius, colour, ahead=x) for colour, x in ((RED, 20), (YELLOW, -20))]
+    clutter.write(tmp_path / "film.mp4", Pool(tuple(things), duration_s=SECONDS, rate_hz=25.0))
+    markers = "".join(f"  - name: {name}\n    hsv: {hsv}\n" for name, hsv in HSV.items())
+    text = f"format: swimid-setup/1\nmarkers:\n{markers}head: red\ntail: yellow\n"
+    (tmp_path / "s.yaml").write_text(text + "scale: {metres_per_pixel: 0.002}\n")
+    run("video", tmp_path / "film.mp4", "--setup", tmp_path / "s.yaml", "-o", tmp_path / "run.csv")
+    checks = {check.name: check for check in evidence.read(tmp_path / "run.evidence.json").checks}
+    assert checks["Hidden in part"].verdict == "pass"

@@ -87,7 +87,8 @@ class FitResult:
     converged : bool
     message : str
     evaluations : int
-        Simulations of single trials.
+        Simulations of single trials, in all searches and tests that led to the answer; rates of change at
+        uncertain stamps are not counted.
     step_error : float
         Largest change of a simulated sample when the integration step is halved, in standard
         deviations of its noise.
@@ -103,7 +104,7 @@ class FitResult:
     loss : str
         ``linear`` or ``huber``.
     jacobians : int
-        Derivatives of all residuals taken.
+        Derivatives of all residuals taken in them.
     start_states : mapping of label to float
         Per-trial parameters of validation trials, estimated from them with the shared ones held.
     restarts : int or None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -84,6 +85,7 @@ def multistart(
     best: FitResult | None = None
     ends: list[Start] = []
     failure: NoTrustworthyResult | None = None
+    spent: list[tuple[int, int]] = []
     with progress("starts", total=starts) as step:
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
@@ -100,6 +102,7 @@ def multistart(
                 ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
+                spent.append((found.evaluations, found.jacobians))
                 if best is None or (not found.converged, found.cost) < (not best.converged, best.cost):
                     best = found
                 if found.interrupted:
@@ -110,7 +113,10 @@ def multistart(
     if best is None:
         assert failure is not None
         raise failure
-    return output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1), ends
+    found = output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1)
+    evaluations = sum(e for e, _ in spent) - best.evaluations + found.evaluations
+    jacobians = sum(j for _, j in spent) - best.jacobians + found.jacobians
+    return replace(found, evaluations=evaluations, jacobians=jacobians), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:

@@ -54,6 +54,9 @@ MAX_REFINEMENTS = 6
 #: Restarts near an answer, at most, and how much they raise twice the log-likelihood to have been needed: as
 #: much as one standard error.
 RESTARTS, ANOTHER = 6, 1.0
+#: Where the cost has no corners, restarts end with one that raised that by less than this, which a third of a
+#: standard error does; and none is begun once they have taken this share of the first search.
+TRIFLE, SHARE = 0.1, 1.0
 
 Loss = Literal["linear", "huber"]
 
@@ -142,23 +145,41 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
         With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
     first, count = result, 0
+    spent, taken, gain = result.evaluations, result.jacobians, 0.0
     try:
         while not result.interrupted:
+            if spent > (1.0 + SHARE) * first.evaluations and not restarts.kinked(result):
+                result = replace(result, restarts=count, settled=gain <= ANOTHER)
+                break
             with threadpool_limits(limits=1, user_api="blas"):
-                begin = restarts.better(result, jobs=jobs, seed=count)
-            if begin is None or count == RESTARTS:
-                result = replace(result, restarts=count, settled=begin is None)
+                found = restarts.held(result, jobs=jobs, seed=count)
+            spent, taken = spent + found.evaluations, taken + found.jacobians
+            if found.point is None or count == RESTARTS:
+                result = replace(result, restarts=count, settled=found.point is None)
                 break
             again = _refined(
-                result.model, result.trials, result.parameters, silent, jobs, _loss(result), begin, True
+                result.model,
+                result.trials,
+                result.parameters,
+                silent,
+                jobs,
+                _loss(result),
+                found.point,
+                True,
+                near=result,
             )
-            if not _objective(again) < _objective(result):
+            spent, taken = spent + again.evaluations, taken + again.jacobians
+            gain = _objective(result) - _objective(again)
+            if not gain > 0.0:
                 result = replace(result, restarts=count, settled=True)
                 break
             if not again.converged:
                 result = replace(again, restarts=count + 1, settled=False)
                 break
             result, count = again, count + 1
+            if gain < TRIFLE and not found.rough:
+                result = replace(result, restarts=count, settled=True)
+                break
     except KeyboardInterrupt:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
     if _objective(first) - _objective(result) > ANOTHER:
@@ -168,7 +189,7 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
             f"its answer lowered the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %"
             + ("" if result.settled else ", and the last still did: the answer may not be the best one"),
         )
-    return result
+    return replace(result, evaluations=spent, jacobians=taken)
 
 
 def _loss(result: FitResult) -> Loss:
@@ -194,8 +215,13 @@ def _refined(
     loss: Loss,
     begin: Array | None,
     unfinished: bool,
+    near: FitResult | None = None,
 ) -> FitResult:
-    """The fit, with the integration step halved until that changes nothing."""
+    """The fit, with the integration step halved until that changes nothing.
+
+    With a fit ``near`` the weights begin as that one's.
+    """
+    spent = taken = 0
     for _ in range(MAX_REFINEMENTS):
         # the matrices here are small: BLAS threads would only take the cores from the simulations
         with threadpool_limits(limits=1, user_api="blas"):
@@ -208,7 +234,10 @@ def _refined(
                 loss,
                 begin,
                 budget=BUDGET if unfinished else LONGEST,
+                near=near,
             )
+        spent, taken = spent + result.evaluations, taken + result.jacobians
+        result = replace(result, evaluations=spent, jacobians=taken)
         if not (result.converged or result.interrupted or unfinished):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
@@ -217,12 +246,11 @@ def _refined(
         finer = model.refined()
         if finer is None or result.interrupted:
             return result
-        if not result.converged:
-            return replace(result, step_error=_step_error(result, finer))
-        result = replace(result, step_error=_step_error(result, finer))
-        if result.step_error <= STEP_ERROR:
+        spent += len(result.trials)
+        result = replace(result, step_error=_step_error(result, finer), evaluations=spent)
+        if not result.converged or result.step_error <= STEP_ERROR:
             return result
-        model, begin = finer, result.estimate
+        model, begin, near = finer, result.estimate, result
     return result
 
 
@@ -286,6 +314,7 @@ def _fit_once(
     *,
     search: bool = True,
     budget: int = 0,
+    near: FitResult | None = None,
 ) -> FitResult:
     fitted = [t for t in trials if t.role == "fit"]
     if not fitted:
@@ -299,7 +328,7 @@ def _fit_once(
             hint="give longer logs or more trials, or fix some parameters",
         )
     try:
-        path = _Search(problem, start, loss, budget)
+        path = _Search(problem, start, loss, budget, near)
         if search:
             path.run(progress)
         else:
@@ -331,6 +360,7 @@ class _Search:
     theta: Array
     loss: Loss
     budget: int
+    near: FitResult | None = None
     converged: bool = False
     interrupted: bool = False
     crept: bool = False
@@ -346,11 +376,17 @@ class _Search:
         """Search until done or interrupted once there is a point to keep."""
         even = self._even()
         rounds = 1 if even else ROUNDS
-        noise_model.weigh_first(self.problem, even)
+        known = self.near is not None and not even
+        if known:
+            assert self.near is not None
+            restarts.weigh(self.problem, self.near)
+        else:
+            noise_model.weigh_first(self.problem, even)
         try:
             with progress("fitting", total=rounds) as step:
                 for round_ in range(rounds):
-                    settled = round_ == rounds - 1 or (round_ > 0 and self._reweigh() < SETTLED)
+                    again = round_ > 0 or known
+                    settled = round_ == rounds - 1 or (again and self._reweigh() < SETTLED)
                     self._solve(settled, lambda text: show(step, text))
                     step()
                     if settled:
@@ -412,7 +448,7 @@ class _Search:
         solution = self.problem.solve(
             self.theta,
             tolerance=FINE if last else COARSE,
-            unnoticed=self._unnoticed() if last and done else None,
+            unnoticed=self._unnoticed() if last and (done or self.near is not None) else None,
             max_iterations=max(self.budget - done, 1),
             watch=watch,
         )
@@ -515,7 +551,7 @@ def _result(
         samples=samples,
         converged=search.converged,
         message=search.message,
-        evaluations=problem.evaluations,
+        evaluations=problem.evaluations + sum(t.role != "fit" for t in trials),
         interrupted=search.interrupted,
         cost=_cost(problem, raw),
         information_root=root,

@@ -230,6 +230,7 @@ def fit(
     none = Spread(0.0, 0.0, 1.0)
     now, last = result if near is None else replace(near, trials=result.trials), 0.0
     found = none
+    rounds: list[FitResult] = []
     for _ in range(ROUNDS):
         own = own_numbers(now, name, common)
         if len(own.trials) < FEWEST:
@@ -248,7 +249,15 @@ def fit(
             for p in result.parameters
         )
         now = output_error.fit(result.model, result.trials, parameters=parameters, tested=False)
-    return _for_few(output_error.held_to_restarts(now, jobs=1), name), found
+        rounds.append(now)
+    now = output_error.held_to_restarts(now, jobs=1)
+    earlier = [result, *rounds[:-1]]
+    now = replace(
+        now,
+        evaluations=now.evaluations + sum(r.evaluations for r in earlier),
+        jacobians=now.jacobians + sum(r.jacobians for r in earlier),
+    )
+    return _for_few(now, name), found
 
 
 def _for_few(result: FitResult, name: str) -> FitResult:

@@ -6,17 +6,23 @@ dry friction, or a bound keeps a parameter from leaving, that is no minimum.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from swimid.fitting.fit_result import FitResult
+from swimid.fitting.levenberg import minimise
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.noise import CORNER
 from swimid.fitting.problem import IMMATERIAL, Problem
 
 #: Pairs of points tried around the answer, and their distance in standard errors under white noise.
 PAIRS, NEAR = 3, 2.0
-#: A cost of a pair of points that is off by more than this share of what curvature predicts has corners.
+#: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
+#: error's worth) has corners.
 ROUGH = 0.5
+#: Of that less is left at a quarter of the distance where a bend is the cause (1/256; 1/16 where stairs are).
+VANISHING = 1.0 / 32.0
 #: Distances, in the same standard errors, from which short searches start, and those where it has corners.
 FAR, FAR_ROUGH = (10.0,), (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
 #: Iterations of such a search, and of the two that came lowest where the cost has corners.
@@ -24,33 +30,54 @@ SHORT, LONG = 3, 10
 #: Sizes a parameter with corners is tried at: in its scale, where the search may have gone far astray, and in
 #: its estimate, since a decay that sticks has a minimum for every number of half swings it may take.
 SIZES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
+#: Share of its distance from the answer that a step leaves of it at most, to be on the way back.
+RETURNED = 0.5
 #: How far inside a parameter at its bound is tried, in its scale.
 INSIDE = 1.0
 #: Relative size beyond which a step along a direction the data hardly see does not go.
 LARGEST = 0.5
 
 
-def better(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Array | None:
-    """A point with a lower cost than the answer of a fit, found near it; None where none was.
+@dataclass(frozen=True)
+class Tested:
+    """What points around an answer came to.
+
+    Attributes
+    ----------
+    point : ndarray, shape (p,), or None
+        With a lower cost than the answer; None where none was found.
+    evaluations, jacobians : int
+        Simulations of single trials it took, and derivatives.
+    rough : bool
+        The cost has corners: a parameter says so, or it is not as its curvature says.
+    """
+
+    point: Array | None
+    evaluations: int
+    jacobians: int
+    rough: bool
+
+
+def held(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Tested:
+    """Hold the answer of a fit against points near it.
 
     Parameters
     ----------
     result : FitResult
     jobs, seed : int
 
-    Returns
-    -------
-    ndarray, shape (p,), or None
-
     Notes
     -----
-    A few simulations and one short search where the cost is as smooth as it should be.
+    Where the cost is smooth, the derivatives at the answer serve all starts: a step that leads at least
+    half the way back to it, as the data measure ways, ends a start. Only what leads elsewhere is searched
+    with derivatives of its own.
     """
-    problem = weighted(result, jobs=jobs)
     if not len(result.labels):
-        return None
+        return Tested(None, 0, 0, False)
+    problem = weighted(result, jobs=jobs)
     try:
-        return _better(problem, result, np.random.default_rng(seed))
+        point, rough = _better(problem, result, np.random.default_rng(seed))
+        return Tested(point, problem.evaluations, problem.jacobians, rough)
     finally:
         problem.close()
 
@@ -59,6 +86,12 @@ def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None,
     """The fit's problem with its final weights, also for other choices of parameters."""
     fitted = [t for t in result.trials if t.role == "fit"]
     problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
+    weigh(problem, result)
+    return problem
+
+
+def weigh(problem: Problem, result: FitResult) -> None:
+    """Give a problem the final weights of a fit of its trials."""
     known = {(s.trial, s.channel): s for s in result.series}
     for k, trial in enumerate(problem.trials):
         series = [known[trial.id, channel] for channel in problem.channels[k]]
@@ -66,37 +99,91 @@ def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None,
         if result.loss == "huber":
             far = [np.maximum(np.abs(np.nan_to_num(s.weighted)) / CORNER, 1.0) for s in series]
             problem.damping[k] = [1.0 / np.sqrt(f) for f in far]
-    return problem
 
 
-def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> Array | None:
+def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
+    """A point with a lower cost, if there is one, and whether the cost has corners."""
     theta = np.asarray(result.estimate, dtype=float)
     here = _cost(problem, theta)
-    steps = _standard_steps(problem, theta, here, result.samples)
+    rows = problem.jacobian(theta)
+    variance = here / max(result.samples - len(theta), 1)
+    steps = _standard_steps(problem, theta, rows, variance)
     material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
     tried: list[tuple[float, Array]] = []
-    rough = any(p.kinked and p.free for p in result.parameters)
+    rough = kinked(result)
     for _ in range(PAIRS):
-        direction = rng.normal(size=len(theta))
-        step = NEAR * steps @ (direction / np.linalg.norm(direction))
+        step = NEAR * steps @ _unit(rng, len(theta))
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
         costs = [_cost(problem, point) for point in pair]
         tried += list(zip(costs, pair, strict=True))
-        if all(np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True)):
-            predicted = NEAR**2 * here / max(result.samples - len(theta), 1)
-            rough |= abs(0.5 * sum(costs) - here - predicted) > ROUGH * predicted
+        inside = (np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True))
+        if all(inside) and not rough:
+            predicted = float(np.sum((rows @ step) ** 2))
+            off = 0.5 * sum(costs) - here - predicted
+            rough = abs(off) > ROUGH * max(predicted, variance) and not _smooth(
+                problem, theta, rows, step, off
+            )
     starts = [
         np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
         for far in (FAR_ROUGH if rough else FAR)
     ]
     starts += _inside(problem, result, theta, rough)
-    ends = _searched(problem, starts, SHORT, 0.1 * material / max(here, 1e-300))
+    tolerance = 0.1 * material / max(here, 1e-300)
     if rough:
+        ends = _searched(problem, starts, SHORT, tolerance)
         lowest = [point for _, point in sorted(ends, key=lambda end: end[0])[:2]]
-        ends += _searched(problem, lowest, LONG, 0.1 * material / max(here, 1e-300))
+        ends += _searched(problem, lowest, LONG, tolerance)
+    else:
+        ends = []
+        for start in starts:
+            end = _stepped(problem, start, rows)
+            ends.append(end)
+            if end[0] >= here - material and not _back(rows, theta, start, end[1]):
+                ends += _searched(problem, [end[1]], SHORT, tolerance)
     tried += ends
     cost, point = min(tried, key=lambda pair: pair[0])
-    return point if cost < here - material else None
+    return (point if cost < here - material else None), rough
+
+
+def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
+    """Whether what the cost is off by vanishes as in a bent valley, with the fourth power of the step.
+
+    That of corners goes as the step, and that of stairs as its square.
+    """
+    here = _cost(problem, theta)
+    for _ in range(2):
+        step = step / 4.0
+        predicted = float(np.sum((rows @ step) ** 2))
+        nearer = 0.5 * (_cost(problem, theta + step) + _cost(problem, theta - step)) - here - predicted
+        if abs(nearer) < VANISHING * abs(off):
+            return True
+        off = nearer
+    return False
+
+
+def kinked(result: FitResult) -> bool:
+    """Whether an estimated parameter puts corners into the cost."""
+    return any(p.kinked and p.free for p in result.parameters)
+
+
+def _stepped(problem: Problem, start: Array, rows: Array) -> tuple[float, Array]:
+    """One Gauss-Newton step with derivatives as they are at the answer, in bounds; its cost and end."""
+    end = minimise(
+        problem.residuals,
+        lambda _: rows,
+        start,
+        lower=problem.lower,
+        upper=problem.upper,
+        scale=problem.scale,
+        max_iterations=1,
+    )
+    return end.cost if np.isfinite(end.cost) else np.inf, end.x
+
+
+def _back(rows: Array, theta: Array, start: Array, end: Array) -> bool:
+    """Whether an end is on the way back to the answer, ways measured by what they change in the residuals."""
+    before, after = (float(np.linalg.norm(rows @ (point - theta))) for point in (start, end))
+    return after <= RETURNED * before
 
 
 def _searched(
@@ -116,13 +203,13 @@ def _unit(rng: np.random.Generator, size: int) -> Array:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _standard_steps(problem: Problem, theta: Array, cost: float, samples: int) -> Array:
+def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float) -> Array:
     """Columns that move by one standard error under white noise, independent of each other, shape (p, p)."""
-    rows = problem.jacobian(theta) * problem.scale
+    rows = rows * problem.scale
     at_bound = (theta <= problem.lower) | (theta >= problem.upper)
     rows[:, at_bound] = 0.0
     values, vectors = np.linalg.eigh(rows.T @ rows)
-    sizes = np.sqrt(cost / max(samples - len(theta), 1) / np.maximum(values, 1e-300))
+    sizes = np.sqrt(variance / np.maximum(values, 1e-300))
     largest = LARGEST * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
     steps = vectors * np.minimum(sizes, largest)
     steps[at_bound] = 0.0

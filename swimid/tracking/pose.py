@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
 from swimid.logs.log import runs
@@ -25,6 +26,11 @@ LEAST_NOISE_PX = 0.01
 #: Error of a centroid that does not average out (pixel phase, codec, uneven light), px: measured
 #: on rendered H.264 films, and added to the smoother's standard deviations.
 SYSTEMATIC_PX = 0.05
+#: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
+#: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
+FALSE_ALARM, ALONE = 1e-3, 2.0
+#: Share of a normal variable within two standard deviations.
+TWO_SIGMA = 0.9545
 
 
 @dataclass(frozen=True)
@@ -203,8 +209,9 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     The centre of the whole is the mean of those of the visible and of the hidden part, weighted by their
     areas, and the latter is at most the radius R away from it: with a hidden share e of the area, the
     visible part's is off by at most R e / (1 - e), and by less than R. The whole area is the usual one on
-    the plane, known to its scatter. A stretch of smaller ones counts as hidden where it falls short by three
-    times the scatter.
+    the plane, known to its scatter. A stretch of smaller ones counts as hidden where two in a row fall short
+    by more than the scatter does anywhere in :data:`FALSE_ALARM` of all films, or one by :data:`ALONE` times
+    as much as one does: the codec and the phase of the pixels make single frames look small.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
@@ -216,14 +223,29 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     whole = area / share
     # The least scatter: each pixel of the outline is in or out by chance.
     least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
-    scatter = np.maximum(1.4826 * float(np.median(np.abs(np.log(share)))), least)
     short = -np.log(share)
+    scatter = np.maximum(_scatter(short), least)
+    chance = FALSE_ALARM / len(seen)
+    twice, alone = float(stats.norm.isf(np.sqrt(chance))), ALONE * float(stats.norm.isf(chance))
+    far = short / scatter
     lost = np.exp(short + scatter) - 1  # e / (1 - e)
     bound = np.sqrt(whole / np.pi) * np.minimum(lost, 1.0)
     for start, end in runs(short > 0):
-        if np.any(short[start:end] > 3 * scatter[start:end]):
+        pairs = np.minimum(far[start : end - 1], far[start + 1 : end])
+        if np.max(far[start:end]) > alone or np.max(pairs, initial=0.0) > twice:
             off[seen[start:end]] = bound[start:end]
     return off
+
+
+def _scatter(short: Array) -> float:
+    """Standard deviation of what areas fall short by (logarithms, about their median).
+
+    The larger of two: that of the middle half, and that of the large areas, which nothing hides: they tell
+    how heavy the tails are.
+    """
+    middle = 1.4826 * float(np.median(np.abs(short)))
+    large = -short[short < 0]
+    return max(middle, 0.5 * float(np.quantile(large, TWO_SIGMA)) if len(large) else 0.0)
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
