@@ -342,7 +342,8 @@ def _fit_once(
             warn(
                 "SWM026",
                 f"the search converged slowly along a flat valley and was ended after {path.iterations} "
-                f"iterations: ten of them together lowered the squared residuals by less than {LITTLE:.0e} of their sum",
+                f"iterations: ten of them together lowered the squared residuals by less than {LITTLE:.0e} "
+                "of their sum",
             )
         noise = noise_model.estimate(problem, path.theta, path.noise, robust=loss == "huber")
         result = _result(problem, path, noise, parameters, tuple(trials), loss)
