@@ -32,6 +32,7 @@ NAMES = {
     "track_setup": "swimid.tracking.track_setup",
     "track_imu": "swimid.inertial.track_imu",
     "import_log": "swimid.logs.import_log",
+    "guess_mapping": "swimid.logs.guess_mapping",
     # what is identified
     "fit_drag": "swimid.rig.fit_drag",
     "fit_propulsion": "swimid.propulsion.fit_propulsion",

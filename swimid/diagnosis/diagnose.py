@@ -36,7 +36,7 @@ LOGS = (".csv", ".parquet")
 
 @takes(DiagnoseOptions)
 def diagnose(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: DiagnoseOptions,
     output: Path | None = None,
@@ -49,7 +49,7 @@ def diagnose(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
         Trials of any experiment.
     output : path, optional
@@ -64,7 +64,7 @@ def diagnose(
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(
-            source,
+            trials,
             options.params,
             robot=options.robot,
             readings=dict(options.readings),
@@ -79,9 +79,9 @@ def diagnose(
         given = _given(loaded)
         refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
         model.parameters = refitted
-        trials = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
-        fitted = [t for t in trials if t.role == "fit"]
-        validation = [t for t in trials if t.role == "validate"]
+        widened = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
+        fitted = [t for t in widened if t.role == "fit"]
+        validation = [t for t in widened if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)

@@ -21,7 +21,7 @@ from swimid.results.fitted import Fitted, rows
 
 @takes(FitPropulsionOptions)
 def fit_propulsion(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: FitPropulsionOptions,
     output: Path | None = None,
@@ -35,7 +35,7 @@ def fit_propulsion(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
         A cruise experiment (recoil law, boxfish paper Eqs 3-6, 25-27), or straight free-swim
         trials (beat-averaged surge: thrust by a power of amplitude, quadratic drag).
@@ -50,7 +50,7 @@ def fit_propulsion(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = experiment_module.load(source, drag=options.drag)
+        experiment = experiment_module.load(trials, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         if experiment.name == "cruise":

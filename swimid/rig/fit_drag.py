@@ -31,7 +31,7 @@ from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd
 
 @takes(FitDragOptions)
 def fit_drag(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: FitDragOptions,
     output: Path | None = None,
@@ -44,7 +44,7 @@ def fit_drag(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
@@ -57,7 +57,7 @@ def fit_drag(
         When nothing can be identified.
     """
     with recorded(repeat=True) as notices:
-        experiment = rig_experiment.load(source, coordinate=options.coordinate)
+        experiment = rig_experiment.load(trials, coordinate=options.coordinate)
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )

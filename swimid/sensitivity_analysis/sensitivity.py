@@ -98,7 +98,7 @@ class Study:
 
 @takes(SensitivityOptions)
 def sensitivity(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: SensitivityOptions,
     output: Path | None = None,
@@ -111,7 +111,7 @@ def sensitivity(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment.
     output : Path, optional
@@ -129,7 +129,7 @@ def sensitivity(
     if method == "none" and not sweep:
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
-        experiment, applied = _loaded(source, options)
+        experiment, applied = _loaded(trials, options)
         model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=provenance.files(experiment.inputs))

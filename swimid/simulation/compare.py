@@ -41,7 +41,7 @@ GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 @takes(CompareOptions)
 def compare(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: CompareOptions,
     output: Path | None = None,
@@ -55,7 +55,7 @@ def compare(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
@@ -69,7 +69,7 @@ def compare(
     """
     with recorded(repeat=True) as notices:
         loaded = catalogue.load(
-            source,
+            trials,
             options.params,
             robot=options.robot,
             chosen=dict(options.chosen),

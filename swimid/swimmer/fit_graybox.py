@@ -40,7 +40,7 @@ from swimid.swimmer.profiles import Profiles
 
 @takes(FitGrayboxOptions)
 def fit_graybox(
-    source: str | Path | TrialSet,
+    trials: str | Path | TrialSet,
     *,
     options: FitGrayboxOptions,
     output: Path | None = None,
@@ -54,7 +54,7 @@ def fit_graybox(
 
     Parameters
     ----------
-    source : path or TrialSet
+    trials : path or TrialSet
         Trials: a file, or what :func:`swimid.load` gives.
         Of a free-swim or multibody experiment with a robot that has links.
     output : path, optional
@@ -70,7 +70,7 @@ def fit_graybox(
     """
     with recorded(repeat=True) as notices:
         experiment = swimmer.load(
-            source,
+            trials,
             readings=options.readings,
             channels=options.channels,
             start_state=options.start_state,
@@ -119,7 +119,7 @@ def fit_graybox(
         result = start_states.with_held_out(result)
         if options.method == "hybrid":
             stages[front.AFTER] = result
-        file = _file(experiment, result, origin, left_out, output, source, options)
+        file = _file(experiment, result, origin, left_out, output, trials, options)
         checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
         if ends:
             checks.append(fit_graybox_evidence.starts_check(ends))
@@ -161,7 +161,7 @@ def fit_graybox(
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
-        place = trials_format.place(source)
+        place = trials_format.place(trials)
         raise NoTrustworthyResult(
             f"the fit did not converge: {result.message}{kept}",
             hint="the model may lack an effect, which its coefficients cannot stand in for: "
@@ -182,7 +182,7 @@ def fit_graybox(
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, options, outputs) if found is not None else []),
             f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
-            *_next(checks, source, output),
+            *_next(checks, trials, output),
         ]
     )
     return Fitted("fit-graybox", summary, file.model_dump(mode="json"), outputs, evidence, file)
