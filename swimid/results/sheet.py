@@ -95,6 +95,15 @@ def paint(figure: Figure, places: Sequence[Axes]) -> None:
     with mpl.rc_context(drawing.SETTINGS):
         for panel, look, axes in zip(figure.panels, looks.assigned(figure), places, strict=True):
             _panel(axes, panel, look, NARROW)
+            legend = axes.get_legend()
+            if legend is not None:  # inside: beside the axes it might lie over those of the user
+                axes.legend(
+                    handles=legend.legend_handles,
+                    fontsize="small",
+                    labelcolor=INK,
+                    ncols=1 + len(legend.legend_handles) // 5,
+                    framealpha=0.7,
+                )
             axes.set_ylabel(panel.y_label, fontsize=NARROW.font, color=INK)
             axes.set_title(panel.title, fontsize=NARROW.font, color=INK)
             _coloured(axes.findobj())
@@ -130,10 +139,9 @@ def _panel(axes: Axes, panel: Panel, look: list[Look], size: Size) -> None:
             [],
             [],
             color=k.colour,
-            dashes=k.dash or (None, None),
             marker=k.marker or "",
             label=trace.label,
-            linestyle="" if trace.style in ("points", "stems") else "-",
+            linestyle="" if trace.style in ("points", "stems") else (0, k.dash) if k.dash else "-",
         )
         for trace, k in zip(panel.traces, look, strict=True)
         if trace.label
