@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -87,7 +88,7 @@ def simulate(body: Robot, beat: Beat, seconds: float, **coefficients: float) -> 
     known = {name: c.value for name, c in body.multilink.coefficients.items()} | coefficients
     values = np.array([known.get(p.name, p.start) for p in model.parameters])
     time = np.arange(round(seconds * SAMPLE_RATE_HZ) + 1) / SAMPLE_RATE_HZ
-    found = model.simulate(values, Trial("run", "fit", time, {}, settings={"beat": beat}))
+    found = model.simulate(values, Trial("run", "fit", time, {}, swim=SwimInput(beat)))
     return {"t_s": time, **found}
 
 
