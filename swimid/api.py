@@ -151,7 +151,7 @@ def load(
         return trials if isinstance(trials, TrialSet) else TrialSet.read(trials)
     if experiment is None or robot is None:
         raise UsageError("name the experiment and the robot of these trials")
-    if not isinstance(trials, Sequence) or isinstance(trials, str):  # the table of a cruise
+    if not isinstance(trials, Sequence):  # the table of a cruise
         return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
     given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
     return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)

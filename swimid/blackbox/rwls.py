@@ -22,7 +22,6 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.prediction import Scores
 from swimid.errors import UsageError
 from swimid.files import provenance
-from swimid.fitting import fit_common
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -82,7 +81,6 @@ def rwls(
     )
     file = _parameter_file(m, settings, block)
     shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))
-    outputs = fit_common.save(output, file, shown)
     result = file.model_dump(mode="python")
     result["orders_tried"] = [
         {
@@ -94,7 +92,7 @@ def rwls(
         }
         for c in m.candidates
     ]
-    return Fitted("rwls", _summary(m, file), result, outputs, shown, file)
+    return Fitted("rwls", _summary(m, file), result, evidence=shown, document=file).saved(output)
 
 
 # ---------------------------------------------------------------- computing

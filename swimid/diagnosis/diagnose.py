@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from swimid.diagnosis import answer, chain, nominal
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
-from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.nominal import Given
@@ -25,7 +24,6 @@ from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks
-from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation.catalogue import Loaded
@@ -120,13 +118,11 @@ def diagnose(
     evidence = diagnose_evidence.evidence(
         gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
-    outputs: list[Path] = []
-    if output is not None:
-        gap_format.write(output, file)
-        outputs = ev.write_beside(output, evidence)
-        keep.done()
     text = diagnose_summary.summary(file)
-    return Diagnosis("diagnose", text, file.model_dump(mode="json"), outputs, evidence, file)
+    made = Diagnosis("diagnose", text, file.model_dump(mode="json"), evidence=evidence, document=file)
+    made = made.saved(output)
+    keep.done()
+    return made
 
 
 def _given(loaded: Loaded) -> dict[str, Given]:

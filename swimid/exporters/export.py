@@ -9,7 +9,7 @@ from swimid.errors import InputError, UsageError
 from swimid.exporters import targets
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Source
-from swimid.files import atomic, provenance
+from swimid.files import atomic
 from swimid.files.provenance import digest_of
 from swimid.notices import warn
 from swimid.options import takes
@@ -65,7 +65,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
         )
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
-        atomic.check_writable(out, inputs=provenance.files([parameters.origin(params)]))
+        atomic.check_writable(out, inputs=[parameters.origin(params)])
     done = target.export(source, options)
     _warn_unknown(source)
     for limit in done.limits:

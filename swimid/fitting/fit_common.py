@@ -11,7 +11,6 @@ import numpy as np
 
 from swimid.errors import Interrupted
 from swimid.files import atomic
-from swimid.files import provenance as provenance_format
 from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.identifiability import combinations, sentences
@@ -233,7 +232,7 @@ def prepare(
     InputError, UsageError
     """
     if output is not None:
-        atomic.check_writable(output, inputs=(*provenance_format.files(experiment.inputs), *also))
+        atomic.check_writable(output, inputs=(*experiment.inputs, *also))
     return chosen(
         tuple(parameters or experiment.model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds
     )
@@ -497,5 +496,5 @@ def save(output: Path | None, file: ParameterFile, evidence: ev.Evidence) -> lis
 
 def fitted(verb: str, text: str, file: ParameterFile, evidence: ev.Evidence, output: Path | None) -> Fitted:
     """The result of a fit, written where an output is named."""
-    outputs = save(output, file, evidence)
-    return Fitted(verb, text, file.model_dump(mode="json"), outputs, evidence, file)
+    made = Fitted(verb, text, file.model_dump(mode="json"), evidence=evidence, document=file)
+    return made.saved(output)

@@ -71,7 +71,7 @@ def fit_model(
     """
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
-    target = None if output is None else atomic.check_writable(Path(output), inputs=provenance.files(inputs))
+    target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
     with recorded(repeat=True) as notices:
         parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)

@@ -150,6 +150,10 @@ class Result:
             written[1:1] = write_beside(target, self.evidence)[1:]
         return replace(self, outputs=(*self.outputs, *written))
 
+    def saved(self, output: str | Path | None) -> Self:
+        """The result itself, written where an output is named."""
+        return self if output is None else self.save(output)
+
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a result that was written, with its evidence.

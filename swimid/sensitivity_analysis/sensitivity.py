@@ -26,7 +26,6 @@ from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
-from swimid.sensitivity_analysis import file as sensitivity_format
 from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis import outputs as sensitivity_outputs
 from swimid.sensitivity_analysis.file import (
@@ -132,7 +131,7 @@ def sensitivity(
         experiment, applied = _loaded(trials, options)
         model = _swimmer(experiment.model)
         if output is not None:
-            atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
+            atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
         swept = _swept(experiment, sweep, options.trial)
         prepare(progress)
@@ -191,13 +190,11 @@ def sensitivity(
         references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
         provenance=origin,
     )
-    outputs: list[Path] = []
-    if output is not None:
-        sensitivity_format.write(output, file)
-        outputs = ev.write_beside(output, evidence)
-        keep.done()
     summary = sensitivity_evidence.summary(file, evidence)
-    return Sensitivity("sensitivity", summary, file.model_dump(mode="json"), outputs, evidence, file)
+    made = Sensitivity("sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file)
+    made = made.saved(output)
+    keep.done()
+    return made
 
 
 def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:

@@ -27,7 +27,6 @@ from swimid.simulation import (
     compare_strokes,
     compare_strokes_evidence,
 )
-from swimid.simulation import comparison_file as comparison_format
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.compared import Comparison
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
@@ -78,7 +77,7 @@ def compare(
         )
         experiment = loaded.experiment
         if output is not None:
-            atomic.check_writable(output, inputs=provenance.files(experiment.inputs))
+            atomic.check_writable(output, inputs=experiment.inputs)
         done = []
         with progress("comparing", total=len(experiment.trials)) as step:
             for trial in experiment.trials:
@@ -113,12 +112,9 @@ def compare(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    outputs: list[Path] = []
-    if output is not None:
-        comparison_format.write(output, file)
-        outputs = ev.write_beside(output, evidence)
     text = compare_evidence.summary(file, evidence)
-    return Comparison("compare", text, file.model_dump(mode="json"), outputs, evidence, file)
+    made = Comparison("compare", text, file.model_dump(mode="json"), evidence=evidence, document=file)
+    return made.saved(output)
 
 
 def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
