@@ -218,6 +218,8 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
+            if isinstance(mine.get("output"), str):
+                mine["output"] = Path(mine["output"])
             if isinstance(given.get("options"), options) and len(given) == 1:
                 return function(*args, **given, **mine)
             known = [*options.model_fields, *keywords]

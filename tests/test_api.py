@@ -113,11 +113,18 @@ class TestTrials:
         with pytest.raises(swimid.UsageError, match="experiment and the robot"):
             swimid.load([{"log": log}])
 
-    def test_rows_held_out_must_not_be_fitted(self) -> None:
-        log = swimid.read_log(SAMPLES / "rig" / "w10.csv")
-        held = swimid.Log.from_frame(log.frame(), name="w10")
+    @pytest.mark.parametrize("kind", ["log", "table", "copy"])
+    def test_rows_held_out_must_not_be_fitted(self, kind: str) -> None:
+        table = pd.read_csv(SAMPLES / "rig" / "w10.csv", comment="#")
+        held = swimid.Log.from_frame(table, name="w10") if kind == "log" else table
         trials = [
-            {"id": role, "log": held, "role": role, "pulling_mass_kg": 0.01} for role in ("fit", "validate")
+            {
+                "id": role,
+                "log": held.copy() if kind == "copy" else held,
+                "role": role,
+                "pulling_mass_kg": 0.01,
+            }
+            for role in ("fit", "validate")
         ]
         with pytest.raises(swimid.InputError, match="share its rows"):
             swimid.fit_drag(swimid.load(trials, experiment="falling-weight", robot="boxfish"))
@@ -146,6 +153,11 @@ def test_black_box_models_of_tables(empty: Path) -> None:
     mine = swimid.rwls([tables[0]], held_out=[swimid.Log.from_frame(tables[1], name="other")], **options)
     theirs = swimid.rwls([logs[0]], held_out=[logs[1]], **options)
     assert mine.parameters.equals(theirs.parameters)
+    bare = swimid.rwls([tables[0]], held_out=[tables[1]], **options)
+    assert bare.parameters.equals(theirs.parameters)
+    assert set(bare.file.provenance["inputs"]) == {"table 1", "held-out table 1"}
+    with pytest.raises(swimid.InputError, match="share its rows"):
+        swimid.rwls([tables[0]], held_out=[tables[0].copy()], **options)
 
 
 class TestResult:
@@ -186,7 +198,7 @@ class TestResult:
         assert "added_mass" in again.summary()
 
     def test_an_output_is_written_as_the_command_writes_it(self, drag: swimid.Fitted, tmp_path: Path) -> None:
-        swimid.fit_drag(SAMPLES / "rig" / "trials.yaml", output=tmp_path / "a.yaml")
+        swimid.fit_drag(SAMPLES / "rig" / "trials.yaml", output=str(tmp_path / "a.yaml"))
         drag.save(tmp_path / "b.yaml")
         a, b = (
             [x for x in (tmp_path / f"{n}.yaml").read_text().splitlines() if not MOMENT.match(x)]

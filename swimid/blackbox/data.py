@@ -126,8 +126,8 @@ def read(
             listings[path] = listed = trials.read(source, trials.Arma, uses=USES)
             parts += [_Part(trial, path.parent, path) for trial in listed.trials]
         else:
-            parts.append(_alone(source, "fit"))
-    parts += [_alone(source, "validate") for source in other]
+            parts.append(_alone(source, "fit", f"table {len(parts) + 1}"))
+    parts += [_alone(source, "validate", f"held-out table {k}") for k, source in enumerate(other, start=1)]
     robot = _agreed(listings, "robot")
     columns = _columns(
         input_column or _agreed(listings, "input"), output_column or _agreed(listings, "output"), input_model
@@ -154,15 +154,17 @@ def read(
         if name not in fitted:
             held[name] = _records(read[name], name, columns, step, slice(None))
     files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
-    files += {part.path: part.origin for part in parts}.values()
+    files += [part.origin for part in parts]
     return Data(columns, step, fit, held, fitted, files, robot)
 
 
-def _alone(source: str | Path | log_format.Log | pd.DataFrame, role: Literal["fit", "validate"]) -> _Part:
-    """A log that no trials file lists."""
+def _alone(
+    source: str | Path | log_format.Log | pd.DataFrame, role: Literal["fit", "validate"], name: str
+) -> _Part:
+    """A log that no trials file lists; a bare table has the name given."""
     held = None
     if not isinstance(source, str | Path):
-        held = source if isinstance(source, log_format.Log) else log_format.Log.from_frame(source)
+        held = source if isinstance(source, log_format.Log) else log_format.Log.from_frame(source, name=name)
     path = held.path if held is not None else Path(cast(str | Path, source))
     part = _Part(trials.Trial(id=path.name, log=path.name, role=role), path.parent)
     part.entry._held = held
@@ -188,7 +190,7 @@ def _check_apart(parts: list[_Part]) -> None:
     for one, other in itertools.combinations(parts, 2):
         # those of one trials file are apart already
         listed = one.listing is not None and one.listing == other.listing
-        if not listed and one.path.resolve() == other.path.resolve():
+        if not listed and trials.same_recording(one.entry, one.path, other.entry, other.path):
             trials.check_apart(one.entry, other.entry, one.path)
 
 

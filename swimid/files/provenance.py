@@ -63,18 +63,23 @@ def path_of(given: Input) -> Path:
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own."""
-    found = {}
+    """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own.
+
+    Of several in memory that have one name but differ, the later ones are numbered.
+    """
+    found: dict[str, str] = {}
     for given in inputs:
-        name = os.path.relpath(given) if isinstance(given, str | Path) else given.name
-        if name not in found:
-            found[name] = digest_of(given)
+        if isinstance(given, str | Path):
+            name = os.path.relpath(given)
+            if name not in found:
+                found[name] = sha256(given)
+            continue
+        name, digest, count = given.name, given.digest(), 1
+        while found.get(name, digest) != digest:
+            count += 1
+            name = f"{given.name} ({count})"
+        found[name] = digest
     return found
-
-
-def files(inputs: Iterable[Input]) -> tuple[Path, ...]:
-    """Those inputs that are files."""
-    return tuple(Path(given) for given in inputs if isinstance(given, str | Path))
 
 
 def digest_of(given: Input) -> str:

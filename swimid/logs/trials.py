@@ -356,17 +356,16 @@ def _checked(trials: T, path: Path, uses: Mapping[str, Collection[str]] | None, 
             )
         seen.add(trial.id)
     for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
-        if one._held is not None or other._held is not None:
-            same = one._held is other._held
-        else:
-            same = _same_recording(path.parent / one.log, path.parent / other.log)
-        if same:
+        if same_recording(one, path.parent / one.log, other, path.parent / other.log):
             check_apart(one, other, path, _line(data, index))
     return trials
 
 
-def _same_recording(one: Path, other: Path) -> bool:
-    """Whether two logs are one file, or one is a copy of the other under another name."""
+def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
+    """Whether two trials' logs are one, or copies of each other: files at these places, or in memory."""
+    if first._held is not None or second._held is not None:
+        held = [trial._held.digest() for trial in (first, second) if trial._held is not None]
+        return len(held) == 2 and held[0] == held[1]
     if os.path.normpath(one) == os.path.normpath(other):
         return True
     if not (one.is_file() and other.is_file()) or one.stat().st_size != other.stat().st_size:
