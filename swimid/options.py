@@ -26,8 +26,6 @@ Returned = TypeVar("Returned")
 
 #: Characters of a refused value that a message quotes.
 LONGEST = 60
-#: A refused value is shown in a message up to this many characters.
-LONGEST = 60
 #: A file, or in its place what would be in it; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 

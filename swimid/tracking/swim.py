@@ -162,7 +162,8 @@ class FilmedSwim:
             said.append(f"{kind} {numbers.number(speed.value, 4, f'{self.unit}/s')}")
         if found.frequency_hz is not None:
             said.append(f"stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}")
-        return f" {', '.join(said).capitalize()}." if said else ""
+        text = ", ".join(said)
+        return f" {text[0].upper()}{text[1:]}." if said else ""
 
     def lines(self) -> list[str]:
         """The figures for the terminal."""
