@@ -148,7 +148,7 @@ class Result:
         written = self._write(target)
         if self.evidence is not None:
             written[1:1] = write_beside(target, self.evidence)[1:]
-        return replace(self, outputs=(*self.outputs, *written))
+        return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
         """The result itself, written where an output is named."""
