@@ -28,6 +28,7 @@ import numba
 import numpy as np
 
 from swimid.fitting.hooks import MOST_FORCES, Force, no_force
+from swimid.swimmer.choice import positive
 
 #: Columns of the tables the kernels read.
 TOPOLOGY = ("parent", "driven", "passive")
@@ -173,16 +174,17 @@ def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
         x, y = foil[e, 0], foil[e, 1]
         vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
         square = vx * vx + vy * vy
-        if square > 0.0:
-            speed = math.sqrt(square)
-            along = vx * foil[e, 6] + vy * foil[e, 7]
-            across = vy * foil[e, 6] - vx * foil[e, 7]
-            lift = 2.0 * foil[e, 3] * along * across / square
-            drag_coefficient = foil[e, 4] + 2.0 * foil[e, 5] * across * across / square
-            push = foil[e, 2] * speed
-            fx = push * (lift * vy - drag_coefficient * vx)
-            fy = push * (-lift * vx - drag_coefficient * vy)
-            _push(work, i, x, y, fx, fy)
+        speed = math.sqrt(square)
+        # a point at rest has no direction of flow, and no force
+        divisor = positive(square, square, 1.0)
+        along = vx * foil[e, 6] + vy * foil[e, 7]
+        across = vy * foil[e, 6] - vx * foil[e, 7]
+        lift = 2.0 * foil[e, 3] * along * across / divisor
+        drag_coefficient = foil[e, 4] + 2.0 * foil[e, 5] * across * across / divisor
+        push = foil[e, 2] * speed
+        fx = push * (lift * vy - drag_coefficient * vx)
+        fy = push * (-lift * vx - drag_coefficient * vy)
+        _push(work, i, x, y, fx, fy)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -308,7 +310,7 @@ def solve(matrix, right, first):  # type: ignore[no-untyped-def]
         pivot = matrix[j, j]
         for m in range(first, j):
             pivot -= matrix[j, m] * matrix[j, m] * matrix[m, m]
-        matrix[j, j] = pivot if pivot > 0.0 else math.nan
+        matrix[j, j] = positive(pivot, pivot, math.nan)
         for i in range(j + 1, n):
             entry = matrix[i, j]
             for m in range(first, j):

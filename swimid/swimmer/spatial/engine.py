@@ -27,6 +27,7 @@ import math
 import numba
 import numpy as np
 
+from swimid.swimmer.choice import positive
 from swimid.swimmer.planar.engine import passive_torque, solve
 
 #: Columns of the tables the kernels read.
@@ -94,11 +95,9 @@ def wet(height, size):  # type: ignore[no-untyped-def]
 
     Smooth (cubic) from 1 at ``-size`` to 0 at ``size``; 1 where ``size`` is 0.
     """
-    if size <= 0.0 or height <= -size:
+    if size <= 0.0:
         return 1.0
-    if height >= size:
-        return 0.0
-    s = 0.5 * (1.0 - height / size)
+    s = min(max(0.5 * (1.0 - height / size), 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
@@ -277,21 +276,22 @@ def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
         along = vx * foil[e, 7] + vy * foil[e, 8] + vz * foil[e, 9]
         across = vx * foil[e, 10] + vy * foil[e, 11] + vz * foil[e, 12]
         square = along * along + across * across
-        if square > 0.0:
-            share = 1.0
-            if foil[e, 13] > 0.0:
-                share = wet(_height(w, x, y, z, surface), foil[e, 13])
-            lift = 2.0 * foil[e, 4] * along * across / square
-            resistance = foil[e, 5] + 2.0 * foil[e, 6] * across * across / square
-            push = share * foil[e, 3] * math.sqrt(square)
-            forward = push * (lift * across - resistance * along)
-            up = push * (-lift * along - resistance * across)
-            _push(
-                w, x, y, z,
-                forward * foil[e, 7] + up * foil[e, 10],
-                forward * foil[e, 8] + up * foil[e, 11],
-                forward * foil[e, 9] + up * foil[e, 12],
-            )  # fmt: skip
+        # a point at rest has no direction of flow, and no force
+        divisor = positive(square, square, 1.0)
+        share = 1.0
+        if foil[e, 13] > 0.0:
+            share = wet(_height(w, x, y, z, surface), foil[e, 13])
+        lift = 2.0 * foil[e, 4] * along * across / divisor
+        resistance = foil[e, 5] + 2.0 * foil[e, 6] * across * across / divisor
+        push = share * foil[e, 3] * math.sqrt(square)
+        forward = push * (lift * across - resistance * along)
+        up = push * (-lift * along - resistance * across)
+        _push(
+            w, x, y, z,
+            forward * foil[e, 7] + up * foil[e, 10],
+            forward * foil[e, 8] + up * foil[e, 11],
+            forward * foil[e, 9] + up * foil[e, 12],
+        )  # fmt: skip
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -575,6 +575,17 @@ def derivative(  # type: ignore[no-untyped-def]
         rate[twist + m] = right[m] if m >= first else 0.0
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def settled(state):  # type: ignore[no-untyped-def]
+    """Bring the quaternion back to length 1, in place, after a step."""
+    length = 0.0
+    for j in range(3, 7):
+        length += state[j] ** 2
+    length = math.sqrt(length)
+    for j in range(3, 7):
+        state[j] /= length
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def integrate(  # type: ignore[no-untyped-def]
     start,
@@ -658,12 +669,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 weight = 1.0 if stage == 3 else 2.0
                 for j in range(size):
                     total[j] += weight * slope[j]
-        length = 0.0
         for j in range(size):
             states[i + 1, j] = here[j] + step / 6.0 * total[j]
-        for j in range(3, 7):
-            length += states[i + 1, j] ** 2
-        length = math.sqrt(length)
-        for j in range(3, 7):
-            states[i + 1, j] /= length
+        settled(states[i + 1])
     return states, rates
