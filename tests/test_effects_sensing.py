@@ -20,12 +20,12 @@ from swimid.effects.sensing import (
     marker_offset,
     time_offset,
 )
+from swimid.fitting import drives
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robot_format
-from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
@@ -43,7 +43,7 @@ def starts(model):
 def swimmer(name, *columns):
     model = MultilinkModel(robot_format.read(name))
     time = np.arange(0.0, 1.61, 0.04)
-    beat = drive.Beat("sine", 1.5, 0.35, bias_rad=0.1)
+    beat = drives.Beat("sine", 1.5, 0.35, bias_rad=0.1)
     measured = {n: np.zeros(len(time)) for n in columns or model.plane.pose}
     return model, Trial("f", "fit", time, measured, swim=SwimInput(beat, pose=POSE))
 

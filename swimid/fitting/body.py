@@ -55,7 +55,7 @@ class Body(ABC):
     pose, velocity : tuple of three str
         Channels of the reference point: two positions and the heading, two velocities in the body's axes
         and the turning rate.
-    words : tuple of six str
+    words : tuple of str
         The same in words.
     lengths_m : tuple of float
         Of each link, the base first.
@@ -71,7 +71,7 @@ class Body(ABC):
     free: bool
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
-    words: tuple[str, str, str, str, str, str]
+    words: tuple[str, ...]
     lengths_m: tuple[float, ...]
     reference_m: Point
     density_kg_m3: float

@@ -9,14 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-#: Time (s) -> angle, rate and acceleration of a joint.
-Motion = Callable[[Array], tuple[Array, Array, Array]]
+from swimid.fitting.drives import Array, Beat, Cycle, Motion
 
 
 @dataclass(frozen=True)
@@ -63,10 +60,10 @@ class SwimInput:
 
     Attributes
     ----------
-    beat : swimid.swimmer.planar.drive.Beat, optional
-    stroke : swimid.swimmer.spatial.stroke.Cycle, optional
-    joints : sequence of Motion, optional
-        Of each driven joint, in place of a drive.
+    beat : Beat, optional
+    stroke : Cycle, optional
+    joints : sequence of callable, optional
+        Of each driven joint, in place of a drive: its motion at given times, s.
     commanded : bool
         The joints' motions are what they were told, not what was measured of them.
     pose : tuple of float, optional
@@ -75,15 +72,15 @@ class SwimInput:
         Those that were set otherwise in this trial.
     """
 
-    beat: Any = None
-    stroke: Any = None
-    joints: Sequence[Motion] | None = None
+    beat: Beat | None = None
+    stroke: Cycle | None = None
+    joints: Sequence[Callable[[Array], Motion]] | None = None
     commanded: bool = False
     pose: tuple[float, ...] | None = None
     coefficients: Mapping[str, float] | None = None
 
     @property
-    def drive(self) -> Any:
+    def drive(self) -> Beat | Cycle | None:
         """The beat or the stroke; None where measured joints, or nothing, move it."""
         return self.stroke if self.beat is None else self.beat
 

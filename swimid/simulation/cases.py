@@ -10,6 +10,8 @@ import numpy as np
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting import drives
+from swimid.fitting.drives import Cycle
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
@@ -31,7 +33,6 @@ from swimid.simulation.run import Case
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
-from swimid.swimmer.spatial.stroke import Cycle
 
 #: Length and rate of a run where nothing else says.
 DURATION_S, RATE_HZ = 15.0, 50.0
@@ -221,7 +222,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
     )
 
 
-def drive_block(beat: drive.Beat) -> dict[str, Any]:
+def drive_block(beat: drives.Beat) -> dict[str, Any]:
     """A beat as the ``drive`` of a trials file."""
     return {
         "waveform": beat.waveform,
@@ -262,7 +263,7 @@ def _stroke(options: SimulateOptions) -> StrokeDrive:
     )
 
 
-def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
+def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
     _needs("a beat", frequency_hz=options.frequency_hz, amplitude_deg=options.amplitude_deg)
     assert options.frequency_hz is not None
     assert options.amplitude_deg is not None
@@ -284,7 +285,7 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
             break
     if options.asymmetry and options.waveform != "a-cpg":
         warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {options.waveform} has none")
-    return drive.Beat(
+    return drives.Beat(
         options.waveform,
         f,
         math.radians(options.amplitude_deg),

@@ -19,7 +19,7 @@ from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
 from swimid.simulation.applied import Applied
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.model import DEFAULT_STEP
+from swimid.swimmer.options import STEP_S
 
 #: Experiments whose trials tell each model's parameters.
 EXPERIMENTS = {
@@ -60,7 +60,7 @@ def load(
     robot: str | None = None,
     chosen: dict[str, float] | None = None,
     readings: dict[str, str] | None = None,
-    max_step: float = DEFAULT_STEP,
+    max_step: float = STEP_S,
 ) -> Loaded:
     """A trials file of any experiment as the model of a parameter file, and its values.
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swimid.fitting import identifiability, metrics, multistart
+from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
 from swimid.logs.beat import find_beat
@@ -16,7 +17,6 @@ from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.planar.drive import Beat as Drive
 from swimid.swimmer.planar.model import PLANES
 
 #: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
@@ -162,7 +162,7 @@ def _dtw(s: Series) -> float:
     return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
 
 
-def _phase(s: Series, drive: Drive | None) -> str:
+def _phase(s: Series, drive: Beat | None) -> str:
     there = np.isfinite(s.measured)
     highest = None
     if drive is not None and there.sum() > 1:

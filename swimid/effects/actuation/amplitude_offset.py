@@ -9,7 +9,7 @@ import numpy as np
 
 from swimid.effects.actuation import _commands
 from swimid.effects.base import Effect
-from swimid.fitting.easing import eased
+from swimid.fitting.drives import eased
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
 

@@ -12,7 +12,8 @@ from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
 from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
-from swimid.swimmer.spatial.assembly import ELEMENTS, NOWHERE, Axis, hinge_row
+from swimid.swimmer.spatial import engine
+from swimid.swimmer.spatial.assembly import NOWHERE, hinge_row
 
 
 class Lifted:
@@ -33,13 +34,9 @@ class Lifted:
 
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
         self.planar = PlanarAssembly(body, fluid)
-        self.names = self.planar.names
-        self.driven, self.passive = (
-            [Axis(a.joint.name, a.column, a.link, a.joint.driven) for a in axes]
-            for axes in (self.planar.driven, self.planar.passive)
-        )
+        self.names, self.links = self.planar.names, self.planar.links
+        self.driven, self.passive = self.planar.driven, self.planar.passive
         self.free_base = self.planar.free_base
-        self.links = len(self.planar.links)
         #: The second axis of the plane, the axis across it, and the turn of the planar angle.
         self.second, self.across = (1, 2) if body.plane == "horizontal" else (2, 1)
         self.normal = np.array([0.0, 0.0, 1.0] if body.plane == "horizontal" else [0.0, -1.0, 0.0])
@@ -48,7 +45,7 @@ class Lifted:
     def tables(self, values: Array) -> dict[str, Any]:
         """The arguments of :func:`engine.integrate` from ``topology`` on, by their names."""
         flat = self.planar.tables(values)
-        topology = np.concatenate([flat["topology"], np.zeros((self.links, 1), dtype=np.int64)], axis=1)
+        topology = np.concatenate([flat["topology"], np.zeros((len(self.links), 1), dtype=np.int64)], axis=1)
         found: dict[str, Any] = {
             "topology": np.ascontiguousarray(topology),
             "joint": np.array([self._joint(row) for row in flat["joint"]]),
@@ -63,10 +60,9 @@ class Lifted:
             "force": (flat["force_link"], [self._force(row) for row in flat["force"]]),
             "wake": (flat["wake_link"], [self._wake(row) for row in flat["wake"]]),
         }
-        columns = dict(ELEMENTS)
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
-            found[name] = np.array(table).reshape(len(table), len(columns[name]))
+            found[name] = np.array(table).reshape(len(table), len(getattr(engine, name.upper())))
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
 
