@@ -30,6 +30,8 @@ from swimid.simulation.catalogue import Loaded
 
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
+#: Simulations of each trial that a diagnosis takes, about.
+RUNS = 2000
 
 
 @takes(DiagnoseOptions)
@@ -70,7 +72,8 @@ def diagnose(
         )
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
-        model.prepare(progress)
+        lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
+        model.prepare(progress, simulated_s=RUNS * lasting)
         effects, own, seed = options.effects, options.own_effects, options.seed
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]

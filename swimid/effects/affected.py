@@ -11,6 +11,7 @@ from swimid.effects.base import Effect
 from swimid.fitting import hooks as hook_places
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Trial
+from swimid.progress import Progress, silent
 
 
 class Affected(Model):
@@ -67,6 +68,27 @@ class Affected(Model):
         if hooks is hook_places.NONE:
             return self.model.simulate(own, trial)
         return self.model.hooked(own, trial, hooks)
+
+    def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
+        """Simulate several runs (see :meth:`Model.simulate_many`)."""
+        own = len(self.model.parameters)
+        requests, broken = [], set()
+        for number, (values, trial) in enumerate(runs):
+            hooks = hook_places.NONE
+            try:
+                hooks = self.hooks(values, trial)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                broken.add(number)
+            requests.append((values[:own], trial, hooks))
+        simulated = self.model.hooked_many(requests)
+        return [
+            self.broken_down(trial) if number in broken else one
+            for number, (one, (_, trial)) in enumerate(zip(simulated, runs, strict=True))
+        ]
+
+    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+        """As the model without effects (see :meth:`Model.prepare`)."""
+        self.model.prepare(progress, simulated_s=simulated_s)
 
     def refined(self) -> Affected | None:
         """The same with half the integration step."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import UsageError, nearest, suggestion
 from swimid.fitting.body import Body
-from swimid.fitting.hooks import Hooks
+from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.scales import Scales
 from swimid.progress import Progress, silent
@@ -252,8 +252,14 @@ class Model(ABC):
         """The model at the working point of one trial, and what was estimated for it; itself without one."""
         return self, {}
 
-    def prepare(self, progress: Progress = silent) -> None:  # noqa: B027
-        """Compile what it needs to be fast, under a bar that says so."""
+    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:  # noqa: B027
+        """Compile what it needs to be fast, under a bar that says so.
+
+        Parameters
+        ----------
+        simulated_s : float, s
+            How much time of all trials together is about to be simulated: what compiling may cost.
+        """
 
     @abstractmethod
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -279,6 +285,31 @@ class Model(ABC):
         """
         late = replace(trial, time_s=trial.time_s - hooks.clock_s) if hooks.clock_s else trial
         return hooks.seen(self.simulate(values, late), trial.time_s)
+
+    def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
+        """Simulate several runs, each as :meth:`simulate`; NaN throughout where one breaks down."""
+        return self.hooked_many([(values, trial, NONE) for values, trial in runs])
+
+    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+        """The same with what else acts on the chain of each.
+
+        A model that runs faster side by side overrides this.
+        """
+        found = []
+        for values, trial, hooks in runs:
+            with np.errstate(over="ignore", invalid="ignore"):
+                try:
+                    simulated = (
+                        self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
+                    )
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    simulated = self.broken_down(trial)
+            found.append(simulated)
+        return found
+
+    def broken_down(self, trial: Trial) -> dict[str, Array]:
+        """The channels of a simulation that came to nothing."""
+        return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Rate of change of each channel with time, for trials whose stamps are uncertain."""

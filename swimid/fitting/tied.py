@@ -10,8 +10,10 @@ import numpy as np
 
 from swimid.errors import UsageError, nearest
 from swimid.fitting.body import Body
+from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Entry, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.progress import Progress, silent
 
 
 class Tied(Model):
@@ -73,6 +75,14 @@ class Tied(Model):
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate with every member at its group's value (see :meth:`Model.simulate`)."""
         return self.model.simulate(self.members(values), trial)
+
+    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+        """Several runs (see :meth:`Model.hooked_many`)."""
+        return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
+
+    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+        """As the untied model (see :meth:`Model.prepare`)."""
+        self.model.prepare(progress, simulated_s=simulated_s)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""

@@ -34,8 +34,10 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.fit_graybox_evidence import body_of
 from swimid.swimmer.front import Found
 from swimid.swimmer.options import FitGrayboxOptions
-from swimid.swimmer.planar.model import prepare
 from swimid.swimmer.profiles import Profiles
+
+#: Jacobians that a fit takes, about.
+STEPS = 20
 
 
 @takes(FitGrayboxOptions)
@@ -76,7 +78,6 @@ def fit_graybox(
             start_state=options.start_state,
             max_step=options.dt,
         )
-        prepare(progress)
         model, begin = _tied(experiment.model, options.share), options.start_from
         choices = fit_common.prepare(
             experiment,
@@ -87,6 +88,7 @@ def fit_graybox(
             bounds=options.bounds,
             also=[begin] if isinstance(begin, Path) else [],
         )
+        model.prepare(progress, simulated_s=_simulated_s(experiment.trials, choices, options))
         origin = provenance.collect(
             [
                 *experiment.inputs,
@@ -197,6 +199,13 @@ def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Pat
     params = f" --params {output}" if output else ""
     listing = trials_format.place(source)
     return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
+
+
+def _simulated_s(trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions) -> float:
+    """How much time of the trials a fit simulates, about, s."""
+    lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
+    runs = STEPS * (2 + sum(p.free for p in parameters)) * options.starts
+    return lasting * (runs if options.method == "least-squares" else options.population * options.generations)
 
 
 def _least_squares(

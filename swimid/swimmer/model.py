@@ -6,8 +6,8 @@ import math
 import threading
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -18,7 +18,9 @@ from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
+from swimid.swimmer.lanes.kernel import Engine, Kernel
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import sampled
@@ -68,6 +70,22 @@ class Trajectory:
     driven: Array
 
 
+@dataclass(frozen=True)
+class Run:
+    """One run as the engine is asked for it: its trajectory where that is kept, else what it needs."""
+
+    values: Array
+    trial: Trial
+    hooks: Hooks
+    key: bytes
+    begin_s: float
+    step_s: float
+    kept: Trajectory | None
+    start: Array = field(default_factory=lambda: np.empty(0))
+    drive: Array = field(default_factory=lambda: np.empty(0))
+    tables: Mapping[str, Any] = field(default_factory=dict)
+
+
 class LinkedModel(Swimmer):
     """A robot with links whose runs are kept as long as only how they are seen changes.
 
@@ -88,6 +106,7 @@ class LinkedModel(Swimmer):
     rates: tuple[str, ...]
     #: Per-trial parameters, beside the clock, that only change how a run of a free base is seen.
     camera: tuple[Parameter, ...] = ()
+    engine: Engine
     tree: Links
     driven: list[Axis]
     passive: list[Axis]
@@ -112,6 +131,9 @@ class LinkedModel(Swimmer):
         self._motions: dict[tuple[Any, ...], list[Motion]] = {}
         self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
         self._lock = threading.Lock()
+        #: The compiled form for several runs side by side, and whether runs take it (:meth:`prepare`).
+        self.kernel: Kernel | None = None
+        self.side_by_side = False
 
     # -------------------------------------------------------- what it offers
 
@@ -180,6 +202,12 @@ class LinkedModel(Swimmer):
         """What a driven joint is told to do, rad."""
         return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
 
+    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+        """Compile the kernels where that has not been done on this machine and pays."""
+        if self.kernel is None:
+            self.kernel = Kernel(self.engine, self.tree.tables, self._count)
+        self.side_by_side = self.kernel.worth(4.0 * simulated_s / self.max_step, progress)
+
     def refined(self) -> Self:
         """The same model with half the integration step."""
         return self._stepping(0.5 * self.max_step)
@@ -191,6 +219,7 @@ class LinkedModel(Swimmer):
     def _stepping(self, max_step: float) -> Self:
         other = type(self)(self.robot, max_step=max_step)
         other.parameters = self.parameters
+        other.kernel, other.side_by_side = self.kernel, self.side_by_side
         return other
 
     def _value(self, values: Array, name: str) -> float:
@@ -203,17 +232,7 @@ class LinkedModel(Swimmer):
         """Fill in the base's part of the first state."""
 
     @abstractmethod
-    def _integrate(
-        self,
-        start: Array,
-        step: float,
-        table: Array,
-        tables: dict[str, Any],
-        values: Array,
-        trial: Trial,
-        begin: float,
-        hooks: Hooks,
-    ) -> tuple[Array, Array]:
+    def _integrate(self, run: Run) -> tuple[Array, Array]:
         """States and rates of a run."""
 
     @abstractmethod
@@ -233,7 +252,27 @@ class LinkedModel(Swimmer):
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """The same with what else acts on the chain (see :meth:`Model.hooked`)."""
-        run = self.trajectory(values, trial, hooks)
+        return self._at_samples(values, trial, hooks, self.trajectory(values, trial, hooks))
+
+    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+        """Several runs, side by side where the robot's kernel is compiled (see :meth:`Model.hooked_many`)."""
+        if not self.side_by_side:
+            return super().hooked_many(runs)
+        asked: list[Run | None] = []
+        with np.errstate(over="ignore", invalid="ignore"):
+            for run in runs:
+                try:
+                    asked.append(self._asked(*run))
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    asked.append(None)
+            trajectories = iter(self._trajectories([one for one in asked if one is not None]))
+            return [
+                self.broken_down(trial) if one is None else self._at_samples(values, trial, hooks, next(trajectories))
+                for one, (values, trial, hooks) in zip(asked, runs, strict=True)
+            ]
+
+    def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
+        """The channels of a run."""
         time = trial.time_s - self._value(values, "clock_offset") - hooks.clock_s
         states, _ = sampled(time, run.begin_s, run.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
@@ -261,6 +300,10 @@ class LinkedModel(Swimmer):
         trial : Trial
         hooks : Hooks
         """
+        return self._trajectories([self._asked(values, trial, hooks)])[0]
+
+    def _asked(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
+        """A run, with all the engine needs unless its trajectory is kept."""
         values = self._with_own_coefficients(values, trial)
         begin, step, steps = self._grid(values, trial, hooks)
         key = values[self._influences(hooks)].tobytes() + hooks.key + np.array((begin, step, steps)).tobytes()
@@ -268,7 +311,7 @@ class LinkedModel(Swimmer):
             kept = self._kept.setdefault(trial.id, OrderedDict())
             if key in kept:
                 kept.move_to_end(key)
-                return kept[key]
+                return Run(values, trial, hooks, key, begin, step, kept[key])
         table = self._table(values, trial, begin, step, steps, hooks)
         passives = len(self.passive)
         start = np.zeros(self.coordinates + self.speeds + 2 * passives)
@@ -282,10 +325,39 @@ class LinkedModel(Swimmer):
             # a table without coefficients is the robot's own: an effect must not write into that
             own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
             tables = hooks.changed(own, "tables")
-        states, rates = self._integrate(start, step, table, tables, values, trial, begin, hooks)
-        found = Trajectory(begin, step, states, rates, table[::2, :, :3])
+        return Run(values, trial, hooks, key, begin, step, None, start, table, tables)
+
+    def _trajectories(self, runs: Sequence[Run]) -> list[Trajectory]:
+        """Of each run; what is asked twice is run once."""
+        found = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
+        missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
+        together = [(at, run) for at, run in missing.items() if self._beside_others(run)]
+        if together:
+            assert self.kernel is not None
+            motions = self.kernel.run(
+                [run.start for _, run in together],
+                [run.step_s for _, run in together],
+                [run.drive for _, run in together],
+                [run.tables for _, run in together],
+            )
+            for (at, run), (states, rates) in zip(together, motions, strict=True):
+                found[at] = self._keep(run, states, rates)
+        for at, run in missing.items():
+            if at not in found:
+                found[at] = self._keep(run, *self._integrate(run))
+        return [found[run.trial.id, run.key] for run in runs]
+
+    def _beside_others(self, run: Run) -> bool:
+        """Whether a run goes into the lanes: no force from outside, and the robot's own structure."""
+        if self.kernel is None or not self.side_by_side or run.hooks.force:
+            return False
+        return not run.hooks.tables or self.kernel.fits(run.tables)
+
+    def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
+        found = Trajectory(run.begin_s, run.step_s, states, rates, run.drive[::2, :, :3])
         with self._lock:
-            kept[key] = found
+            kept = self._kept[run.trial.id]
+            kept[run.key] = found
             while len(kept) > KEPT:
                 kept.popitem(last=False)
         return found

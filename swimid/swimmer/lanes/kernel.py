@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
-import inspect
 import os
+import subprocess
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +19,23 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core.codegen import get_host_cpu_features
+from numba.misc.appdirs import user_cache_dir
 from numpy.typing import NDArray
 
+from swimid.files import atomic
+from swimid.progress import Progress, silent
 from swimid.swimmer.lanes import source, symbols
 from swimid.swimmer.lanes.source import LANES, Traced
 
 Array = NDArray[np.float64]
+
+#: What one traced operation takes in the scalar engine, and to compile, s: of the built-in robots, by
+#: ``benchmarks/bench_multilink.py``.
+OPERATION_S, COMPILING_S = 3.5e-10, 5.5e-3
+#: Compiling pays when the scalar engine would take this many times as long.
+PAYS = 2.0
+#: Shorter work than this is not looked at twice, s.
+LEAST_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,8 +44,8 @@ class Engine:
 
     Attributes
     ----------
-    module : module
-        With ``derivative(state, row, *tables, *extra, *scratch, rate)``.
+    derivative : compiled function
+        ``derivative(state, row, *tables, *extra, *scratch, rate)``.
     shapes : callable
         Tables -> length of the state, and the shapes of the scratch arrays.
     extra : tuple
@@ -41,7 +54,7 @@ class Engine:
         Done to a state after each step.
     """
 
-    module: ModuleType
+    derivative: Any
     shapes: Callable[[Mapping[str, Any]], tuple[int, Sequence[tuple[int, ...]]]]
     extra: tuple[Any, ...] = ()
     settled: Any = None
@@ -64,6 +77,10 @@ class Kernel:
         self.size, self._scratch = engine.shapes(self._example)
         self._fixed = _fixed(tables, coefficients)
         self._taken = {name: np.isnan(fixed) for name, fixed in self._fixed.items()}
+        self._places = [
+            (name, np.flatnonzero(taken.reshape(-1))) for name, taken in self._taken.items() if taken.any()
+        ]
+        self._lock = threading.Lock()
         self._traced: Traced | None = None
         self._module: ModuleType | None = None
 
@@ -107,7 +124,7 @@ class Kernel:
         for array in scratch:
             array[...] = 0.0
         rate = np.zeros(self.size, dtype=object)
-        symbols.on_symbols(self.engine.module.derivative)(
+        symbols.on_symbols(self.engine.derivative)(
             state, row, *arguments, *self.engine.extra, *scratch, rate
         )
         after = symbols.Tracer()
@@ -117,11 +134,37 @@ class Kernel:
         used = _used(tracer.operations, rate)
         return Traced(used, list(rate), (_used(after.operations, settled), list(settled)), count, 5 * driven)
 
+    def worth(self, derivatives: float, progress: Progress = silent) -> bool:
+        """Whether to run side by side, when the equations are about to be evaluated so many times.
+
+        Where the kernel is on this machine, yes. Where it would take longer to compile than what it saves, no;
+        then it is compiled by a process of its own for the next time. The environment variable ``SWIMID_LANES``
+        says ``always`` or ``never`` instead: the two forms agree to some fourteen digits, not to the last.
+        """
+        wanted = os.environ.get("SWIMID_LANES", "auto")
+        scalar_s = derivatives * OPERATION_S * len(self.traced().operations)
+        if wanted == "never" or (wanted == "auto" and scalar_s < LEAST_S):
+            return False
+        text = source.text(self.traced())
+        if wanted == "auto" and not on_disk(text):
+            if scalar_s < PAYS * COMPILING_S * len(self.traced().operations):
+                later(text)
+                return False
+        if not on_disk(text):
+            with progress("compiling the simulation for several runs at once (on first use only)"):
+                self.compiled()
+        else:
+            self.compiled()
+        return True
+
     def compiled(self) -> ModuleType:
-        """The module, written and compiled where this machine does not have it yet."""
-        if self._module is None:
-            self._module = _imported(source.text(self.traced()))
-        return self._module
+        """The module, compiled where this machine does not have it yet."""
+        with self._lock:
+            if self._module is None:
+                module = imported(source.text(self.traced()))
+                compile_all(module)
+                self._module = module
+            return self._module
 
     def run(
         self, starts: Sequence[Array], steps_s: Sequence[float], drives: Sequence[Array], tables: Sequence[Mapping[str, Any]]
@@ -171,8 +214,7 @@ class Kernel:
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
 
     def _numbers(self, tables: Mapping[str, Any]) -> Array:
-        parts = [np.asarray(tables[name], dtype=float)[taken] for name, taken in self._taken.items()]
-        return np.concatenate([p.reshape(-1) for p in parts])
+        return np.concatenate([np.reshape(tables[name], -1)[places] for name, places in self._places])
 
 
 def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
@@ -201,27 +243,75 @@ def _used(operations: Sequence[symbols.Symbol], results: Any) -> list[symbols.Sy
 
 
 def folder() -> Path:
-    """Where generated modules and their compiled forms are kept: beside numba's other caches of swimid."""
-    base = numba.config.CACHE_DIR or Path(__file__).parent / "__pycache__"
-    return Path(base) / "lanes"
+    """Where generated modules and their compiled forms are kept: with numba's other caches."""
+    beside = Path(__file__).parent / "__pycache__"
+    if numba.config.CACHE_DIR:
+        base = Path(numba.config.CACHE_DIR)
+    elif os.access(beside if beside.exists() else beside.parent, os.W_OK):
+        base = beside
+    else:
+        base = Path(user_cache_dir("swimid"))
+    return base / "lanes"
 
 
-def _imported(text: str) -> ModuleType:
-    """A module of this text, named by it, by the compiler and by the processor."""
-    host = f"{numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
-    name = "lanes_" + hashlib.sha256(f"{host}\n{text}".encode()).hexdigest()[:16]
-    if name in sys.modules:
-        return sys.modules[name]
-    place = folder()
-    place.mkdir(parents=True, exist_ok=True)
-    path = place / f"{name}.py"
+def _path(text: str) -> Path:
+    """Of the module of this text, named by it, by the compiler and by the processor."""
+    host = f"{sys.version} {numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
+    return folder() / f"lanes_{hashlib.sha256(f'{host} {text}'.encode()).hexdigest()[:16]}.py"
+
+
+def on_disk(text: str) -> bool:
+    """Whether the module of this text is compiled on this machine."""
+    path = _path(text)
+    base = path.parent if numba.config.CACHE_DIR else path.parent / "__pycache__"
+    return any(base.rglob(f"{path.stem}.integrate-*.nbc"))
+
+
+def imported(text: str) -> ModuleType:
+    """The module of this text, written where it is not there yet; it compiles at its first call."""
+    path = _path(text)
+    if path.stem in sys.modules:
+        return sys.modules[path.stem]
     if not path.exists():
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    spec = importlib.util.spec_from_file_location(name, path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_text(path, text)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
+
+
+def compile_all(module: ModuleType) -> None:
+    """Compile a module, or load what was compiled before."""
+    module.integrate.compile(module.SIGNATURE)
+
+
+def later(text: str) -> None:
+    """Compile a module in a process of its own, which outlives this one; for the next command."""
+    imported(text)
+    command = "import sys; from swimid.swimmer.lanes import kernel; kernel.compile_file(sys.argv[1])"
+    with contextlib.suppress(OSError):  # without it the next command is as fast as this one
+        subprocess.Popen(
+            [sys.executable, "-c", command, str(_path(text))],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+
+def compile_file(path: str) -> None:
+    """Compile the module at a path, politely; once, however many ask for it."""
+    mark = Path(path).with_suffix(".compiling")
+    try:
+        mark.touch(exist_ok=False)
+    except FileExistsError:
+        return
+    try:
+        if hasattr(os, "nice"):
+            os.nice(10)
+        compile_all(imported(Path(path).read_text(encoding="utf-8")))
+    finally:
+        mark.unlink(missing_ok=True)

@@ -53,6 +53,8 @@ import math
 
 import numba
 
+SIGNATURE = "{signature}"
+
 
 @numba.njit(nogil=True, error_model="numpy", fastmath={{"contract", "nsz"}}, boundscheck=False, cache=True)
 def integrate(start, step, {tables}, steps, parameters, states, rates, w):
@@ -64,7 +66,6 @@ def integrate(start, step, {tables}, steps, parameters, states, rates, w):
         w[{stage} + q] = start[q]
     for lane in range({lanes}):
         w[{step} + lane] = step[lane]
-    last = {last}
     for count in range(4 * steps + 1):
         part = count & 3
         whole = count >> 2
@@ -133,8 +134,8 @@ def text(traced: Traced) -> str:
         rows += [f"            w[{row + LANES * q + lane}] = table{lane}[n{lane}, {q}]" for q in used]
     return _MODULE.format(
         lanes=LANES,
+        signature="void(" + ", ".join(["f8[::1]"] * 2 + ["f8[:, ::1]"] * LANES + ["i8", "f8[::1]", "f8[:, :, ::1]", "f8[:, :, ::1]", "f8[::1]"]) + ")",
         tables=", ".join(f"table{lane}" for lane in range(LANES)),
-        last="steps",
         numbers=LANES * traced.parameters,
         states=LANES * size,
         size=size,

@@ -21,7 +21,7 @@ has done so.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numba
@@ -488,6 +488,12 @@ def integrate(  # type: ignore[no-untyped-def]
         for j in range(size):
             states[i + 1, j] = here[j] + step / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
     return states, rates
+
+
+def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
+    """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
+    n = 3 + len(tables["passive"])
+    return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 
 
 def outside(

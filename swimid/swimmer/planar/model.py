@@ -16,7 +16,8 @@ from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
-from swimid.swimmer.model import LinkedModel, joint_motion, of_trial
+from swimid.swimmer.lanes.kernel import Engine
+from swimid.swimmer.model import LinkedModel, Run, joint_motion, of_trial
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
@@ -65,6 +66,7 @@ class MultilinkModel(LinkedModel):
     name = "multilink"
     offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
     coordinates, speeds = 3, 3
+    engine = Engine(engine.derivative, engine.shapes, extra=(None, 0.0))
     camera = (
         of_trial(
             "camera_rotation", "rad", 0.02, "axes of the measured position against those of the heading"
@@ -130,9 +132,10 @@ class MultilinkModel(LinkedModel):
             angle, rate, _ = joint_motion(axis, number, trial.swim, time, 0.0)
             yield time, angle, float(np.max(np.abs(rate)))
 
-    def prepare(self, progress: Progress = silent) -> None:
-        """Compile the kernels where that has not been done on this machine."""
+    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+        """Compile the kernels (see :meth:`LinkedModel.prepare`)."""
         prepare(progress)
+        super().prepare(progress, simulated_s=simulated_s)
 
     def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
         """Velocities at the first sample, by parameter (see :meth:`LinkedModel.opening`)."""
@@ -182,23 +185,14 @@ class MultilinkModel(LinkedModel):
         if self._heading_matters():
             start[2] = self._heading(values, trial)
 
-    def _integrate(
-        self,
-        start: Array,
-        step: float,
-        table: Array,
-        tables: dict[str, Any],
-        values: Array,
-        trial: Trial,
-        begin: float,
-        hooks: Hooks,
-    ) -> tuple[Array, Array]:
+    def _integrate(self, run: Run) -> tuple[Array, Array]:
         forced = None
-        if hooks.force:
-            x, y, _ = trial.swim.posed()
-            frame = (x, y, 0.0 if self._heading_matters() else self._heading(values, trial))
-            forced = engine.outside(hooks.force, frame, self.reference_m, len(self.tree.links))
-        states, rates = engine.integrate(start, step, table, *tables.values(), forced, begin)
+        if run.hooks.force:
+            x, y, _ = run.trial.swim.posed()
+            frame = (x, y, 0.0 if self._heading_matters() else self._heading(run.values, run.trial))
+            forced = engine.outside(run.hooks.force, frame, self.reference_m, len(self.tree.links))
+        tables = run.tables.values()
+        states, rates = engine.integrate(run.start, run.step_s, run.drive, *tables, forced, run.begin_s)
         return states, rates
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:

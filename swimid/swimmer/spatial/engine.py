@@ -23,6 +23,8 @@ in its own axes (u, v, w), its angular velocity, passive rates..)``. Nothing her
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numba
 import numpy as np
@@ -673,3 +675,9 @@ def integrate(  # type: ignore[no-untyped-def]
             states[i + 1, j] = here[j] + step / 6.0 * total[j]
         settled(states[i + 1])
     return states, rates
+
+
+def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
+    """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
+    n = 6 + len(tables["passive"])
+    return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,), (6,)]

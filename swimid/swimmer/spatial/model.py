@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +12,8 @@ from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Trial
 from swimid.logs.rotation import angles, from_angles
 from swimid.robots.spatial import Hydrostatics
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.lanes.kernel import Engine
+from swimid.swimmer.model import LinkedModel, Run
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
 from swimid.swimmer.spatial.planar import Lifted
@@ -39,6 +39,7 @@ class MultibodyModel(LinkedModel):
     offers = frozenset({"command", "tables", "output", "clock"})
     in_space = True
     coordinates, speeds = 7, 6
+    engine = Engine(engine.derivative, engine.shapes, settled=engine.settled)
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     places = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -115,10 +116,8 @@ class MultibodyModel(LinkedModel):
         start[7 + passives : 10 + passives] = speed[:3] - np.cross(spin, self.tree.reference)
         start[10 + passives : 13 + passives] = spin
 
-    def _integrate(
-        self, start: Array, step: float, table: Array, tables: dict[str, Any], *others: Any
-    ) -> tuple[Array, Array]:
-        states, rates = engine.integrate(start, step, table, *tables.values())
+    def _integrate(self, run: Run) -> tuple[Array, Array]:
+        states, rates = engine.integrate(run.start, run.step_s, run.drive, *run.tables.values())
         return states, rates
 
     def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
