@@ -23,7 +23,9 @@ from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
 from swimid.swimmer.spatial.elements import spheroid
 from swimid.swimmer.spatial.inertia import full
+from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.spatial.planar import Lifted
+from tests import lanes_forms
 
 WATER, G = 1000.0, 9.81
 
@@ -41,6 +43,9 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
     engine.derivative(state, row, *tables.values(), *scratch, rate)
+    kernel = lanes_forms.kernel_of(model, MultibodyModel.engine, np.zeros(0))
+    traced = lanes_forms.rate(kernel, state, row, tables)
+    assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
     return rate
 
 

@@ -22,6 +22,8 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
 
+from tests import lanes_forms
+
 pytestmark = pytest.mark.kernels
 
 WATER = 1000.0
@@ -52,7 +54,12 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         angle = motion[k, 0] + math.radians(axis.joint.mount_deg)
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
-    engine.derivative(state, row, *model.tables(defaults(model)).values(), None, 0.0, *scratch)
+    tables = model.tables(defaults(model))
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
+    kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
+    traced = lanes_forms.rate(kernel, state, row, tables)
+    size = np.abs(scratch[-1]).max()
+    assert traced == pytest.approx(scratch[-1], rel=1e-9, abs=1e-11 * size)
     return scratch[-1][n:]
 
 

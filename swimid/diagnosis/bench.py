@@ -456,43 +456,46 @@ class Bench:
             ]
         )
 
-    def change(self, base: Fit, effect: Effect, point: Array) -> list[Array]:
-        """What an effect at some strength changes in each trial, weighted, shape (n_k,).
+    def changes(self, base: Fit, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
+        """What an effect at some strengths changes in each trial, weighted, shape (n_k,), for each of them.
 
         Parameters
         ----------
         base : Fit
             Where its other numbers stand; its effects stay.
-        point : ndarray
+        points : sequence of ndarray
             Values of all the effect's parameters.
         """
         model = self.affected((*base.acting, effect))
-        size = len(model.own[-1])
         null = np.array([p.start for p in model.own[-1]])
-        found = []
-        for k, trial in enumerate(self.trials):
-            own = base.problem.vector(base.theta, k)
-            with np.errstate(over="ignore", invalid="ignore"):
-                try:
-                    seen = model.simulate(np.concatenate((own, point[:size])), trial)
-                except (ArithmeticError, np.linalg.LinAlgError):
-                    seen = {c: np.full(len(trial.time_s), np.nan) for c in base.problem.channels[k]}
-            unaffected = model.simulate(np.concatenate((own, null)), trial)
-            change = base.problem.stacked(k, seen) - base.problem.stacked(k, unaffected)
-            found.append(change * base.problem.sample_weights(k))
-        return found
+        own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
+        runs = [
+            (np.concatenate((values, point[: len(null)])), trial)
+            for point in (null, *points)
+            for values, trial in zip(own, self.trials, strict=True)
+        ]
+        simulated = iter(model.simulate_many(runs))
+        unaffected = [base.problem.stacked(k, next(simulated)) for k in range(len(self.trials))]
+        return [
+            [
+                (base.problem.stacked(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)
+                for k in range(len(self.trials))
+            ]
+            for _ in points
+        ]
 
     def moved(self, base: Fit, index: int, step: float) -> list[Array]:
         """What a step of one of the model's own parameters changes in each trial, weighted, shape (n_k,)."""
-        model = self.affected(base.acting)
-        found = []
+        runs = []
         for k, trial in enumerate(self.trials):
             own = base.problem.vector(base.theta, k)
             own[index] += step
-            stacked = base.problem.stacked(k, model.simulate(own, trial))
-            plain = base.problem.stacked(k, base.problem.simulations(base.theta)[k])
-            found.append((stacked - plain) * base.problem.sample_weights(k))
-        return found
+            runs.append((own, trial))
+        plain = base.problem.simulations(base.theta)
+        return [
+            (base.problem.stacked(k, seen) - base.problem.stacked(k, plain[k])) * base.problem.sample_weights(k)
+            for k, seen in enumerate(self.affected(base.acting).simulate_many(runs))
+        ]
 
 
 def _acting(effects: Sequence[Effect], chance: Sequence[Kind]) -> tuple[Effect, ...]:

@@ -175,8 +175,8 @@ def simulate(
     def one(effect: Effect) -> Trialled:
         parameters = effect.parameters(bench.model, bench.trials)
         found = []
-        for point in effect.tries(parameters):
-            changed = bench.change(base, effect, point)
+        points = list(effect.tries(parameters))
+        for point, changed in zip(points, bench.changes(base, effect, points), strict=True):
             sound = [within(c) for c in changed]
             # a trial on the verge of breaking down says nothing about the effect, the others do
             if sum(sound) > SOUND * len(sound):

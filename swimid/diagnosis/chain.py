@@ -175,7 +175,7 @@ def chance_columns(bench: Bench, fit: Fit, effects: Sequence[Effect]) -> tuple[l
             upper = kind.effect.parameters(bench.model, bench.trials)[kind.place].upper
             sign = 1.0 if point[kind.place] + 0.5 * kind.size <= upper else -1.0
             point[kind.place] += sign * 0.5 * kind.size
-            half = [sign * c for c in bench.change(fit, kind.effect, point)]
+            half = [sign * c for c in bench.changes(fit, kind.effect, [point])[0]]
         if all(np.isfinite(c).all() for c in half) and sum(float(c @ c) for c in half) > 0:
             columns.append([2.0 * c for c in half])
             found.append(kind)

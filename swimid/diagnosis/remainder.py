@@ -73,17 +73,18 @@ class Generic:
 
 def simulate(bench: Bench, base: Fit, *, jobs: int = 1) -> Generic:
     """The changes all generic terms make."""
-    work = []
+    asked = []
     for description in descriptions(bench.model, bench.trials):
         parameters = description.parameters(bench.model, bench.trials)
-        for p, point in zip(parameters, description.tries(parameters), strict=True):
-            work.append((description, p, point))
-
-    def one(item: tuple) -> list[Array]:  # type: ignore[type-arg]
-        return bench.change(base, item[0], item[2])
-
+        asked.append((description, parameters, list(description.tries(parameters))))
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        changes = list(pool.map(one, work))
+        done = pool.map(lambda one: bench.changes(base, one[0], one[2]), asked)
+        changes = [changed for of_each in done for changed in of_each]
+    work = [
+        (description, p)
+        for description, parameters, points in asked
+        for p, _ in zip(parameters, points, strict=True)
+    ]
     kept = [
         i
         for i, c in enumerate(changes)

@@ -37,6 +37,7 @@ class Affected(Model):
         self.offers = model.offers
         self._trials = tuple(trials)
         self.own = [effect.parameters(model, trials) for effect in self.effects]
+        self._contents = [effect.content() for effect in self.effects]
         self._null = [np.array([p.start for p in parameters]) for parameters in self.own]
         self.parameters = (
             *model.parameters,
@@ -51,13 +52,13 @@ class Affected(Model):
         """What acts at these values, for one trial."""
         at = len(self.model.parameters)
         found = hook_places.NONE
-        for effect, null in zip(self.effects, self._null, strict=True):
+        for effect, null, content in zip(self.effects, self._null, self._contents, strict=True):
             own = values[at : at + len(null)]
             at += len(null)
             if np.array_equal(own, null):
                 continue
             acting = effect.hooks(own, trial, self.model)
-            key = f"{effect.name}:{id(effect)}".encode() + own.tobytes() if acting.moves else b""
+            key = content + own.tobytes() if acting.moves else b""
             found = found + replace(acting, key=key, command_key=key if acting.command else b"")
         return found
 

@@ -182,23 +182,28 @@ class Kernel:
         -------
         list of (states, rates), each shape (steps + 1, size)
         """
-        found: list[tuple[Array, Array]] = []
         # runs of like length side by side
         order = sorted(range(len(starts)), key=lambda k: len(drives[k]))
-        places = {}
+        places: dict[int, tuple[Array, Array]] = {}
         for first in range(0, len(order), LANES):
             batch = order[first : first + LANES]
             for k, one in zip(batch, self._batch(batch, starts, steps_s, drives, tables), strict=True):
                 places[k] = one
-        found = [places[k] for k in range(len(starts))]
-        return found
+        return [places[k] for k in range(len(starts))]
 
-    def _batch(self, batch, starts, steps_s, drives, tables):  # type: ignore[no-untyped-def]
+    def _batch(
+        self,
+        batch: Sequence[int],
+        starts: Sequence[Array],
+        steps_s: Sequence[float],
+        drives: Sequence[Array],
+        tables: Sequence[Mapping[str, Any]],
+    ) -> list[tuple[Array, Array]]:
         module, traced = self.compiled(), self.traced()
         lanes = [*batch, *[batch[0]] * (LANES - len(batch))]
         steps = [(len(drives[k]) - 1) // 2 for k in batch]
         start = np.stack([starts[k] for k in lanes], axis=-1)
-        parameters = np.stack([self._numbers(tables[k]) for k in lanes], axis=-1)
+        parameters = np.stack([self.numbers(tables[k]) for k in lanes], axis=-1)
         states = np.empty((LANES, max(steps) + 1, self.size))
         rates = np.empty_like(states)
         module.integrate(
@@ -213,7 +218,8 @@ class Kernel:
         )
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
 
-    def _numbers(self, tables: Mapping[str, Any]) -> Array:
+    def numbers(self, tables: Mapping[str, Any]) -> Array:
+        """What of a run's tables the kernel takes as numbers, shape (parameters,)."""
         return np.concatenate([np.reshape(tables[name], -1)[places] for name, places in self._places])
 
 

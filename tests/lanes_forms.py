@@ -1,0 +1,56 @@
+"""The engines' other forms beside the scalar one: the traced operations, and the module of lanes as plain Python."""
+
+from __future__ import annotations
+
+import math
+import operator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from swimid.swimmer.lanes import source
+from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.lanes.symbols import Symbol
+
+ACTS = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "neg": operator.neg,
+    "abs": abs,
+    "sqrt": math.sqrt,
+    "max": max,
+    "min": min,
+    "positive": lambda asked, then, otherwise: then if asked > 0.0 else otherwise,
+}
+
+
+def kernel_of(model: Any, engine: Any, values: np.ndarray) -> Kernel:
+    """Of an assembly."""
+    return Kernel(engine, model.tables, len(values))
+
+
+def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, Any]) -> np.ndarray:
+    """The rate of a state, operation after operation."""
+    inputs = {"state": state, "row": row.reshape(-1), "table": kernel.numbers(tables)}
+    known: dict[int, float] = {}
+
+    def value(x: Any) -> float:
+        return known[x.number] if isinstance(x, Symbol) else x
+
+    for x in kernel.traced().operations:
+        if x.kind in inputs:
+            known[x.number] = float(inputs[x.kind][x.of[0]])
+        else:
+            known[x.number] = ACTS[x.kind](*(value(a) for a in x.of))
+    return np.array([value(x) for x in kernel.traced().rates])
+
+
+def uncompiled(kernel: Kernel) -> Any:
+    """The generated module with a compiler that leaves it as it is."""
+    text = source.text(kernel.traced()).replace("import numba", "")
+    names: dict[str, Any] = {"numba": SimpleNamespace(njit=lambda **_: lambda function: function)}
+    exec(compile(text, "lanes", "exec"), names)
+    return SimpleNamespace(integrate=names["integrate"])

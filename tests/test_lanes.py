@@ -1,0 +1,357 @@
+"""Runs side by side against the scalar engines: every element, fixed bases, unlike lengths, break-downs, hooks."""
+
+from __future__ import annotations
+
+import math
+import platform
+import re
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from swimid.effects import catalogue as effect_catalogue
+from swimid.effects.affected import Affected
+from swimid.fitting import drives
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Trial
+from swimid.fitting.problem import Problem
+from swimid.fitting.tied import Tied
+from swimid.robots import file as robot_format
+from swimid.robots.file import Fluid
+from swimid.robots.planar import Multilink
+from swimid.robots.spatial import Multibody
+from swimid.swimmer.lanes import kernel as kernels
+from swimid.swimmer.lanes import source, symbols
+from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.planar import engine as planar_engine
+from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial import engine as spatial_engine
+from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
+from swimid.swimmer.spatial.model import MultibodyModel
+from tests import lanes_forms
+from tests.generators import lagrange
+
+ENGINES: dict[type[LinkedModel], ModuleType] = {
+    MultilinkModel: planar_engine,
+    MultibodyModel: spatial_engine,
+}
+
+
+def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> np.ndarray:
+    """A smooth table of driven joints on the half-step grid."""
+    time = 0.5 * step * np.arange(2 * steps + 1)
+    table = np.empty((len(time), joints, 5))
+    for k in range(joints):
+        size, omega, phase = rng.uniform(0.1, 0.6), rng.uniform(3.0, 12.0), rng.uniform(0.0, 6.0)
+        angle = size * np.sin(omega * time + phase)
+        table[:, k, 0], table[:, k, 2] = angle, -(omega**2) * angle
+        table[:, k, 1] = size * omega * np.cos(omega * time + phase)
+        table[:, k, 3], table[:, k, 4] = np.cos(angle), np.sin(angle)
+    return table
+
+
+def scalar(form: type[LinkedModel], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
+    """By the engine itself."""
+    return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.extra)
+
+
+def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:
+    rng = np.random.default_rng(seed)
+    body = lagrange.random_tree(rng, int(rng.integers(3, 6)), int(rng.integers(1, 4)))
+    return PlanarAssembly(Multilink.model_validate({**body, **changed}), Fluid(density_kg_m3=1000.0))
+
+
+def sea_lion() -> SpatialAssembly:
+    robot = robot_format.read("sealion")
+    assert robot.multibody is not None
+    return SpatialAssembly(robot.multibody, robot.fluid)
+
+
+def hinged(**changed: Any) -> SpatialAssembly:
+    """A weight with two yielding fins, and every kind of element."""
+    inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
+    fins = [
+        {
+            "kind": "foil", "link": f"fin{k}", "area_m2": 0.01, "lift_coefficient": 1.2, "drag_coefficient_0": 0.1,
+            "drag_coefficient_1": 0.9, "at_m": [-0.05, 0.02, 0.0],
+        }
+        for k in range(2)
+    ]  # fmt: skip
+    body = {
+        "links": [
+            {"name": n, "mass_kg": m, "com_m": c, "inertia_kg_m2": [m * i for i in inertia]}
+            for n, m, c in (("body", 2.0, [0.0, 0.0, -0.01]), ("fin0", 0.3, [-0.04, 0.0, 0.0]), ("fin1", 0.2, [-0.03, 0.0, 0.01]))
+        ],
+        "joints": [
+            {
+                "name": f"hinge{k}", "parent": "body", "child": f"fin{k}", "at_m": [-0.1, 0.1 * (-1) ** k, 0.0],
+                "axis": [0.1, 1.0, 0.2 * k], "passive": {"stiffness_N_m_rad": 0.5, "damping_N_m_s_rad": 0.01},
+            }
+            for k in range(2)
+        ],
+        "elements": [
+            {"kind": "hydrostatics", "link": "body", "volume_m3": 0.0021},
+            {"kind": "added-mass", "link": "body", "mass_kg": [0.2, 0.9, 1.1], "inertia_kg_m2": [0.01, 0.02, 0.02]},
+            {"kind": "damping", "link": "body", "quadratic_N_m_s2_rad2": [0.01, 0.02, 0.03]},
+            *fins,
+        ],
+        **changed,
+    }  # fmt: skip
+    return SpatialAssembly(Multibody.model_validate(body), Fluid(density_kg_m3=1000.0))
+
+
+CASES: dict[str, tuple[type[LinkedModel], Any]] = {
+    **{f"planar tree {seed}": (MultilinkModel, lambda seed=seed: planar_tree(seed)) for seed in range(4)},
+    "planar tree, held": (MultilinkModel, lambda: planar_tree(7, base="fixed")),
+    "sea lion": (MultibodyModel, sea_lion),
+    "weight with fins": (MultibodyModel, lambda: hinged()),
+    "weight with fins, held": (MultibodyModel, lambda: hinged(base="fixed")),
+}
+
+
+def spread(form: type[LinkedModel], tree: Any, kernel: Kernel, rng: np.random.Generator) -> list[tuple[Any, ...]]:
+    """Runs that differ in start, step, length, drive and coefficients."""
+    given = np.array([c.value for c in tree.body.coefficients.values()])
+    runs = []
+    for k in range(11):
+        start = np.zeros(kernel.size)
+        start[-3:] = rng.normal(0.0, 0.2, 3)
+        if form is MultibodyModel:
+            start[3:7] = 1.0, 0.1 * k, 0.0, 0.02
+            start[3:7] /= np.linalg.norm(start[3:7])
+        step, steps = 0.002 + 0.0005 * (k % 3), 20 + 3 * k
+        values = given * rng.uniform(0.9, 1.1, len(given))
+        runs.append((start, step, drive_of(rng, len(tree.driven), steps, step), tree.tables(values)))
+    return runs
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_module_of_lanes_as_plain_python(name: str, rng: np.random.Generator) -> None:
+    """Its text, not compiled, moves every robot as the scalar engine does."""
+    form, make = CASES[name]
+    tree = make()
+    kernel = Kernel(form.engine, tree.tables, len(tree.body.coefficients))
+    kernel._module = lanes_forms.uncompiled(kernel)
+    runs = spread(form, tree, kernel, rng)[:3]
+    runs = [(start, step, drive[:9], tables) for start, step, drive, tables in runs]
+    compare(form, kernel, runs)
+
+
+def compare(form: type[LinkedModel], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
+    starts, steps, drives_, tables = (list(column) for column in zip(*runs, strict=True))
+    assert all(kernel.fits(t) for t in tables)
+    for run, (states, rates) in zip(runs, kernel.run(starts, steps, drives_, tables), strict=True):
+        expected, slopes = scalar(form, *run)
+        assert states.shape == expected.shape
+        np.testing.assert_array_equal(np.isnan(states), np.isnan(expected))
+        # rounding grows along a run, as fast as the motion itself is sensitive
+        size = np.nanmax(np.abs(expected), axis=0) + 1e-3
+        assert np.nanmax(np.abs(states - expected) / size) < 1e-10
+        assert np.nanmax(np.abs(rates - slopes) / (np.nanmax(np.abs(slopes), axis=0) + 1e-3)) < 1e-9
+
+
+@pytest.fixture(scope="module")
+def fish() -> LinkedModel:
+    """The tendon fish, its kernel compiled."""
+    model = MultilinkModel(robot_format.read("tfish"))
+    model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+    model.kernel.compiled()
+    model.side_by_side = True
+    return model
+
+
+@pytest.mark.kernels
+def test_unlike_runs_side_by_side(fish: MultilinkModel, rng: np.random.Generator) -> None:
+    """Eleven runs, of unlike length, step, start, drive and coefficients, in two batches."""
+    assert fish.kernel is not None
+    compare(MultilinkModel, fish.kernel, spread(MultilinkModel, fish.tree, fish.kernel, rng))
+
+
+@pytest.mark.kernels
+def test_a_run_that_breaks_down_leaves_the_others_alone(fish: MultilinkModel, rng: np.random.Generator) -> None:
+    assert fish.kernel is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:5]
+    start, step, drive, tables = runs[2]
+    runs[2] = (start, step, drive, {**tables, "drag": -2e3 * tables["drag"] - 1e3 * (tables["drag"] != 0)})
+    broken = scalar(MultilinkModel, *runs[2])[0]
+    assert np.isnan(broken).any() and not np.isnan(broken[0]).any()
+    compare(MultilinkModel, fish.kernel, runs)
+
+
+@pytest.mark.slow
+@pytest.mark.kernels
+def test_a_robot_in_space_side_by_side(rng: np.random.Generator) -> None:
+    tree = sea_lion()
+    kernel = Kernel(MultibodyModel.engine, tree.tables, len(tree.body.coefficients))
+    compare(MultibodyModel, kernel, spread(MultibodyModel, tree, kernel, rng))
+
+
+def trials(count: int = 3) -> list[Trial]:
+    swims = [SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
+    return [Trial(f"run{k}", "fit", np.arange(0.0, 2.0 + 0.3 * k, 0.02), {}, swim=s) for k, s in enumerate(swims)]
+
+
+def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
+    """Repeats, trials and values mixed; with effects of every stage acting, a force from outside among them."""
+    plain = MultilinkModel(robot_format.read("tfish"))
+    names = {e.name: e for e in effect_catalogue.catalogue()}
+    own = trials()
+    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    for chosen in ((), ("tether",), ("servo-lag", "marker-offset"), ("linear-drag",), ("current",), ("added-mass",)):
+        effects = [names[n] for n in chosen]
+        one, many = Affected(plain, effects, own), Affected(fish, effects, own)
+        scale = np.concatenate([[p.scale for p in parameters] for parameters in one.own] or [[]])
+        null = np.concatenate([[p.start for p in parameters] for parameters in one.own] or [[]])
+        upper = np.concatenate([[p.upper for p in parameters] for parameters in one.own] or [[]])
+        acting = np.minimum(null + 0.3 * scale, upper)
+        runs = [(np.r_[start * (1 + 0.01 * k), acting if k % 2 else null], own[k % 3]) for k in range(8)]
+        runs += runs[:2]
+        for (values, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
+            for channel, series in one.simulate(values, trial).items():
+                np.testing.assert_allclose(simulated[channel], series, rtol=0, atol=1e-9, err_msg=f"{chosen}")
+
+
+def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
+    """So that a simulation does not depend on what it is asked together with."""
+    own = trials()
+    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(5)]
+    together = fish.simulate_many(runs)
+    for values, trial in runs:
+        fish._kept.clear()
+        alone = fish.simulate(values, trial)
+        expected = together.pop(0)
+        for channel, series in alone.items():
+            np.testing.assert_array_equal(series, expected[channel])
+
+
+def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
+    class Failing(MultilinkModel):
+        def _table(self, values: Any, trial: Any, *others: Any) -> Any:
+            if trial.id == "run1":
+                raise FloatingPointError("no drive")
+            return super()._table(values, trial, *others)
+
+    for side_by_side in (False, True):
+        model = Failing(robot_format.read("tfish"))
+        model.kernel, model.side_by_side = fish.kernel, side_by_side
+        start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+        seen = model.simulate_many([(start, t) for t in trials()])
+        assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
+
+
+def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
+    """The derivatives of a fit with shared coefficients are those of the scalar engine."""
+    plain = MultilinkModel(robot_format.read("tfish"))
+    groups = {"c_f": ("c_f0", "c_f4")}
+    rng = np.random.default_rng(2)
+    measured = [replace(t, measured={"x_m": rng.normal(size=len(t.time_s))}) for t in trials()]
+    slopes = []
+    for model in (plain, fish):
+        tied = Tied(model, groups)
+        problem = Problem(tied, tied.parameters, measured, jobs=2)
+        problem._typical_s = 1.0
+        slopes.append(problem.jacobian(problem.start))
+        problem.close()
+    # trajectories agree to 1e-14; forward differences divide by a step of 1e-6 of each number
+    sizes = np.maximum(np.abs(problem.start), problem.scale)
+    assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8
+
+
+def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -> None:
+    assert fish.kernel is not None
+    start = np.array([fish.stated()[name] for name in fish.coefficients])
+    tables = fish.tree.tables(start)
+    assert fish.kernel.fits(tables)
+    nought = np.argwhere((tables["drag"] == 0.0) & ~fish.kernel._taken["drag"])[0]
+    filled = tables["drag"].copy()
+    filled[tuple(nought)] = 0.1
+    assert not fish.kernel.fits({**tables, "drag": filled})
+    assert not fish.kernel.fits({**tables, "drag": tables["drag"][:-1]})
+    assert not fish.kernel.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
+
+
+def test_sine_and_cosine_of_symbols() -> None:
+    """To the last digit or one beside it, up to a thousand turns."""
+    tracer = symbols.Tracer()
+    results = symbols._sine_and_cosine(tracer.symbol("state", 0))
+    rng = np.random.default_rng(1)
+    for angle in [0.0, math.pi / 4, -math.pi / 4, math.pi, *rng.uniform(-6000, 6000, 300), *rng.normal(size=300)]:
+        known: dict[int, float] = {}
+        for x in tracer.operations:
+            of = [known[a.number] if isinstance(a, symbols.Symbol) else a for a in x.of]
+            known[x.number] = float(angle) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
+        sine, cosine = (known[r.number] for r in results)
+        assert sine == pytest.approx(math.sin(angle), abs=3e-16)
+        assert cosine == pytest.approx(math.cos(angle), abs=3e-16)
+
+
+def test_a_question_of_a_value_cannot_be_traced() -> None:
+    state = symbols.Tracer().symbol("state", 0)
+    with pytest.raises(TypeError, match="positive"):
+        _ = 1.0 if state > 0.0 else 2.0
+    with pytest.raises(TypeError, match="positive"):
+        bool(state)
+
+
+def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short work stays on the scalar engine; long work compiles at once; between them the next command has it."""
+    kernel = fish.kernel
+    assert kernel is not None
+    asked: list[str] = []
+    monkeypatch.setattr(kernels, "later", lambda text: asked.append("later"))
+    monkeypatch.setattr(kernel, "compiled", lambda: asked.append("now"))
+    per_s = 1.0 / (kernels.OPERATION_S * len(kernel.traced().operations))
+    for mode, there, seconds, runs_together, did in (
+        ("never", True, 1e4, False, []),
+        ("always", False, 0.0, True, ["now"]),
+        ("auto", True, 0.1, False, []),
+        ("auto", True, 2.0, True, ["now"]),
+        ("auto", False, 2.0, False, ["later"]),
+        ("auto", False, 60.0, True, ["now"]),
+    ):
+        asked.clear()
+        monkeypatch.setenv("SWIMID_LANES", mode)
+        monkeypatch.setattr(kernels, "on_disk", lambda text, there=there: there)
+        assert kernel.worth(seconds * per_s) is runs_together
+        assert asked == did
+
+
+def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process of its own compiles it; then it is on disk, and is not compiled again."""
+    monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
+    text = "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
+    assert not kernels.on_disk(text)
+    module = kernels.imported(text)
+    kernels.compile_file(module.__file__)
+    assert kernels.on_disk(text)
+    assert not list(tmp_path.glob("*.compiling"))
+    assert module.integrate(2.0) == 4.0
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor")
+def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on single ones."""
+    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
+    link = {"length_m": 0.2, "mass_kg": 1.0, "com_m": 0.08, "inertia_kg_m2": 0.02, "inertia_about": "com"}
+    body = {
+        "plane": "horizontal",
+        "links": [{"name": "head", **link}, {"name": "tail", **link}],
+        "joints": [{"name": "j", "parent": "head", "child": "tail", "passive": {"stiffness_N_m_rad": 1.0}}],
+        "elements": [{"kind": "drag", "link": "tail", "normal_area_m2": 0.01, "normal_coefficient": 1.0}],
+    }
+    tree = PlanarAssembly(Multilink.model_validate(body), Fluid(density_kg_m3=1000.0))
+    kernel = Kernel(MultilinkModel.engine, tree.tables, 0)
+    names: dict[str, Any] = {}
+    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
+    names["integrate"].compile(names["SIGNATURE"])
+    assembly = next(iter(names["integrate"].inspect_asm().values()))
+    packed = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?pd\b", assembly))
+    single = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?sd\b", assembly))
+    assert packed > 10 * max(single, 1)
