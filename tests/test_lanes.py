@@ -115,7 +115,9 @@ CASES: dict[str, tuple[type[LinkedModel], Any]] = {
 }
 
 
-def spread(form: type[LinkedModel], tree: Any, kernel: Kernel, rng: np.random.Generator) -> list[tuple[Any, ...]]:
+def spread(
+    form: type[LinkedModel], tree: Any, kernel: Kernel, rng: np.random.Generator
+) -> list[tuple[Any, ...]]:
     """Runs that differ in start, step, length, drive and coefficients."""
     given = np.array([c.value for c in tree.body.coefficients.values()])
     runs = []
@@ -174,7 +176,9 @@ def test_unlike_runs_side_by_side(fish: MultilinkModel, rng: np.random.Generator
 
 
 @pytest.mark.kernels
-def test_a_run_that_breaks_down_leaves_the_others_alone(fish: MultilinkModel, rng: np.random.Generator) -> None:
+def test_a_run_that_breaks_down_leaves_the_others_alone(
+    fish: MultilinkModel, rng: np.random.Generator
+) -> None:
     assert fish.kernel is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:5]
     start, step, drive, tables = runs[2]
@@ -194,7 +198,9 @@ def test_a_robot_in_space_side_by_side(rng: np.random.Generator) -> None:
 
 def trials(count: int = 3) -> list[Trial]:
     swims = [SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k)) for k in range(count)]
-    return [Trial(f"run{k}", "fit", np.arange(0.0, 2.0 + 0.3 * k, 0.02), {}, swim=s) for k, s in enumerate(swims)]
+    return [
+        Trial(f"run{k}", "fit", np.arange(0.0, 2.0 + 0.3 * k, 0.02), {}, swim=s) for k, s in enumerate(swims)
+    ]
 
 
 def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
@@ -203,7 +209,14 @@ def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
     names = {e.name: e for e in effect_catalogue.catalogue()}
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
-    for chosen in ((), ("tether",), ("servo-lag", "marker-offset"), ("linear-drag",), ("current",), ("added-mass",)):
+    for chosen in (
+        (),
+        ("tether",),
+        ("servo-lag", "marker-offset"),
+        ("linear-drag",),
+        ("current",),
+        ("added-mass",),
+    ):
         effects = [names[n] for n in chosen]
         one, many = Affected(plain, effects, own), Affected(fish, effects, own)
         scale = np.concatenate([[p.scale for p in parameters] for parameters in one.own] or [[]])
@@ -264,6 +277,32 @@ def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
     assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8
 
 
+def test_memory_is_used_again_once_nobody_holds_its_results(
+    fish: MultilinkModel, rng: np.random.Generator
+) -> None:
+    assert fish.kernel is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:4]
+    arguments = [list(column) for column in zip(*runs, strict=True)]
+    first = fish.kernel.run(*arguments)
+    kept = [states.copy() for states, _ in first]
+    second = fish.kernel.run(*arguments)
+    assert not np.shares_memory(first[0][0], second[0][0])
+    for (states, _), before in zip(first, kept, strict=True):
+        np.testing.assert_array_equal(states, before)
+    place = second[0][0].ctypes.data
+    del second, states
+    assert fish.kernel.run(*arguments)[0][0].ctypes.data == place
+
+
+def test_effects_that_are_alike_share_their_runs() -> None:
+    """A trajectory is kept by what acts, not by which object stands for it."""
+    names = {e.name: e for e in effect_catalogue.catalogue()}
+    tether, other = names["tether"], type(names["tether"])()
+    assert tether is not other and tether.content() == other.content()
+    x, y = (type(names["waves"])(axis) for axis in ("x", "y"))
+    assert x.content() != y.content()
+
+
 def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -> None:
     assert fish.kernel is not None
     start = np.array([fish.stated()[name] for name in fish.coefficients])
@@ -282,7 +321,14 @@ def test_sine_and_cosine_of_symbols() -> None:
     tracer = symbols.Tracer()
     results = symbols._sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
-    for angle in [0.0, math.pi / 4, -math.pi / 4, math.pi, *rng.uniform(-6000, 6000, 300), *rng.normal(size=300)]:
+    for angle in [
+        0.0,
+        math.pi / 4,
+        -math.pi / 4,
+        math.pi,
+        *rng.uniform(-6000, 6000, 300),
+        *rng.normal(size=300),
+    ]:
         known: dict[int, float] = {}
         for x in tracer.operations:
             of = [known[a.number] if isinstance(a, symbols.Symbol) else a for a in x.of]
@@ -326,7 +372,9 @@ def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A process of its own compiles it; then it is on disk, and is not compiled again."""
     monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
-    text = "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
+    text = (
+        "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
+    )
     assert not kernels.on_disk(text)
     module = kernels.imported(text)
     kernels.compile_file(module.__file__)
@@ -335,7 +383,9 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
     assert module.integrate(2.0) == 4.0
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor")
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
+)
 def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on single ones."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)

@@ -493,7 +493,8 @@ class Bench:
             runs.append((own, trial))
         plain = base.problem.simulations(base.theta)
         return [
-            (base.problem.stacked(k, seen) - base.problem.stacked(k, plain[k])) * base.problem.sample_weights(k)
+            (base.problem.stacked(k, seen) - base.problem.stacked(k, plain[k]))
+            * base.problem.sample_weights(k)
             for k, seen in enumerate(self.affected(base.acting).simulate_many(runs))
         ]
 

@@ -201,7 +201,9 @@ def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Pat
     return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
 
 
-def _simulated_s(trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions) -> float:
+def _simulated_s(
+    trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
+) -> float:
     """How much time of the trials a fit simulates, about, s."""
     lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     runs = STEPS * (2 + sum(p.free for p in parameters)) * options.starts

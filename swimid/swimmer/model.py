@@ -267,7 +267,9 @@ class LinkedModel(Swimmer):
                     asked.append(None)
             trajectories = iter(self._trajectories([one for one in asked if one is not None]))
             return [
-                self.broken_down(trial) if one is None else self._at_samples(values, trial, hooks, next(trajectories))
+                self.broken_down(trial)
+                if one is None
+                else self._at_samples(values, trial, hooks, next(trajectories))
                 for one, (values, trial, hooks) in zip(asked, runs, strict=True)
             ]
 

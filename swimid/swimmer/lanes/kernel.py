@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.util
+import math
 import os
 import subprocess
 import sys
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 OPERATION_S, COMPILING_S = 3.5e-10, 5.5e-3
 #: Compiling pays when the scalar engine would take this many times as long.
 PAYS = 2.0
+#: Arrays of results whose memory is used again.
+ROOMS = 8
 #: Shorter work than this is not looked at twice, s.
 LEAST_S = 0.5
 
@@ -80,7 +83,8 @@ class Kernel:
         self._places = [
             (name, np.flatnonzero(taken.reshape(-1))) for name, taken in self._taken.items() if taken.any()
         ]
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
+        self._rooms: list[Array] = []
         self._traced: Traced | None = None
         self._module: ModuleType | None = None
 
@@ -124,11 +128,11 @@ class Kernel:
         for array in scratch:
             array[...] = 0.0
         rate = np.zeros(self.size, dtype=object)
-        symbols.on_symbols(self.engine.derivative)(
-            state, row, *arguments, *self.engine.extra, *scratch, rate
-        )
+        symbols.on_symbols(self.engine.derivative)(state, row, *arguments, *self.engine.extra, *scratch, rate)
         after = symbols.Tracer()
-        settled = symbols.array(after, "state", (self.size,)) if self.engine.settled else np.empty(0, dtype=object)
+        settled = (
+            symbols.array(after, "state", (self.size,)) if self.engine.settled else np.empty(0, dtype=object)
+        )
         if self.engine.settled:
             symbols.on_symbols(self.engine.settled)(settled)
         used = _used(tracer.operations, rate)
@@ -167,7 +171,11 @@ class Kernel:
             return self._module
 
     def run(
-        self, starts: Sequence[Array], steps_s: Sequence[float], drives: Sequence[Array], tables: Sequence[Mapping[str, Any]]
+        self,
+        starts: Sequence[Array],
+        steps_s: Sequence[float],
+        drives: Sequence[Array],
+        tables: Sequence[Mapping[str, Any]],
     ) -> list[tuple[Array, Array]]:
         """States and rates of each run, as ``engine.integrate`` gives them.
 
@@ -204,12 +212,12 @@ class Kernel:
         steps = [(len(drives[k]) - 1) // 2 for k in batch]
         start = np.stack([starts[k] for k in lanes], axis=-1)
         parameters = np.stack([self.numbers(tables[k]) for k in lanes], axis=-1)
-        states = np.empty((LANES, max(steps) + 1, self.size))
-        rates = np.empty_like(states)
+        states, rates = self._room((2, len(batch), max(steps) + 1, self.size))
         module.integrate(
             start.reshape(-1),
             np.array([steps_s[k] for k in lanes], dtype=float),
             *(np.ascontiguousarray(drives[k]).reshape(len(drives[k]), -1) for k in lanes),
+            all(drives[k] is drives[batch[0]] for k in batch),
             max(steps),
             parameters.reshape(-1),
             states,
@@ -217,6 +225,19 @@ class Kernel:
             np.empty(source.length(traced)),
         )
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
+
+    def _room(self, shape: tuple[int, ...]) -> Array:
+        """An array to write into, of memory no result of an earlier batch lives in any more.
+
+        Fresh memory costs half as much again as the run: every page of it is a fault.
+        """
+        need = math.prod(shape)
+        with self._lock:
+            counts = _references(self._rooms)
+            idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._rooms[k]) >= need]
+            if not idle:
+                self._rooms = [np.empty(need), *self._rooms[: ROOMS - 1]]
+            return self._rooms[idle[0] if idle else 0][:need].reshape(shape)
 
     def numbers(self, tables: Mapping[str, Any]) -> Array:
         """What of a run's tables the kernel takes as numbers, shape (parameters,)."""

@@ -57,7 +57,8 @@ SIGNATURE = "{signature}"
 
 
 @numba.njit(nogil=True, error_model="numpy", fastmath={{"contract", "nsz"}}, boundscheck=False, cache=True)
-def integrate(start, step, {tables}, steps, parameters, states, rates, w):
+def integrate(start, step, {tables}, shared, steps, parameters, states, rates, w):
+    count = states.shape[0]
     for q in range({numbers}):
         w[{parameter} + q] = parameters[q]
     for q in range({states}):
@@ -66,20 +67,24 @@ def integrate(start, step, {tables}, steps, parameters, states, rates, w):
         w[{stage} + q] = start[q]
     for lane in range({lanes}):
         w[{step} + lane] = step[lane]
-    for count in range(4 * steps + 1):
-        part = count & 3
-        whole = count >> 2
+    for evaluation in range(4 * steps + 1):
+        part = evaluation & 3
+        whole = evaluation >> 2
         half = 1.0 if part == 2 else 0.5
         share = 1.0 / 3.0 if part == 1 or part == 2 else 1.0 / 6.0
-        if part == 1 or part == 3 or count == 0:
-            n = (count + 1) >> 1
+        if part == 1 or part == 3 or evaluation == 0:
+            n = (evaluation + 1) >> 1
+            if shared:
+                n0 = min(n, table0.shape[0] - 1)
+{shared}
+            else:
 {rows}
         for lane in range({lanes}):
 {rates}
         if part == 0:
             for lane in range({lanes}):
 {check}
-            for lane in range({lanes}):
+            for lane in range(count):
                 for q in range({size}):
                     states[lane, whole, q] = w[{here} + {lanes} * q + lane]
                     rates[lane, whole, q] = w[{rate} + {lanes} * q + lane]
@@ -97,11 +102,12 @@ def length(traced: Traced) -> int:
 
 
 def text(traced: Traced) -> str:
-    """The module: ``integrate(start, step, table0, ..., steps, parameters, states, rates, work)``.
+    """The module: ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``.
 
     ``start``, ``step`` and ``parameters`` have the lane as last axis, flat; ``table0`` and so on are the drives' tables,
-    shape (2 steps + 1 or fewer, width), whose last row stands for what is behind it; ``states`` and ``rates``
-    have shape (lanes, steps + 1, size); NaN from where a run breaks down.
+    shape (2 steps + 1 or fewer, width), whose last row stands for what is behind it, and where they are ``shared``
+    the first is read for all; ``states`` and ``rates`` have shape (runs, steps + 1, size), for as many of the lanes as
+    are filled; NaN from where a run breaks down.
     """
     size = traced.size
     here, total, stage, rate = (LANES * size * k for k in range(4))
@@ -130,11 +136,20 @@ def text(traced: Traced) -> str:
     used = sorted(x.of[0] for x in traced.operations if x.kind == "row")
     rows = []
     for lane in range(LANES):
-        rows.append(f"            n{lane} = min(n, table{lane}.shape[0] - 1)")
-        rows += [f"            w[{row + LANES * q + lane}] = table{lane}[n{lane}, {q}]" for q in used]
+        rows.append(f"n{lane} = min(n, table{lane}.shape[0] - 1)")
+        rows += [f"w[{row + LANES * q + lane}] = table{lane}[n{lane}, {q}]" for q in used]
+    alike: list[str] = []
+    for q in used:
+        alike += [f"number = table0[n0, {q}]", f"for lane in range({LANES}):", f"    {at(row, q)} = number"]
     return _MODULE.format(
         lanes=LANES,
-        signature="void(" + ", ".join(["f8[::1]"] * 2 + ["f8[:, ::1]"] * LANES + ["i8", "f8[::1]", "f8[:, :, ::1]", "f8[:, :, ::1]", "f8[::1]"]) + ")",
+        signature="void("
+        + ", ".join(
+            ["f8[::1]"] * 2
+            + ["f8[:, ::1]"] * LANES
+            + ["b1", "i8", "f8[::1]", "f8[:, :, ::1]", "f8[:, :, ::1]", "f8[::1]"]
+        )
+        + ")",
         tables=", ".join(f"table{lane}" for lane in range(LANES)),
         numbers=LANES * traced.parameters,
         states=LANES * size,
@@ -145,7 +160,8 @@ def text(traced: Traced) -> str:
         stage=stage,
         rate=rate,
         step=step,
-        rows="\n".join(rows) or "            pass",
+        rows=_indented(rows, 16),
+        shared=_indented(alike or ["pass"], 16),
         rates=_indented(lines, 12),
         check=_indented(check, 16),
         settled=f"            for lane in range({LANES}):\n" + _indented(ends, 16) if ends else "",

@@ -1,0 +1,176 @@
+"""Runs of one robot side by side against the scalar engine, alone and in the commands that run many.
+
+::
+
+    python -m benchmarks.bench_lanes [--only engine compile commands]
+
+Engine: CPU seconds of 20 s at 5 ms a step, the smallest of several taken in turn, kernels compiled before; one run
+alone and eight unlike ones (own coefficients, own start) at once, the coefficients' tables and the packing included.
+``benchmarks/bench_multilink.py`` and ``bench_sealion.py`` set the scalar engine beside MuJoCo and SciPy.
+
+Compile: the first start with nothing on disk and the next one, each in a process of its own.
+
+Commands: CPU seconds of each command in a process of its own, with ``SWIMID_LANES=never`` and with the kernel on
+disk, in turn; trials of 20 s by the independent simulator of the tests.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench_diagnose import settings
+from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.hooks import NONE
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Trial
+from swimid.robots import file as robot
+from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+from tests.blind import swim_actuation
+from tests.generators import gap_trials
+
+DURATION_S, REPEATS, LANES = 20.0, 7, 8
+SEED = 1
+
+
+def best(*functions: Callable[[], Any]) -> list[float]:
+    """Smallest CPU time of each, s, run in turn."""
+    least = [math.inf] * len(functions)
+    for _ in range(REPEATS):
+        for k, function in enumerate(functions):
+            begin = time.process_time()
+            function()
+            least[k] = min(least[k], time.process_time() - begin)
+    return least
+
+
+def model_of(name: str) -> tuple[LinkedModel, Trial]:
+    """A built-in robot and a swim of it."""
+    known = robot.read(name)
+    clock = np.arange(0.0, DURATION_S + 1e-9, 0.02)
+    if known.multibody is None:
+        swim = SwimInput(Beat("sine", 1.4, math.radians(30.0)))
+        return MultilinkModel(known), Trial(name, "fit", clock, {}, swim=swim)
+    stroke = next(iter(known.multibody.strokes.values()))
+    return MultibodyModel(known), Trial(
+        name, "fit", clock, {}, swim=SwimInput(stroke=Cycle("stroke", stroke, 1.0 / stroke.period_s))
+    )
+
+
+def bench_engine() -> None:
+    """One run and eight, scalar and in lanes."""
+    print(
+        f"{DURATION_S:g} s at 5 ms a step, ms CPU a run{'scalar':>12}{'one run':>10}{'ratio':>7}{'of eight':>10}{'ratio':>7}"
+    )
+    for name in ("tfish", "dolphin", "sealion"):
+        model, trial = model_of(name)
+        given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+        runs = [model._asked(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
+        kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+        kernel.compiled()
+        model._integrate(runs[0])
+
+        def together(count: int, kernel: Kernel = kernel, runs: Sequence[Any] = runs) -> Any:
+            some = runs[:count]
+            return kernel.run(
+                [r.start for r in some],
+                [r.step_s for r in some],
+                [r.drive for r in some],
+                [r.tables for r in some],
+            )
+
+        scalar, one, eight = best(
+            lambda: model._integrate(runs[0]), lambda: together(1), lambda: together(LANES)
+        )
+        print(
+            f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"
+            f"{1e3 * eight / LANES:>10.2f}{LANES * scalar / eight:>7.1f}"
+        )
+
+
+def child(words: Sequence[str], folder: Path, **environment: str) -> tuple[float, float]:
+    """Wall and CPU seconds of a process."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(
+        words, cwd=folder, check=True, env={**os.environ, **environment}, stdout=subprocess.DEVNULL
+    )
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def bench_compile() -> None:
+    """Cold and warm start of a kernel."""
+    print("a kernel's start, s CPU             cold    warm")
+    for name in ("tfish", "dolphin", "sealion"):
+        with tempfile.TemporaryDirectory() as cache:
+            code = (
+                f"from benchmarks.bench_lanes import model_of, Kernel\nm, t = model_of({name!r})\n"
+                "{}Kernel(m.engine, m.tree.tables, len(m.coefficients)).compiled()"
+            )
+            alone = child([sys.executable, "-c", code.format("0 and ")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1]
+            cold, warm = (
+                child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
+                for _ in range(2)
+            )
+        print(f"  {name:<32}{cold:>6.1f}{warm:>8.2f}")
+
+
+def bench_commands(count: int = 6) -> None:
+    """Whole commands on six trials of 20 s, and a fit of one."""
+    rng = np.random.default_rng(SEED)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        play = swim_actuation.servo_backlash(rng, 2.0, "tfish")
+        gap_trials.write(folder, "tfish", [play], settings=settings(count), duration_s=DURATION_S, seed=SEED)
+        (folder / "one").mkdir()
+        gap_trials.write(
+            folder / "one", "tfish", [play], settings=settings(1), duration_s=DURATION_S, seed=SEED
+        )
+        start = [sys.executable, "-m", "swimid"]
+        commands = {
+            "fit-graybox, one trial": ["fit-graybox", "one/trials.yaml", "-o", "one.yaml", "-q", "--force"],
+            "fit-graybox": ["fit-graybox", "trials.yaml", "-o", "fit.yaml", "-q", "--force"],
+            "fit-graybox --method nsga2, 10 generations": [
+                "fit-graybox", "trials.yaml", "--method", "nsga2", "--generations", "10", "-q",
+            ],
+            "sensitivity, Sobol, 64 rows": [
+                "sensitivity", "trials.yaml", "--params", "params.yaml", "--samples", "64", "-q",
+            ],
+            "diagnose": ["diagnose", "trials.yaml", "--params", "params.yaml", "-o", "gap.yaml", "-q"],
+        }  # fmt: skip
+        print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
+        for what, words in commands.items():
+            command = [*start, *words]
+            child([*start, *commands["fit-graybox, one trial"]], folder, SWIMID_LANES="always")
+            scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", "always"))
+            print(
+                f"  {what:<44}{scalar[1]:>8.1f} ({scalar[0]:.1f}){lanes[1]:>9.1f} ({lanes[0]:.1f})"
+                f"{scalar[1] / lanes[1]:>8.2f}",
+                flush=True,
+            )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=("engine", "compile", "commands"))
+    only = parser.parse_args().only or ("engine", "compile", "commands")
+    for part in only:
+        {"engine": bench_engine, "compile": bench_compile, "commands": bench_commands}[part]()
+
+
+if __name__ == "__main__":
+    main()
