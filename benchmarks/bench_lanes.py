@@ -4,14 +4,14 @@
 
     python -m benchmarks.bench_lanes [--only engine compile commands]
 
-Engine: CPU seconds of 20 s at 5 ms a step, the smallest of several taken in turn, kernels compiled before; one run
-alone and eight unlike ones (own coefficients, own start) at once, the coefficients' tables and the packing included.
+Engine: CPU seconds of 20 s at 5 ms a step, the smallest of several taken in turn, kernels compiled before;
+one run alone and eight at once, each with its own coefficients, packing included.
 ``benchmarks/bench_multilink.py`` and ``bench_sealion.py`` set the scalar engine beside MuJoCo and SciPy.
 
 Compile: the first start with nothing on disk and the next one, each in a process of its own.
 
-Commands: CPU seconds of each command in a process of its own, with ``SWIMID_LANES=never`` and with the kernel on
-disk, in turn; trials of 20 s by the independent simulator of the tests.
+Commands: CPU seconds of each command in a process of its own, with ``SWIMID_LANES=never`` and with the kernel
+on disk, in turn; trials of 20 s by the independent simulator of the tests.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,10 +72,18 @@ def model_of(name: str) -> tuple[LinkedModel, Trial]:
     )
 
 
+def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
+    """Runs at once."""
+    return kernel.run(
+        [r.start for r in runs], [r.step_s for r in runs], [r.drive for r in runs], [r.tables for r in runs]
+    )
+
+
 def bench_engine() -> None:
     """One run and eight, scalar and in lanes."""
     print(
-        f"{DURATION_S:g} s at 5 ms a step, ms CPU a run{'scalar':>12}{'one run':>10}{'ratio':>7}{'of eight':>10}{'ratio':>7}"
+        f"{DURATION_S:g} s at 5 ms a step, ms CPU a run{'scalar':>12}{'one run':>10}{'ratio':>7}"
+        f"{'of eight':>10}{'ratio':>7}"
     )
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
@@ -84,17 +93,9 @@ def bench_engine() -> None:
         kernel.compiled()
         model._integrate(runs[0])
 
-        def together(count: int, kernel: Kernel = kernel, runs: Sequence[Any] = runs) -> Any:
-            some = runs[:count]
-            return kernel.run(
-                [r.start for r in some],
-                [r.step_s for r in some],
-                [r.drive for r in some],
-                [r.tables for r in some],
-            )
-
         scalar, one, eight = best(
-            lambda: model._integrate(runs[0]), lambda: together(1), lambda: together(LANES)
+            partial(model._integrate, runs[0]),
+            *(partial(together, kernel, runs[:count]) for count in (1, LANES)),
         )
         print(
             f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"

@@ -1,4 +1,4 @@
-"""The engines' other forms beside the scalar one: the traced operations, and the module of lanes as plain Python."""
+"""The engines' other forms: the traced operations, and the module of lanes as plain Python."""
 
 from __future__ import annotations
 

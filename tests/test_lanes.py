@@ -1,4 +1,4 @@
-"""Runs side by side against the scalar engines: every element, fixed bases, unlike lengths, break-downs, hooks."""
+"""Runs side by side against the scalar engines: every element, held bases, unlike lengths, hooks."""
 
 from __future__ import annotations
 
@@ -78,26 +78,29 @@ def hinged(**changed: Any) -> SpatialAssembly:
     inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
     fins = [
         {
-            "kind": "foil", "link": f"fin{k}", "area_m2": 0.01, "lift_coefficient": 1.2, "drag_coefficient_0": 0.1,
-            "drag_coefficient_1": 0.9, "at_m": [-0.05, 0.02, 0.0],
+            "kind": "foil", "link": f"fin{k}", "area_m2": 0.01, "lift_coefficient": 1.2,
+            "drag_coefficient_0": 0.1, "drag_coefficient_1": 0.9, "at_m": [-0.05, 0.02, 0.0],
         }
         for k in range(2)
     ]  # fmt: skip
     body = {
         "links": [
             {"name": n, "mass_kg": m, "com_m": c, "inertia_kg_m2": [m * i for i in inertia]}
-            for n, m, c in (("body", 2.0, [0.0, 0.0, -0.01]), ("fin0", 0.3, [-0.04, 0.0, 0.0]), ("fin1", 0.2, [-0.03, 0.0, 0.01]))
+            for n, m, c in (("body", 2.0, [0.0, 0.0, -0.01]), ("fin0", 0.3, [-0.04, 0.0, 0.0]),
+                            ("fin1", 0.2, [-0.03, 0.0, 0.01]))
         ],
         "joints": [
             {
-                "name": f"hinge{k}", "parent": "body", "child": f"fin{k}", "at_m": [-0.1, 0.1 * (-1) ** k, 0.0],
-                "axis": [0.1, 1.0, 0.2 * k], "passive": {"stiffness_N_m_rad": 0.5, "damping_N_m_s_rad": 0.01},
+                "name": f"hinge{k}", "parent": "body", "child": f"fin{k}",
+                "at_m": [-0.1, 0.1 * (-1) ** k, 0.0], "axis": [0.1, 1.0, 0.2 * k],
+                "passive": {"stiffness_N_m_rad": 0.5, "damping_N_m_s_rad": 0.01},
             }
             for k in range(2)
         ],
         "elements": [
             {"kind": "hydrostatics", "link": "body", "volume_m3": 0.0021},
-            {"kind": "added-mass", "link": "body", "mass_kg": [0.2, 0.9, 1.1], "inertia_kg_m2": [0.01, 0.02, 0.02]},
+            {"kind": "added-mass", "link": "body", "mass_kg": [0.2, 0.9, 1.1],
+             "inertia_kg_m2": [0.01, 0.02, 0.02]},
             {"kind": "damping", "link": "body", "quadratic_N_m_s2_rad2": [0.01, 0.02, 0.03]},
             *fins,
         ],
@@ -184,7 +187,8 @@ def test_a_run_that_breaks_down_leaves_the_others_alone(
     start, step, drive, tables = runs[2]
     runs[2] = (start, step, drive, {**tables, "drag": -2e3 * tables["drag"] - 1e3 * (tables["drag"] != 0)})
     broken = scalar(MultilinkModel, *runs[2])[0]
-    assert np.isnan(broken).any() and not np.isnan(broken[0]).any()
+    assert np.isnan(broken).any()
+    assert not np.isnan(broken[0]).any()
     compare(MultilinkModel, fish.kernel, runs)
 
 
@@ -204,7 +208,7 @@ def trials(count: int = 3) -> list[Trial]:
 
 
 def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
-    """Repeats, trials and values mixed; with effects of every stage acting, a force from outside among them."""
+    """Repeats, trials and values mixed; with effects of every stage acting, a force from outside, too."""
     plain = MultilinkModel(robot_format.read("tfish"))
     names = {e.name: e for e in effect_catalogue.catalogue()}
     own = trials()
@@ -298,7 +302,8 @@ def test_effects_that_are_alike_share_their_runs() -> None:
     """A trajectory is kept by what acts, not by which object stands for it."""
     names = {e.name: e for e in effect_catalogue.catalogue()}
     tether, other = names["tether"], type(names["tether"])()
-    assert tether is not other and tether.content() == other.content()
+    assert tether is not other
+    assert tether.content() == other.content()
     x, y = (type(names["waves"])(axis) for axis in ("x", "y"))
     assert x.content() != y.content()
 
@@ -347,7 +352,7 @@ def test_a_question_of_a_value_cannot_be_traced() -> None:
 
 
 def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short work stays on the scalar engine; long work compiles at once; between them the next command has it."""
+    """Short work stays on the scalar engine, long work compiles at once, else the next command has it."""
     kernel = fish.kernel
     assert kernel is not None
     asked: list[str] = []
@@ -387,7 +392,7 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
     platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
 )
 def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on single ones."""
+    """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on others."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     link = {"length_m": 0.2, "mass_kg": 1.0, "com_m": 0.08, "inertia_kg_m2": 0.02, "inertia_about": "com"}
     body = {

@@ -21,7 +21,6 @@ from swimid.robots.planar import Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
-
 from tests import lanes_forms
 
 pytestmark = pytest.mark.kernels

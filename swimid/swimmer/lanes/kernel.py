@@ -89,7 +89,7 @@ class Kernel:
         self._module: ModuleType | None = None
 
     def fits(self, tables: Mapping[str, Any]) -> bool:
-        """Whether a run's tables have this robot's structure: an effect may have filled in what is nought in it."""
+        """Whether a run's tables have this robot's structure: an effect may have filled in a zero."""
         for name, example in self._example.items():
             given, fixed = tables[name], self._fixed.get(name)
             if fixed is None:
@@ -141,23 +141,26 @@ class Kernel:
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
         """Whether to run side by side, when the equations are about to be evaluated so many times.
 
-        Where the kernel is on this machine, yes. Where it would take longer to compile than what it saves, no;
-        then it is compiled by a process of its own for the next time. The environment variable ``SWIMID_LANES``
-        says ``always`` or ``never`` instead: the two forms agree to some fourteen digits, not to the last.
+        Where the kernel is on this machine, yes. Where it would take longer to compile than what it saves,
+        no; then a process of its own compiles it for the next time. The environment variable
+        ``SWIMID_LANES`` says ``always`` or ``never`` instead: the two forms agree to some fourteen digits,
+        not to the last.
         """
         wanted = os.environ.get("SWIMID_LANES", "auto")
-        scalar_s = derivatives * OPERATION_S * len(self.traced().operations)
-        if wanted == "never" or (wanted == "auto" and scalar_s < LEAST_S):
+        if wanted == "never":
+            return False
+        operations = len(self.traced().operations)
+        scalar_s = derivatives * OPERATION_S * operations
+        if wanted == "auto" and scalar_s < LEAST_S:
             return False
         text = source.text(self.traced())
-        if wanted == "auto" and not on_disk(text):
-            if scalar_s < PAYS * COMPILING_S * len(self.traced().operations):
-                later(text)
-                return False
-        if not on_disk(text):
-            with progress("compiling the simulation for several runs at once (on first use only)"):
-                self.compiled()
-        else:
+        if on_disk(text):
+            self.compiled()
+            return True
+        if wanted == "auto" and scalar_s < PAYS * COMPILING_S * operations:
+            later(text)
+            return False
+        with progress("compiling the simulation for several runs at once (on first use only)"):
             self.compiled()
         return True
 
@@ -244,6 +247,14 @@ class Kernel:
         return np.concatenate([np.reshape(tables[name], -1)[places] for name, places in self._places])
 
 
+def _references(arrays: Sequence[Array]) -> list[int]:
+    return [sys.getrefcount(array) for array in arrays]
+
+
+#: References to an array that nothing but its list holds.
+IDLE = _references([np.empty(0)])[0]
+
+
 def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
     """Entries that are 0, 1 or -1 whatever the coefficients, NaN for the rest; of the tables of numbers."""
     draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
@@ -303,7 +314,8 @@ def imported(text: str) -> ModuleType:
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic.write_text(path, text)
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)

@@ -1,8 +1,8 @@
 """A traced engine as the text of a module: fourth-order Runge-Kutta on several runs side by side.
 
-The straight line of operations stands inside ``for lane in range(LANES)`` over one flat array of work, which the
-compiler's loop vectoriser packs whole. It does so only while no second array is written in that loop, indices are
-literal and nothing leaves it: :func:`text` writes inputs and results in loops of their own.
+The straight line of operations stands inside ``for lane in range(LANES)`` over one flat array of work,
+which the compiler's loop vectoriser packs whole. It does so only while no second array is written in that
+loop, indices are literal and nothing leaves it: :func:`text` writes inputs and results in loops of their own.
 """
 
 from __future__ import annotations
@@ -104,10 +104,10 @@ def length(traced: Traced) -> int:
 def text(traced: Traced) -> str:
     """The module: ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``.
 
-    ``start``, ``step`` and ``parameters`` have the lane as last axis, flat; ``table0`` and so on are the drives' tables,
-    shape (2 steps + 1 or fewer, width), whose last row stands for what is behind it, and where they are ``shared``
-    the first is read for all; ``states`` and ``rates`` have shape (runs, steps + 1, size), for as many of the lanes as
-    are filled; NaN from where a run breaks down.
+    ``start``, ``step`` and ``parameters`` have the lane as last axis, flat; ``table0`` and so on are the
+    drives' tables, shape (2 steps + 1 or fewer, width), whose last row stands for what is behind it, and
+    where they are ``shared`` the first is read for all; ``states`` and ``rates`` have shape
+    (runs, steps + 1, size), for as many of the lanes as are filled; NaN from where a run breaks down.
     """
     size = traced.size
     here, total, stage, rate = (LANES * size * k for k in range(4))

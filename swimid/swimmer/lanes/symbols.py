@@ -1,9 +1,9 @@
 """The equations of an engine as a list of operations: its own functions, run once on symbols.
 
-The compiled functions of an engine are plain Python underneath. Run on symbols in place of numbers they go through
-their loops over links and elements once and leave the straight line of sums and products behind: of the tables, what
-is structurally 0 or 1 is folded away. An engine written for this asks no question of a value but by
-:func:`swimid.swimmer.choice.positive`, ``max``, ``min`` and ``abs``.
+The compiled functions of an engine are plain Python underneath. Run on symbols in place of numbers they go
+through their loops over links and elements once and leave the straight line of sums and products behind: of
+the tables, what is structurally 0 or 1 is folded away. An engine written for this asks no question of a value
+but by :func:`swimid.swimmer.choice.positive`, ``max``, ``min`` and ``abs``.
 """
 
 from __future__ import annotations
