@@ -10,13 +10,14 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import llvmlite
+import llvmlite  # type: ignore[import-untyped]
 import numba
 import numpy as np
 from numba.core.codegen import get_host_cpu_features
@@ -37,6 +38,8 @@ OPERATION_S, COMPILING_S = 3.5e-10, 5.5e-3
 PAYS = 2.0
 #: Arrays of results whose memory is used again.
 ROOMS = 8
+#: A module that has been compiling for so long, s, was given up.
+GIVEN_UP_S = 600.0
 #: Shorter work than this is not looked at twice, s.
 LEAST_S = 0.5
 
@@ -344,6 +347,8 @@ def later(text: str) -> None:
 def compile_file(path: str) -> None:
     """Compile the module at a path, politely; once, however many ask for it."""
     mark = Path(path).with_suffix(".compiling")
+    if mark.exists() and time.time() - mark.stat().st_mtime > GIVEN_UP_S:
+        mark.unlink(missing_ok=True)  # of a process that was stopped
     try:
         mark.touch(exist_ok=False)
     except FileExistsError:

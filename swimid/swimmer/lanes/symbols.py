@@ -164,11 +164,11 @@ def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Of an angle up to some thousands of turns: sums, products and choices by sign, error below 2.3e-16."""
     if not isinstance(x, Symbol):
         return math.sin(x), math.cos(x)
-    quarter = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
+    quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
     rest = ((x - quarter * QUARTER[0]) - quarter * QUARTER[1]) - quarter * QUARTER[2]
     # the quadrant: 0, 1, 2 or 3
     quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
-    square = rest * rest
+    square: Any = rest * rest
     sine = rest * square * _horner(SINE, square) + rest
     cosine = square * square * _horner(COSINE, square) + (1.0 - 0.5 * square)
     odd = 0.5 - abs(abs(quadrant - 2.0) - 1.0)
