@@ -75,7 +75,10 @@ def model_of(name: str) -> tuple[LinkedModel, Trial]:
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     """Runs at once."""
     return kernel.run(
-        [r.start for r in runs], [r.step_s for r in runs], [r.drive for r in runs], [r.tables for r in runs]
+        [r.start for r in runs],
+        [r.step_s for r in runs],
+        [r.drive.table for r in runs],
+        [r.tables for r in runs],
     )
 
 

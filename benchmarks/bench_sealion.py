@@ -113,7 +113,7 @@ def bench_engine(model: MultibodyModel) -> None:
     values = np.array([p.start for p in model.parameters])
     trial = trials(model)[0]
     steps = round(DURATION_S / STEP_S)
-    table = model._table(values, trial, 0.0, STEP_S, steps, NONE)
+    table = model._drive(values, trial, 0.0, STEP_S, steps, NONE).table
     tables = model.tree.tables(values[: model._count])
     start = np.zeros(13 + 2 * len(model.passive))
     model._begin(start, values, trial, 0.0, NONE)

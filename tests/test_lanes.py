@@ -250,10 +250,10 @@ def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
 
 def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
     class Failing(MultilinkModel):
-        def _table(self, values: Any, trial: Any, *others: Any) -> Any:
+        def _drive(self, values: Any, trial: Any, *others: Any) -> Any:
             if trial.id == "run1":
                 raise FloatingPointError("no drive")
-            return super()._table(values, trial, *others)
+            return super()._drive(values, trial, *others)
 
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))

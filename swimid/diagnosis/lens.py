@@ -91,7 +91,8 @@ def _filtered(taps: Array, rows: Array) -> Array:
     if not columns.size:
         return rows
     # all of them end to end, with room between them
-    apart = np.pad(columns, ((0, 0), (0, len(taps) - 1)))
+    apart = np.zeros((len(columns), columns.shape[1] + len(taps) - 1))
+    apart[:, : columns.shape[1]] = columns
     found = np.convolve(apart.ravel(), taps)[: apart.size].reshape(apart.shape)
     return np.asarray(found[:, : columns.shape[1]].T.reshape(rows.shape))
 

@@ -51,6 +51,23 @@ class Links(Protocol):
 
 
 @dataclass(frozen=True)
+class Drive:
+    """The driven joints of a run.
+
+    Attributes
+    ----------
+    table : ndarray, shape (2 steps + 1, driven joints, 5)
+        On the half-step grid, as the engine takes it.
+    angles, rates : ndarray, shape (steps + 1, driven joints)
+        On the grid itself, for the channels.
+    """
+
+    table: Array
+    angles: Array
+    rates: Array
+
+
+@dataclass(frozen=True)
 class Trajectory:
     """A simulated run on its own grid.
 
@@ -59,15 +76,18 @@ class Trajectory:
     begin_s, step_s : float
     states, rates : ndarray, shape (steps + 1, k)
         As the engine's ``integrate`` gives them.
-    driven : ndarray, shape (steps + 1, driven joints, 3)
-        Angle, rate and acceleration.
+    drive : Drive
     """
 
     begin_s: float
     step_s: float
     states: Array
     rates: Array
-    driven: Array
+    drive: Drive
+
+
+#: Of a run that is kept.
+NO_DRIVE = Drive(np.empty((0, 0, 5)), np.empty((0, 0)), np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -82,7 +102,7 @@ class Run:
     step_s: float
     kept: Trajectory | None
     start: Array = field(default_factory=lambda: np.empty(0))
-    drive: Array = field(default_factory=lambda: np.empty(0))
+    drive: Drive = NO_DRIVE
     tables: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -127,7 +147,7 @@ class LinkedModel(Swimmer):
         self._servos = [_servo(axis) for axis in self.driven]
         self.channels = self._channels()
         self._kept: dict[str, OrderedDict[bytes, Trajectory]] = {}
-        self._tables: dict[tuple[Any, ...], Array] = {}
+        self._drives: dict[tuple[Any, ...], Drive] = {}
         self._motions: dict[tuple[Any, ...], list[Motion]] = {}
         self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
         self._lock = threading.Lock()
@@ -287,8 +307,7 @@ class LinkedModel(Swimmer):
             found[axis.column] = states[:, self.coordinates + k]
             found[_rate(axis)] = states[:, rates + k]
         if self.driven:
-            angles, speeds = (np.ascontiguousarray(run.driven[:, :, k]) for k in range(2))
-            driven, _ = sampled(time, run.begin_s, run.step_s, angles, speeds)
+            driven, _ = sampled(time, run.begin_s, run.step_s, run.drive.angles, run.drive.rates)
             for k, axis in enumerate(self.driven):
                 found[axis.column] = driven[:, k]
         return hooks.seen(found, trial.time_s) if hooks.output else found
@@ -314,7 +333,7 @@ class LinkedModel(Swimmer):
             if key in kept:
                 kept.move_to_end(key)
                 return Run(values, trial, hooks, key, begin, step, kept[key])
-        table = self._table(values, trial, begin, step, steps, hooks)
+        driven = self._drive(values, trial, begin, step, steps, hooks)
         passives = len(self.passive)
         start = np.zeros(self.coordinates + self.speeds + 2 * passives)
         self._begin(start, values, trial, begin, hooks)
@@ -327,7 +346,7 @@ class LinkedModel(Swimmer):
             # a table without coefficients is the robot's own: an effect must not write into that
             own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
             tables = hooks.changed(own, "tables")
-        return Run(values, trial, hooks, key, begin, step, None, start, table, tables)
+        return Run(values, trial, hooks, key, begin, step, None, start, driven, tables)
 
     def _trajectories(self, runs: Sequence[Run]) -> list[Trajectory]:
         """Of each run; what is asked twice is run once."""
@@ -339,7 +358,7 @@ class LinkedModel(Swimmer):
             motions = self.kernel.run(
                 [run.start for _, run in together],
                 [run.step_s for _, run in together],
-                [run.drive for _, run in together],
+                [run.drive.table for _, run in together],
                 [run.tables for _, run in together],
             )
             for (at, run), (states, rates) in zip(together, motions, strict=True):
@@ -356,7 +375,7 @@ class LinkedModel(Swimmer):
         return not run.hooks.tables or self.kernel.fits(run.tables)
 
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
-        found = Trajectory(run.begin_s, run.step_s, states, rates, run.drive[::2, :, :3])
+        found = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)
         with self._lock:
             kept = self._kept[run.trial.id]
             kept[run.key] = found
@@ -383,9 +402,9 @@ class LinkedModel(Swimmer):
         late = min(max(-self._value(values, "clock_offset") - hooks.clock_s, 0.0), step * steps)
         return begin, step, steps + math.ceil(late / step)
 
-    def _table(
+    def _drive(
         self, values: Array, trial: Trial, begin: float, step: float, steps: int, hooks: Hooks
-    ) -> Array:
+    ) -> Drive:
         """The driven joints on the half-step grid; kept, since no coefficient but a servo's moves them."""
         if trial.swim.measured:
             hooks = NONE  # measured joints are what the actuators did
@@ -393,7 +412,7 @@ class LinkedModel(Swimmer):
         named = dict(zip(self.tree.names, values, strict=False))
         servos = tuple(s and tuple(q.at(named) for q in s) for s in self._servos)
         key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
-        kept = self._tables.get(key)
+        kept = self._drives.get(key)
         if kept is not None:
             return kept
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
@@ -410,9 +429,11 @@ class LinkedModel(Swimmer):
             omega, damping = 2 * math.pi * servo[0], servo[1]
             answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
             motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
-        found = drive.table(len(half), motions, self._mounts())
+        table = drive.table(len(half), motions, self._mounts())
+        angles, rates = (np.ascontiguousarray(table[::2, :, k]) for k in range(2))
+        found = Drive(table, angles, rates)
         with self._lock:
-            _keep(self._tables, key, found, TABLES)
+            _keep(self._drives, key, found, TABLES)
         return found
 
     def _mounts(self) -> list[float]:

@@ -98,8 +98,11 @@ class Table:
         )
 
     def __call__(self, values: Array) -> Array:
-        """The table at the coefficients' values, shape (rows, columns)."""
-        flat = self.constant
-        if len(self.factors):
-            flat = flat + self.gains @ np.append(values, 1.0)[self.factors].prod(axis=1)
-        return np.ascontiguousarray(flat.reshape(self.shape))
+        """The table at the coefficients' values, shape (rows, columns); it may be the object's own."""
+        if not len(self.factors):
+            return self.constant.reshape(self.shape)
+        padded = np.append(values, 1.0)
+        products = padded[self.factors[:, 0]]
+        for column in self.factors.T[1:]:
+            products = products * padded[column]
+        return np.asarray((self.constant + self.gains @ products).reshape(self.shape))

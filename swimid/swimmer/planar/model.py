@@ -191,7 +191,7 @@ class MultilinkModel(LinkedModel):
             frame = (x, y, 0.0 if self._heading_matters() else self._heading(run.values, run.trial))
             forced = engine.outside(run.hooks.force, frame, self.reference_m, len(self.tree.links))
         tables = run.tables.values()
-        states, rates = engine.integrate(run.start, run.step_s, run.drive, *tables, forced, run.begin_s)
+        states, rates = engine.integrate(run.start, run.step_s, run.drive.table, *tables, forced, run.begin_s)
         return states, rates
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:

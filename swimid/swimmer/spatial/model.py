@@ -117,7 +117,7 @@ class MultibodyModel(LinkedModel):
         start[10 + passives : 13 + passives] = spin
 
     def _integrate(self, run: Run) -> tuple[Array, Array]:
-        states, rates = engine.integrate(run.start, run.step_s, run.drive, *run.tables.values())
+        states, rates = engine.integrate(run.start, run.step_s, run.drive.table, *run.tables.values())
         return states, rates
 
     def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
