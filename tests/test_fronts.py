@@ -12,10 +12,11 @@ import pytest
 
 from swimid.errors import InputError
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import genetic, warping
+from swimid.fitting import genetic
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
-from swimid.swimmer import front_table as front_format
+from swimid.swimmer import front as front_format
+from swimid.swimmer import profiles as warping
 from swimid.swimmer.profiles import Profiles
 from tests.conftest import SAMPLES, Ran
 from tests.generators import swimmer

@@ -139,6 +139,19 @@ class FitResult:
     restarts: int | None = None
     settled: bool = True
 
+    @property
+    def shared(self) -> list[str]:
+        """The labels that all trials share."""
+        return [label for label in self.labels if "[" not in label]
+
+    def parameter(self, label: str) -> Parameter:
+        """The parameter of an estimated number."""
+        return next(p for p in self.parameters if p.name == label.split("[")[0])
+
+    def series_of(self, channel: str, role: str | None = None) -> list[Series]:
+        """A channel's series, of all trials or of those of one role."""
+        return [s for s in self.series if s.channel == channel and role in (None, s.role)]
+
     def stderr(self, label: str) -> float | None:
         """Standard error of one estimate, or None where there is none."""
         if label not in self.labels:

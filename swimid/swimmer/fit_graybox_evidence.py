@@ -81,50 +81,30 @@ def starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
 def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
     """Errors of every trial, what is known best, the starts, and how the source was read."""
     tables = [_metrics_table(result)]
-    ranking = identifiability.ranked(result)
+    ranking: list[dict[str, blocks.Cell]] = [
+        {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
+        for label, share in identifiability.ranked(result)
+    ]
     if len(ranking) > 1:
-        tables.append(
-            blocks.table(
-                "ranking",
-                "What the trials know best",
-                [
-                    {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
-                    for label, share in ranking
-                ],
-                "From the best to the least identifiable parameter. The share is the part of the trials' "
-                "sensitivity to it that those above it, and the start states, cannot imitate.",
-            )
+        caption = (
+            "From the best to the least identifiable parameter. The share is the part of the trials' "
+            "sensitivity to it that those above it, and the start states, cannot imitate."
         )
-    if ends:
-        tables.append(
-            blocks.table(
-                "starts",
-                "Starts",
-                [
-                    {"start": k, "converged": end.converged, "cost": float(end.cost)}
-                    for k, end in enumerate(ends, start=1)
-                ],
-                "The cost is the mean squared residual, averaged geometrically over the channels.",
-            )
-        )
-    readings = experiment.robot.readings
+        tables.append(blocks.table("ranking", "What the trials know best", ranking, caption))
+    starts = [
+        {"start": k, "converged": end.converged, "cost": float(end.cost)}
+        for k, end in enumerate(ends, start=1)
+    ]
+    if starts:
+        caption = "The cost is the mean squared residual, averaged geometrically over the channels."
+        tables.append(blocks.table("starts", "Starts", starts, caption))
+    readings = [
+        {"reading": k, "question": r.question, "chosen": r.chosen, "meaning": r.options[r.chosen].says}
+        for k, r in experiment.robot.readings.items()
+    ]
     if readings:
-        tables.append(
-            blocks.table(
-                "readings",
-                "How the source was read",
-                [
-                    {
-                        "reading": k,
-                        "question": r.question,
-                        "chosen": r.chosen,
-                        "meaning": r.options[r.chosen].says,
-                    }
-                    for k, r in readings.items()
-                ],
-                "Other readings are options of the robot file (--reading NAME=OPTION).",
-            )
-        )
+        caption = "Other readings are options of the robot file (--reading NAME=OPTION)."
+        tables.append(blocks.table("readings", "How the source was read", readings, caption))
     return tables
 
 
@@ -135,6 +115,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
     for s in result.series:
         score = metrics.score(s.measured, s.simulated)
         _, relative = metrics.peak_error(s.measured, s.simulated)
+        warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         rows.append(
             {
                 "trial": s.trial,
@@ -144,7 +125,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
                 "NRMSE": numbers.percent(score.nrmse),
                 "VAF": numbers.number(100 * score.vaf, 4, "%"),
                 "peak error": numbers.number(100 * relative, 3, "%"),
-                "DTW distance": numbers.number(_dtw(s), 3, units[s.channel]),
+                "DTW distance": numbers.number(warped, 3, units[s.channel]),
                 "phase error": _phase(s, drives[s.trial]),
             }
         )
@@ -156,10 +137,6 @@ def _metrics_table(result: FitResult) -> ev.Table:
         "largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
         "within 5 % of the record; the phase error is taken at the beat.",
     )
-
-
-def _dtw(s: Series) -> float:
-    return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
 
 
 def _phase(s: Series, drive: Beat | None) -> str:
@@ -224,10 +201,8 @@ def scores(file: ParameterFile) -> list[str]:
     lines = []
     for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
         for channel, score in block.items():
-            rmse, nrmse = (
-                numbers.number(score["rmse"], 3, score["unit"]),
-                numbers.percent(score["nrmse"]),
-            )
+            rmse = numbers.number(score["rmse"], 3, score["unit"])
+            nrmse = numbers.percent(score["nrmse"])
             vaf = numbers.number(100 * score["vaf"], 4)
             lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse}, VAF {vaf} %")
     return lines

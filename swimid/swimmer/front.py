@@ -1,4 +1,8 @@
-"""``fit-graybox --method nsga2`` and ``hybrid``: the search for a front, the choice on it, what it shows."""
+"""``fit-graybox --method nsga2`` and ``hybrid``: the search for a front, the choice on it, what it shows.
+
+The points of a front are a CSV: ``index``, ``profile``, coefficients, objectives. An objective's column is
+called ``KIND[PROFILE]``; nothing else in the header has brackets.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
+from swimid.files import atomic
 from swimid.files import checkpoint as checkpoint_format
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common, genetic, warping
+from swimid.fitting import fit_common, genetic
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.genetic import Front
 from swimid.fitting.model import Array
@@ -20,10 +26,8 @@ from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.swimmer import front_table as front_format
-from swimid.swimmer.front_table import FrontFile
 from swimid.swimmer.options import FitGrayboxOptions
-from swimid.swimmer.profiles import Profiles
+from swimid.swimmer.profiles import SCALES, UNITS, Profiles
 
 #: How a point of the front is chosen, and what the rule is called.
 RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
@@ -31,6 +35,28 @@ RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 #: One profile for all trials.
 OVERALL = "all trials"
+
+
+@dataclass(frozen=True)
+class FrontFile:
+    """Points and what each is worth.
+
+    Attributes
+    ----------
+    coefficients : list of str, length d
+    objectives : list of (str, str), length m
+        Profile and kind.
+    profiles : list of str, length n
+        On whose front a point lies.
+    points : ndarray, shape (n, d)
+    values : ndarray, shape (n, m)
+    """
+
+    coefficients: list[str]
+    objectives: list[tuple[str, str]]
+    profiles: list[str]
+    points: Array
+    values: Array
 
 
 @dataclass(frozen=True)
@@ -62,11 +88,10 @@ class Found:
 
     def begins(self, count: int) -> list[Array]:
         """Where least squares starts: at the chosen point, those of the other rules, then along the front."""
-        order = [self.chosen, *self.rules.values()]
-        order += [int(k) for k in np.linspace(0, len(self.file.points) - 1, max(count, 1))]
-        distinct = list(dict.fromkeys(order))
-        wanted = max(count, len(dict.fromkeys([self.chosen, *self.rules.values()])))
-        return [self.profiles.theta(self.file.points[k]) for k in distinct[:wanted]]
+        ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
+        along = [int(k) for k in np.linspace(0, len(self.file.points) - 1, max(count, 1))]
+        distinct = list(dict.fromkeys([*ruled, *along]))
+        return [self.profiles.theta(self.file.points[k]) for k in distinct[: max(count, len(ruled))]]
 
 
 def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, str]:
@@ -120,8 +145,7 @@ def search(
     rules = {name: rule(file.values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
         for name in profiles.names:
-            own = [j for j, (profile, _) in enumerate(profiles.objectives) if profile == name]
-            rules[f"knee of {name}"] = genetic.knee(file.values[:, own])
+            rules[f"knee of {name}"] = genetic.knee(file.values[:, profiles.of(name)])
     return Found(profiles, file, searches, _chosen(options.pick, rules, len(file.points)), rules)
 
 
@@ -145,7 +169,7 @@ def _searched(
                     lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
                     profiles.lower,
                     profiles.upper,
-                    objectives=sum(profile == name for profile, _ in profiles.objectives),
+                    objectives=len(profiles.of(name)),
                     population=options.population,
                     generations=options.generations,
                     crossover=options.crossover,
@@ -187,7 +211,7 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> FrontFile:
 
 
 def _read(path: Path, profiles: Profiles) -> FrontFile:
-    file = front_format.read(path)
+    file = read(path)
     if sorted(file.coefficients) != sorted(profiles.labels):
         raise InputError(
             f"is a front of {', '.join(file.coefficients)}, and these are estimated: "
@@ -226,11 +250,59 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
 
 def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
     """Write the front beside the parameter file, unless it was read from there."""
-    path = front_format.beside(output)
+    path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
-    front_format.write(path, found.file)
+    write(path, found.file)
     return [path]
+
+
+def write(path: Path, front: FrontFile) -> None:
+    """Write a front, whole or not at all."""
+    table = pd.DataFrame({"index": np.arange(len(front.points)), "profile": front.profiles})
+    for j, name in enumerate(front.coefficients):
+        table[name] = front.points[:, j]
+    for j, (profile, kind) in enumerate(front.objectives):
+        table[f"{kind}[{profile}]"] = front.values[:, j]
+    atomic.write_text(path, table.to_csv(index=False))
+
+
+def read(path: Path) -> FrontFile:
+    """Read a front.
+
+    Raises
+    ------
+    InputError
+        For a file that is none.
+    """
+    try:
+        table = pd.read_csv(path, dtype={"profile": str})
+    except FileNotFoundError as error:
+        raise InputError("there is no such file", file=path) from error
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"is no table: {error}", file=path) from error
+    names = [str(c) for c in table.columns]
+    scored = [n for n in names if n.endswith("]") and "[" in n]
+    points = [n for n in names[2:] if n not in scored]
+    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
+        raise InputError(
+            "holds no front: its columns are index, profile, coefficients, and objectives such as "
+            "position[characteristic]",
+            file=path,
+            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+        )
+    for column in [*points, *scored]:
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
+        if len(bad):
+            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
+    split = [n[:-1].split("[", 1) for n in scored]
+    return FrontFile(
+        points,
+        [(profile, kind) for kind, profile in split],
+        table["profile"].astype(str).tolist(),
+        table[points].to_numpy(dtype=float),
+        table[scored].to_numpy(dtype=float),
+    )
 
 
 # ---------------------------------------------------------------- what it shows
@@ -238,40 +310,34 @@ def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
 
 def stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Table:
     """Objectives and errors before the search, at the chosen point and after least squares."""
-    scored = {
-        title: None if result is None else found.profiles.scored(result.series)
-        for title, result in stages.items()
-    }
-    rows: list[list[Any]] = []
-    for j, (profile, kind) in enumerate(found.profiles.objectives):
-        row: list[Any] = [f"DTW distance, {kind}", profile]
-        row += ["" if s is None else numbers.number(float(s[j]), 3) for s in scored.values()]
-        rows.append(row)
+    scored = [None if r is None else found.profiles.scored(r.series) for r in stages.values()]
+    rows: list[list[Any]] = [
+        [f"DTW distance, {kind}", profile]
+        + ["" if s is None else numbers.number(float(s[j]), 3) for s in scored]
+        for j, (profile, kind) in enumerate(found.profiles.objectives)
+    ]
     for role, title in (("fit", "fitted trials"), ("validate", "held-out trials")):
         errors = [{} if r is None else fit_common.scores(r, role) for r in stages.values()]
         for channel in dict.fromkeys(c for e in errors for c in e):
-            row = [f"RMSE, {channel}", title]
-            row += [
-                numbers.number(e[channel]["rmse"], 3, e[channel]["unit"]) if channel in e else ""
-                for e in errors
-            ]
-            rows.append(row)
+            known = [e.get(channel) for e in errors]
+            shown = [numbers.number(e["rmse"], 3, e["unit"]) if e else "" for e in known]
+            rows.append([f"RMSE, {channel}", title, *shown])
     return ev.Table(
         id="stages",
         title="What the search gained",
         columns=["quantity", "of", *stages],
         rows=rows,
         caption="DTW distances are per sample, over the scale of the channel ("
-        + ", ".join(_scale_text(kind) for kind in dict.fromkeys(k for _, k in found.profiles.objectives))
+        + ", ".join(_scale_text(kind) for kind in found.profiles.kinds)
         + " unless told otherwise); their mean over the trials of a profile.",
     )
 
 
 def _scale_text(kind: str) -> str:
-    size = warping.SCALES[kind]
-    if warping.UNITS[kind].startswith("rad"):
-        return f"{kind} {np.degrees(size):.3g} {warping.UNITS[kind].replace('rad', 'deg')}"
-    return f"{kind} {size:g} {warping.UNITS[kind]}"
+    size, unit = SCALES[kind], UNITS[kind]
+    if unit.startswith("rad"):
+        return f"{kind} {np.degrees(size):.3g} {unit.replace('rad', 'deg')}"
+    return f"{kind} {size:g} {unit}"
 
 
 def choices_table(found: Found) -> ev.Table:
@@ -298,40 +364,10 @@ def choices_table(found: Found) -> ev.Table:
 
 def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
     """The front of every profile, and how it was approached."""
-    panels = []
     ends = {t: found.profiles.scored(r.series) for t, r in stages.items() if r is not None}
-    for name in found.profiles.names:
-        own = [j for j, (profile, _) in enumerate(found.profiles.objectives) if profile == name]
-        if len(own) < 2:
-            continue
-        first, second = own[:2]
-        here = np.array([p == name for p in found.file.profiles])
-        clouds = [("its front", here, 0)]
-        if not here.all():
-            clouds.append(("fronts of the other profiles", ~here, 1))
-        traces = [
-            ev.Trace(x=found.file.values[m, first], y=found.file.values[m, second], style="points",
-                     label=label, group=group)
-            for label, m, group in clouds if m.any()
-        ]  # fmt: skip
-        for group, (title, values) in enumerate(ends.items(), start=2):
-            label = f"chosen ({found.chosen})" if title == CHOSEN else title
-            traces.append(
-                ev.Trace(x=values[[first]], y=values[[second]], style="points", label=label, group=group)
-            )
-        kinds = [found.profiles.objectives[j][1] for j in (first, second)]
-        panels.append(
-            ev.Panel(
-                x_label=f"{kinds[0]} distance",
-                y_label=f"{kinds[1]} distance",
-                title=name,
-                traces=traces,
-                x_scale="log",
-                y_scale="log",
-            )
-        )
+    shown = [name for name in found.profiles.names if len(found.profiles.of(name)) > 1]
     drawn = []
-    if panels:
+    if shown:
         drawn.append(
             ev.Figure(
                 id="front",
@@ -340,33 +376,49 @@ def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Fig
                 "than another one of it in both distances. A model that explains all profiles with one set "
                 "has points of all fronts close together at the lower left.",
                 columns=2,
-                panels=panels,
+                panels=[_front_panel(found, name, ends) for name in shown],
             )
         )
     if found.searches:
-        drawn.append(_history(found))
+        drawn.append(
+            ev.Figure(
+                id="generations",
+                title="The search, generation by generation",
+                caption="Least distance of each kind in the population. A search that is done has been level "
+                "for a while.",
+                columns=2,
+                panels=[_history_panel(found, name) for name in found.searches],
+            )
+        )
     return drawn
 
 
-def _history(found: Found) -> ev.Figure:
-    panels = []
-    for name, front in found.searches.items():
-        kinds = [kind for profile, kind in found.profiles.objectives if profile == name]
-        generation = np.arange(1, len(front.history) + 1)
-        traces = [
-            ev.Trace(x=generation, y=front.history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)
-        ]
-        panels.append(
-            ev.Panel(x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log")
-        )
-    return ev.Figure(
-        id="generations",
-        title="The search, generation by generation",
-        caption="Least distance of each kind in the population. A search that is done has been level for a "
-        "while.",
-        columns=2,
-        panels=panels,
+def _front_panel(found: Found, name: str, ends: Mapping[str, Array]) -> ev.Panel:
+    """The first two objectives of a profile: all points, and what the stages came to."""
+    axes = found.profiles.of(name)[:2]
+    here = np.array([p == name for p in found.file.profiles])
+    clouds = [("its front", here), ("fronts of the other profiles", ~here)]
+    drawn = [(label, found.file.values[m][:, axes], k) for k, (label, m) in enumerate(clouds) if m.any()]
+    for group, (title, values) in enumerate(ends.items(), start=2):
+        label = f"chosen ({found.chosen})" if title == CHOSEN else title
+        drawn.append((label, values[None, axes], group))
+    x_label, y_label = (f"{found.profiles.objectives[j][1]} distance" for j in axes)
+    return ev.Panel(
+        x_label=x_label,
+        y_label=y_label,
+        title=name,
+        traces=[ev.Trace(x=v[:, 0], y=v[:, 1], style="points", label=n, group=g) for n, v, g in drawn],
+        x_scale="log",
+        y_scale="log",
     )
+
+
+def _history_panel(found: Found, name: str) -> ev.Panel:
+    history = found.searches[name].history
+    generation = np.arange(1, len(history) + 1)
+    kinds = [found.profiles.objectives[j][1] for j in found.profiles.of(name)]
+    traces = [ev.Trace(x=generation, y=history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)]
+    return ev.Panel(x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log")
 
 
 def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
@@ -379,12 +431,11 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
             if len(found.searches) > 1
             else "over all fitted trials"
         )
-        kinds = dict.fromkeys(kind for _, kind in found.profiles.objectives)
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {of} by NSGA-II "
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
             f"crossover {options.crossover:g}, seed {options.seed}: {evaluations} points in all. "
-            f"Objectives are dynamic-time-warping distances ({', '.join(kinds)}), "
+            f"Objectives are dynamic-time-warping distances ({', '.join(found.profiles.kinds)}), "
             f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978; "
             "dtaidistance)."
         )
@@ -405,8 +456,8 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
     return said
 
 
-def summary(found: Found, options: FitGrayboxOptions, saved: Sequence[Path]) -> list[str]:
+def summary(found: Found, saved: Sequence[Path]) -> list[str]:
     """The choice, for the terminal."""
-    where = next((f" in {p}" for p in saved if p.name.endswith(".front.csv")), "")
+    where = "".join(f" in {path}" for path in saved)
     names = ", ".join(f"{rule} {k}" for rule, k in found.rules.items())
     return [f"  front: {len(found.file.points)} points{where}; chosen {found.chosen} ({names})"]
