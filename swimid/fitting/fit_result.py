@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from swimid.fitting.model import Array, Model, Parameter, Trial
+
+Loss = Literal["linear", "huber"]
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,7 @@ class FitResult:
     interrupted: bool = False
     cost: float = math.nan
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
-    loss: str = "linear"
+    loss: Loss = "linear"
     jacobians: int = 0
     start_states: Mapping[str, float] = field(default_factory=dict)
     restarts: int | None = None
@@ -151,6 +154,10 @@ class FitResult:
     def series_of(self, channel: str, role: str | None = None) -> list[Series]:
         """A channel's series, of all trials or of those of one role."""
         return [s for s in self.series if s.channel == channel and role in (None, s.role)]
+
+    def at_estimates(self) -> tuple[Parameter, ...]:
+        """The parameters, those that all trials share starting at their estimates."""
+        return tuple(p if p.per_trial else replace(p, start=self.value(p.name)) for p in self.parameters)
 
     def stderr(self, label: str) -> float | None:
         """Standard error of one estimate, or None where there is none."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.fit_result import FitResult, Loss
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
@@ -48,7 +48,7 @@ def multistart(
     seed: int = 0,
     begins: Sequence[Array] | None = None,
     jobs: int | None = None,
-    loss: output_error.Loss = "linear",
+    loss: Loss = "linear",
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starts and keep the best.

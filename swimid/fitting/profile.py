@@ -43,7 +43,7 @@ def profile_interval(
         held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
         return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
 
-    parameter = next(p for p in result.parameters if p.name == name)
+    parameter = result.parameter(name)
     ends: list[float | None] = []
     for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
         near, end = centre, None

@@ -97,7 +97,8 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
         for p in result.parameters
     )
     problem = weighted(result, parameters)
-    theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in _parted(problem.labels)])
+    parted = [label.partition("[") for label in problem.labels]
+    theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in parted])
     rows = [j * problem.scale for j in problem.trial_jacobians(theta, central=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     held = np.array([result.status.get(label) == "at-bound" for label in problem.labels], dtype=bool)
@@ -114,9 +115,7 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     root = found.root * found.scatter
     others = [i for i in range(len(labels)) if i not in mine]
-    u, singular, _ = np.linalg.svd(root[:, others], full_matrices=False)
-    dark = u[:, singular > math.sqrt(LEAST) * singular.max(initial=0.0)]
-    part = root[:, mine] - dark @ (dark.T @ root[:, mine])
+    part = sandwich.left_by(root[:, others], root[:, mine], math.sqrt(LEAST))
     values, vectors = np.linalg.eigh(part.T @ part)
     values = np.maximum(values, LEAST * values.max(initial=1e-300))
     size = problem.scale[seen][mine]
@@ -125,10 +124,6 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
         value=theta[seen][mine] + step[mine] * size,
         covariance=(vectors / values) @ vectors.T * np.outer(size, size),
     )
-
-
-def _parted(labels: list[str]) -> list[tuple[str, str, str]]:
-    return [label.partition("[") for label in labels]
 
 
 def spread(own: Own) -> Spread:

@@ -13,7 +13,7 @@ import numpy as np
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.levenberg import minimise
 from swimid.fitting.model import Array, Parameter
-from swimid.fitting.noise import CORNER
+from swimid.fitting.noise import huber_damping
 from swimid.fitting.problem import IMMATERIAL, Problem
 
 #: Pairs of points tried around the answer, and their distance in standard errors under white noise.
@@ -97,8 +97,7 @@ def weigh(problem: Problem, result: FitResult) -> None:
         series = [known[trial.id, channel] for channel in problem.channels[k]]
         problem.sd[k] = [s.sd for s in series]
         if result.loss == "huber":
-            far = [np.maximum(np.abs(np.nan_to_num(s.weighted)) / CORNER, 1.0) for s in series]
-            problem.damping[k] = [1.0 / np.sqrt(f) for f in far]
+            problem.damping[k] = [huber_damping(s.weighted) for s in series]
 
 
 def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
