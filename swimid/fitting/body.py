@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,28 +22,29 @@ Point = tuple[float, float]
 Frames = tuple[Array, Array, Array]
 
 
-class Moving(Protocol):
-    """A joint that moves: its name, its column in a log, its link, and how it follows the drive."""
+@dataclass(frozen=True)
+class Axis:
+    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
+
+    joint: Any
+    column: str
+    link: int
 
     @property
     def name(self) -> str:
         """Of the joint."""
-        ...
-
-    @property
-    def column(self) -> str:
-        """Of its angle in a log."""
-        ...
-
-    @property
-    def link(self) -> int:
-        """The one it turns."""
-        ...
+        return str(self.joint.name)
 
     @property
     def driven(self) -> Driven | None:
         """How it follows the drive; None where it yields."""
-        ...
+        law: Driven | None = self.joint.driven
+        return law
+
+    @property
+    def rate(self) -> str:
+        """The column of its rate."""
+        return self.column.replace("_rad", "_rate_rad_s")
 
 
 class Body(ABC):
@@ -65,7 +67,7 @@ class Body(ABC):
         Of the water.
     step_s : float
         Longest step of the integration.
-    driven, passive : sequence of Moving
+    driven, passive : sequence of Axis
     """
 
     free: bool
@@ -76,8 +78,8 @@ class Body(ABC):
     reference_m: Point
     density_kg_m3: float
     step_s: float
-    driven: Sequence[Moving]
-    passive: Sequence[Moving]
+    driven: Sequence[Axis]
+    passive: Sequence[Axis]
 
     @property
     def vertical(self) -> bool:

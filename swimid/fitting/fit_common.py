@@ -193,14 +193,12 @@ def prepare(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
 ) -> tuple[Parameter, ...]:
-    """The parameters to fit with the user's choices, once the output is known to be writable.
+    """The parameters to fit (the model's own by default) with the user's choices.
 
     Parameters
     ----------
-    parameters : sequence of Parameter, optional
-        Default those of the experiment's model.
-    also : sequence of Path
-        Inputs besides the experiment's own that the output must not replace.
+    output, also : Path
+        What must be writable, and must replace neither an input of the experiment nor these.
 
     Raises
     ------

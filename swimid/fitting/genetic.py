@@ -38,13 +38,9 @@ class Front:
 
 
 def knee(objectives: Array) -> int:
-    """The point nearest to the best of every objective, each over its range on the front.
+    """The point nearest to the best of every objective, shape (n, m), each over its range on the front.
 
     The ideal-point rule (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
-
-    Parameters
-    ----------
-    objectives : ndarray, shape (n, m)
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1

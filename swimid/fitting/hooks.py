@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -127,18 +127,7 @@ class Hooks:
     command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
-        return Hooks(
-            self.command + other.command,
-            self.stroke + other.stroke,
-            self.tables + other.tables,
-            self.coefficients + other.coefficients,
-            self.force + other.force,
-            self.flow + other.flow,
-            self.output + other.output,
-            self.clock_s + other.clock_s,
-            self.key + other.key,
-            self.command_key + other.command_key,
-        )
+        return Hooks(*(getattr(self, name) + getattr(other, name) for name in _FIELDS))
 
     @property
     def moves(self) -> bool:
@@ -173,5 +162,6 @@ class Hooks:
         return found
 
 
+_FIELDS = tuple(field.name for field in fields(Hooks))
 #: Nothing acts.
 NONE = Hooks()

@@ -188,16 +188,10 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
 def select_subset(
     result: FitResult, *, jobs: int | None = None, progress: Progress = silent
 ) -> tuple[FitResult, list[str]]:
-    """Fix the least identifiable parameters until the trials determine all the others.
+    """Fix the least identifiable parameters until the trials determine all the others; with their names.
 
     One at a time the lowest ranked of those not identifiable is fixed at its start value and
     the others are fitted again.
-
-    Returns
-    -------
-    result : FitResult
-    fixed : list of str
-        In the order they were fixed.
 
     Raises
     ------

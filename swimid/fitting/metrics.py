@@ -57,8 +57,8 @@ def score(measured: Array, simulated: Array) -> Score:
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
     """
-    there = np.isfinite(measured) & np.isfinite(simulated)
-    y, e = measured[there], (measured - simulated)[there]
+    y, z = _both(measured, simulated)
+    e = y - z
     if len(y) == 0:
         return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
     rmse = float(np.sqrt(np.mean(e**2)))

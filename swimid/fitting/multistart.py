@@ -22,16 +22,7 @@ SAME = 1e-3
 
 
 class Start(NamedTuple):
-    """One start and where it led.
-
-    Attributes
-    ----------
-    start, end : ndarray, shape (p,)
-        ``end`` is NaN where the search failed.
-    cost : float
-        :attr:`FitResult.cost` there; infinite where the search failed.
-    converged : bool
-    """
+    """One start and where it led, shape (p,) each: to NaN, at infinite cost, where the search failed."""
 
     start: Array
     end: Array
@@ -60,7 +51,6 @@ def multistart(
     starts : int
         The first are ``begins``; the others are uniform within the bounds, or within one scale of
         the start on a side without a bound.
-    seed : int
     begins : sequence of ndarray, each shape (p,), optional
         Default the parameters' own start alone.
 

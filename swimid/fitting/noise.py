@@ -26,10 +26,7 @@ CLIPPED = float(
 
 
 def weigh_first(problem: Problem, even: bool) -> None:
-    """First weights: each channel by its own size, known error shapes as they are.
-
-    ``even`` leaves all weights equal.
-    """
+    """First weights: each channel by its own size, known error shapes as they are; all equal if ``even``."""
     if even:
         return
     for k, trial in enumerate(problem.trials):
@@ -51,7 +48,6 @@ def estimate(
     Parameters
     ----------
     theta : ndarray, shape (p,)
-        Where the residuals are taken.
     previous : dict of channel name to (float, float)
         The sizes of the round before; empty in the first.
     robust : bool
@@ -104,20 +100,10 @@ def huber_damping(residuals: Array) -> Array:
 
 
 def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], list[Array]]:
-    """What weighted residuals and the rows of their derivatives become for the covariance.
+    """Each trial's residuals as if from least squares, and factors of the rows of their derivatives.
 
-    A robust loss lets a sample pull by at most its corner; its curvature vanishes beyond.
-
-    Parameters
-    ----------
-    residuals : list of ndarray, each shape (n_k,)
-        As :meth:`Problem.trial_residuals` gives them.
-
-    Returns
-    -------
-    residuals, factors : list of ndarray, each shape (n_k,)
-        Residuals as if they came from least squares, and what to multiply the rows by. With
-        the linear loss the same residuals, and ones.
+    A robust loss lets a sample pull by at most its corner; its curvature vanishes beyond. With the linear
+    loss these are the same residuals, and ones.
     """
     inside: dict[str, list[Array]] = {}
     for k, dampings in enumerate(problem.damping):
@@ -140,13 +126,7 @@ def weights(problem: Problem) -> list[Array]:
 
 
 def largest_change(problem: Problem, before: list[Array]) -> float:
-    """Largest relative change of any sample's weight against those of all samples together.
-
-    Parameters
-    ----------
-    before : list of ndarray
-        What :func:`weights` gave then.
-    """
+    """Largest relative change of a sample's weight since ``before``, against those of all together."""
     every = np.concatenate(weights(problem)) / np.concatenate(before)
     return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 
@@ -210,13 +190,7 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
 
 
 def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array]:
-    """Autoregression of the weighted residuals, pooled over trials, by channel; empty where white.
-
-    Parameters
-    ----------
-    residuals : list of ndarray
-        Weighted residuals of each trial, as :meth:`Problem.trial_residuals` gives them.
-    """
+    """Autoregression of the trials' weighted residuals by channel, pooled over trials; empty where white."""
     found = {}
     for channel, series in problem.series(residuals).items():
         x = joined(series, gap=30)

@@ -22,36 +22,23 @@ TIMES = 2.0
 
 @dataclass(frozen=True)
 class Odd:
-    """A trial that the others do not predict.
-
-    Attributes
-    ----------
-    trial : str
-    times : float
-        Its error of prediction over the others' typical one.
-    p_value : float
-        Of the most distant of so many trials by Student's t of the logarithms of their errors.
-    others : FitResult
-        Of all other trials; this one has the role ``validate``.
-    """
+    """A trial that the others do not predict."""
 
     trial: str
+    #: Its error of prediction over the others' typical one.
     times: float
+    #: Of the most distant of so many trials by Student's t of the logarithms of their errors.
     p_value: float
+    #: Of all other trials; this one has the role ``validate``.
     others: FitResult
 
 
 def odd_trial(result: FitResult) -> Odd | None:
-    """The trial that does not agree with the others, where there is one.
+    """The trial that does not agree with the others; None where there is none, or a fit of the others fails.
 
     The suspect is the one whose absence lowers the misfit of the rest most. Its error, predicted from
     them, is then held against the errors with which each of them is predicted by the rest: what the model
     lacks for all trials is in those errors too, and makes none of them odd.
-
-    Returns
-    -------
-    Odd or None
-        None where there is none, fewer than :data:`FEWEST` trials, or a fit of the others fails.
     """
     names = [t.id for t in result.trials if t.role == "fit"]
     if len(names) < FEWEST:

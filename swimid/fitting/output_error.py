@@ -140,18 +140,9 @@ def fit(
 
 
 def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
-    """The answer of a fit, or a better one that restarts around it lead to; warns where they do.
+    """The answer of a fit, or a better one that restarts around it lead to; warns of that.
 
-    Parameters
-    ----------
-    result : FitResult
-    jobs : int
-        Threads.
-
-    Returns
-    -------
-    FitResult
-        With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
     first, count = result, 0
     spent, taken, gain = result.evaluations, result.jacobians, 0.0

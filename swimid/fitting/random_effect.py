@@ -47,15 +47,7 @@ class Own:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation of a number between trials.
-
-    Attributes
-    ----------
-    sd : float
-    stderr : float
-    p_value : float
-        Of the test that there is none.
-    """
+    """Standard deviation of a number between trials, and the p-value of the test that there is none."""
 
     sd: float
     stderr: float
@@ -64,15 +56,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Trend:
-    """How a number follows a setting of the trials.
-
-    Attributes
-    ----------
-    slope, stderr : float
-        Per unit of the setting.
-    p_value : float
-        Two-sided, of Student's t.
-    """
+    """How a number follows a setting of the trials, per unit of that; p-value two-sided, of Student's t."""
 
     slope: float
     stderr: float
@@ -80,14 +64,7 @@ class Trend:
 
 
 def own_numbers(result: FitResult, name: str, common: str) -> Own:
-    """Each trial's own value of a per-trial parameter, by one linear step from a fit.
-
-    Parameters
-    ----------
-    result : FitResult
-    name, common : str
-        The per-trial parameter, and the shared one it deviates from.
-    """
+    """Each trial's own value of a per-trial parameter that deviates from a common one, by one linear step."""
     parameters = tuple(
         replace(p, free=True, spread=math.inf)
         if p.name == name
@@ -129,8 +106,6 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
 def spread(own: Own) -> Spread:
     """Standard deviation between trials by restricted maximum likelihood.
 
-    Examples
-    --------
     >>> s = spread(Own(tuple("abcdef"), np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), 1e-6 * np.eye(6)))
     >>> round(s.sd, 2)
     1.1
@@ -145,12 +120,7 @@ def spread(own: Own) -> Spread:
 
 
 def trend(own: Own, setting: Array) -> Trend:
-    """Slope of the trials' numbers over a setting, beside a spread by chance.
-
-    Parameters
-    ----------
-    setting : ndarray, shape (n,)
-    """
+    """Slope of the trials' numbers over a setting, shape (n,), beside a spread by chance."""
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
     between, _ = _reml(variances, values, slope_column)

@@ -40,34 +40,20 @@ LARGEST = 0.5
 
 @dataclass(frozen=True)
 class Tested:
-    """What points around an answer came to.
+    """What points around an answer came to."""
 
-    Attributes
-    ----------
-    point : ndarray, shape (p,), or None
-        With a lower cost than the answer; None where none was found.
-    evaluations, jacobians : int
-        Simulations of single trials it took, and derivatives.
-    rough : bool
-        The cost has corners: a parameter says so, or it is not as its curvature says.
-    """
-
+    #: With a lower cost than the answer, shape (p,); None where none was found.
     point: Array | None
+    #: Simulations of single trials it took, and derivatives.
     evaluations: int
     jacobians: int
+    #: The cost has corners: a parameter says so, or it is not as its curvature says.
     rough: bool
 
 
 def held(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Tested:
     """Hold the answer of a fit against points near it.
 
-    Parameters
-    ----------
-    result : FitResult
-    jobs, seed : int
-
-    Notes
-    -----
     Where the cost is smooth, the derivatives at the answer serve all starts: a step that leads at least
     half the way back to it, as the data measure ways, ends a start. Only what leads elsewhere is searched
     with derivatives of its own.

@@ -35,8 +35,6 @@ def estimate(
         Shared ones with their values as ``start``; of the others those that are free are estimated.
     sd : mapping of channel name to float
         Noise of each channel, for the weights; channels that are not in it are not used.
-    tolerance : float
-        Of the search, relative.
 
     Returns
     -------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 
-from swimid.fitting.body import Moving
+from swimid.fitting.body import Axis
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
@@ -21,7 +21,7 @@ class Swimmer(Model):
         Longest step of the integration, s.
     pose, velocity : tuple of str
         Channels of the reference point.
-    driven, passive : sequence of Moving
+    driven, passive : sequence of Axis
     free_base : bool
     coefficients : list of str
         Those of the robot file, the first of the parameters.
@@ -33,8 +33,8 @@ class Swimmer(Model):
     max_step: float
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
-    driven: Sequence[Moving]
-    passive: Sequence[Moving]
+    driven: Sequence[Axis]
+    passive: Sequence[Axis]
     free_base: bool
     coefficients: list[str]
     starts: tuple[str, ...]

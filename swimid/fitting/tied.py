@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.errors import UsageError, nearest
+from swimid.errors import UsageError, suggestion
 from swimid.fitting.body import Body
 from swimid.fitting.model import Array, Entry, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
@@ -141,7 +141,6 @@ def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
     if len(members) < 2:
         stems = [re.sub(r"\d+$", "", p.name) for p in model.parameters if re.search(r"\d+$", p.name)]
         several = sorted({s for s in stems if stems.count(s) > 1})
-        close = nearest(prefix, several)
-        hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(several) or 'none'}"
+        hint = suggestion(prefix, several)
         raise UsageError(f"the model {model.name} has no parameters to share as '{prefix}'", hint=hint)
     return {prefix: members}

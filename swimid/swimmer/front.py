@@ -7,7 +7,7 @@ called ``KIND[PROFILE]``; nothing else in the header has brackets.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,36 +38,14 @@ OVERALL = "all trials"
 
 
 @dataclass(frozen=True)
-class FrontFile:
-    """Points and what each is worth.
-
-    Attributes
-    ----------
-    coefficients : list of str, length d
-    objectives : list of (str, str), length m
-        Profile and kind.
-    profiles : list of str, length n
-        On whose front a point lies.
-    points : ndarray, shape (n, d)
-    values : ndarray, shape (n, m)
-    """
-
-    coefficients: list[str]
-    objectives: list[tuple[str, str]]
-    profiles: list[str]
-    points: Array
-    values: Array
-
-
-@dataclass(frozen=True)
 class Found:
     """A front and the point chosen on it.
 
     Attributes
     ----------
     profiles : Profiles
-    file : FrontFile
-        All points, each with its objectives in every profile.
+    table : DataFrame
+        All points, each with the profile on whose front it lies and its objectives in every profile.
     searches : dict of profile to Front
         Empty where the front was read from a file.
     chosen : int
@@ -76,22 +54,32 @@ class Found:
     """
 
     profiles: Profiles
-    file: FrontFile
+    table: pd.DataFrame
     searches: dict[str, Front]
     chosen: int
     rules: dict[str, int]
 
     @property
+    def points(self) -> Array:
+        """The coefficients of all points, shape (n, d)."""
+        return np.asarray(self.table[self.profiles.labels], dtype=float)
+
+    @property
+    def values(self) -> Array:
+        """Their objectives, shape (n, m)."""
+        return np.asarray(self.table[self.profiles.columns], dtype=float)
+
+    @property
     def point(self) -> Array:
         """The coefficients chosen, shape (d,)."""
-        return np.asarray(self.file.points[self.chosen])
+        return self.points[self.chosen]
 
     def begins(self, count: int) -> list[Array]:
         """Where least squares starts: at the chosen point, those of the other rules, then along the front."""
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
-        along = [int(k) for k in np.linspace(0, len(self.file.points) - 1, max(count, 1))]
+        along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
         distinct = list(dict.fromkeys([*ruled, *along]))
-        return [self.profiles.theta(self.file.points[k]) for k in distinct[: max(count, len(ruled))]]
+        return [self.profiles.theta(self.points[k]) for k in distinct[: max(count, len(ruled))]]
 
 
 def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, str]:
@@ -138,15 +126,16 @@ def search(
         When it is interrupted, or every simulation breaks down.
     """
     if options.front is not None:
-        file, searches = _read(options.front, profiles), {}
+        table, searches = _read(options.front, profiles), {}
     else:
         searches = _searched(profiles, options, checkpoint, progress)
-        file = _joined(profiles, searches)
-    rules = {name: rule(file.values) for name, rule in RULES.items()}
+        table = _joined(profiles, searches)
+    found = Found(profiles, table, searches, 0, {})
+    rules = {name: rule(found.values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
         for name in profiles.names:
-            rules[f"knee of {name}"] = genetic.knee(file.values[:, profiles.of(name)])
-    return Found(profiles, file, searches, _chosen(options.pick, rules, len(file.points)), rules)
+            rules[f"knee of {name}"] = genetic.knee(found.values[:, profiles.of(name)])
+    return replace(found, chosen=_chosen(options.pick, rules, len(table)), rules=rules)
 
 
 def _searched(
@@ -188,7 +177,7 @@ def _searched(
     return searches
 
 
-def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> FrontFile:
+def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """The points of all fronts with their objectives in every profile; those that break down left out."""
     points = np.concatenate([f.points for f in searches.values()])
     owners = [name for name, f in searches.items() for _ in f.points]
@@ -201,39 +190,34 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> FrontFile:
         )
     if not sound.all():
         warn("SWM027", f"{int((~sound).sum())} points of the front break down in another motion profile")
-    return FrontFile(
-        profiles.labels,
-        profiles.objectives,
-        [o for o, good in zip(owners, sound, strict=True) if good],
-        points[sound],
-        values[sound],
-    )
+    table = pd.DataFrame(np.hstack([points, values]), columns=[*profiles.labels, *profiles.columns])
+    table.insert(0, "profile", owners)
+    return _numbered(table[sound])
 
 
-def _read(path: Path, profiles: Profiles) -> FrontFile:
-    file = read(path)
-    if sorted(file.coefficients) != sorted(profiles.labels):
+def _numbered(table: pd.DataFrame) -> pd.DataFrame:
+    """Points with their index as the first column."""
+    return table.assign(index=np.arange(len(table)))[["index", *table.columns.drop("index", errors="ignore")]]
+
+
+def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
+    """A front file's points, where they belong to these trials."""
+    table = read(path)
+    scored = [name for name in table.columns[2:] if name.endswith("]")]
+    coefficients = [name for name in table.columns[2:] if name not in scored]
+    if sorted(coefficients) != sorted(profiles.labels):
         raise InputError(
-            f"is a front of {', '.join(file.coefficients)}, and these are estimated: "
-            f"{', '.join(profiles.labels)}",
+            f"is a front of {', '.join(coefficients)}, and these are estimated: {', '.join(profiles.labels)}",
             file=path,
             hint="give the same --fix, --free and --share as when it was made",
         )
-    if sorted(file.objectives) != sorted(profiles.objectives):
+    if sorted(scored) != sorted(profiles.columns):
         raise InputError(
             "is a front of other motion profiles or channels than these trials have",
             file=path,
             hint="give the trials file and --channels it was made with",
         )
-    column = [file.coefficients.index(label) for label in profiles.labels]
-    scored = [file.objectives.index(o) for o in profiles.objectives]
-    return FrontFile(
-        profiles.labels,
-        profiles.objectives,
-        file.profiles,
-        file.points[:, column],
-        file.values[:, scored],
-    )
+    return _numbered(table[["profile", *profiles.labels, *profiles.columns]])
 
 
 def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
@@ -253,22 +237,12 @@ def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
     path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
-    write(path, found.file)
+    atomic.write_text(path, found.table.to_csv(index=False))
     return [path]
 
 
-def write(path: Path, front: FrontFile) -> None:
-    """Write a front, whole or not at all."""
-    table = pd.DataFrame({"index": np.arange(len(front.points)), "profile": front.profiles})
-    for j, name in enumerate(front.coefficients):
-        table[name] = front.points[:, j]
-    for j, (profile, kind) in enumerate(front.objectives):
-        table[f"{kind}[{profile}]"] = front.values[:, j]
-    atomic.write_text(path, table.to_csv(index=False))
-
-
-def read(path: Path) -> FrontFile:
-    """Read a front.
+def read(path: Path) -> pd.DataFrame:
+    """Read the points of a front: their index, profile, coefficients and objectives.
 
     Raises
     ------
@@ -295,14 +269,7 @@ def read(path: Path) -> FrontFile:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
             raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
-    split = [n[:-1].split("[", 1) for n in scored]
-    return FrontFile(
-        points,
-        [(profile, kind) for kind, profile in split],
-        table["profile"].astype(str).tolist(),
-        table[points].to_numpy(dtype=float),
-        table[scored].to_numpy(dtype=float),
-    )
+    return table
 
 
 # ---------------------------------------------------------------- what it shows
@@ -347,11 +314,11 @@ def choices_table(found: Found) -> ev.Table:
     if found.chosen not in picks.values():
         picks = {"by index": found.chosen, **picks}
     for j, label in enumerate(found.profiles.labels):
-        column = found.file.points[:, j]
+        column = found.points[:, j]
         searched = numbers.interval(float(found.profiles.lower[j]), float(found.profiles.upper[j]), None)
         spread = numbers.interval(float(column.min()), float(column.max()), None)
         rows.append([label, searched, spread, *(numbers.number(float(column[k]), 4) for k in picks.values())])
-    rows.append(["index", "", f"0 to {len(found.file.points) - 1}", *picks.values()])
+    rows.append(["index", "", f"0 to {len(found.points) - 1}", *picks.values()])
     return ev.Table(
         id="front-choices",
         title="Choices on the front",
@@ -396,9 +363,9 @@ def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Fig
 def _front_panel(found: Found, name: str, ends: Mapping[str, Array]) -> ev.Panel:
     """The first two objectives of a profile: all points, and what the stages came to."""
     axes = found.profiles.of(name)[:2]
-    here = np.array([p == name for p in found.file.profiles])
+    here = np.asarray(found.table["profile"] == name)
     clouds = [("its front", here), ("fronts of the other profiles", ~here)]
-    drawn = [(label, found.file.values[m][:, axes], k) for k, (label, m) in enumerate(clouds) if m.any()]
+    drawn = [(label, found.values[m][:, axes], k) for k, (label, m) in enumerate(clouds) if m.any()]
     for group, (title, values) in enumerate(ends.items(), start=2):
         label = f"chosen ({found.chosen})" if title == CHOSEN else title
         drawn.append((label, values[None, axes], group))
@@ -442,7 +409,7 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
     rule = next((r for r, k in found.rules.items() if k == found.chosen), "")
     by = f"by the rule {options.pick}" if options.pick in found.rules else "by hand"
     said.append(
-        f"Point {found.chosen} of {len(found.file.points)} was chosen {by}"
+        f"Point {found.chosen} of {len(found.points)} was chosen {by}"
         + (f" (it is also that of the rule {rule})" if by == "by hand" and rule else "")
         + "."
     )
@@ -460,4 +427,4 @@ def summary(found: Found, saved: Sequence[Path]) -> list[str]:
     """The choice, for the terminal."""
     where = "".join(f" in {path}" for path in saved)
     names = ", ".join(f"{rule} {k}" for rule, k in found.rules.items())
-    return [f"  front: {len(found.file.points)} points{where}; chosen {found.chosen} ({names})"]
+    return [f"  front: {len(found.points)} points{where}; chosen {found.chosen} ({names})"]

@@ -54,7 +54,6 @@ def distance(
     ----------
     measured, simulated : mapping of channel to ndarray, shape (n,)
         On one clock of even steps. Samples that are not measured in every channel are left out.
-    channels : sequence of str
     scales : sequence of float
         What an error of each channel counts as one, in the channel's unit.
     band : float
@@ -86,7 +85,6 @@ class Profiles:
 
     Parameters
     ----------
-    model : Model
     parameters : sequence of Parameter
         Those that are free and shared are searched.
     trials : sequence of Trial
@@ -97,8 +95,6 @@ class Profiles:
         What an error of a channel counts as one, other than :data:`SCALES`.
     band : float
         By what share of a record the two may be shifted.
-    jobs : int
-        Threads.
 
     Attributes
     ----------
@@ -153,6 +149,11 @@ class Profiles:
     def of(self, profile: str) -> list[int]:
         """Places of a profile's objectives."""
         return [j for j, (name, _) in enumerate(self.objectives) if name == profile]
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of the objectives in a table."""
+        return [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     @property
     def kinds(self) -> list[str]:

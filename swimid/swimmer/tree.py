@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError, suggestion
+from swimid.fitting.body import Axis
 from swimid.fitting.model import Array, Parameter
-from swimid.robots.planar import Coefficient, Driven, Joint
+from swimid.robots.planar import Coefficient, Joint
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
@@ -67,7 +67,7 @@ def check_names(body: Any, part: str) -> None:
                     raise InputError(
                         f"there is no coefficient '{factor}'",
                         column=path,
-                        hint=suggestion(factor, known or ["none"]),
+                        hint=suggestion(factor, known),
                     )
 
 
@@ -161,26 +161,6 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
             )
         )
     return found
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
-
-    joint: Any
-    column: str
-    link: int
-
-    @property
-    def name(self) -> str:
-        """Of the joint."""
-        return str(self.joint.name)
-
-    @property
-    def driven(self) -> Driven | None:
-        """How it follows the drive."""
-        law: Driven | None = self.joint.driven
-        return law
 
 
 class Tree(ABC):
