@@ -81,7 +81,7 @@ def fish():
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(0.0, 2.51, 0.04)
     swim = SwimInput(drives.Beat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
-    return model, Trial("f", "fit", time, dict.fromkeys(model.plane.pose, time), swim=swim)
+    return model, Trial("f", "fit", time, dict.fromkeys(model.pose, time), swim=swim)
 
 
 def starts(model):

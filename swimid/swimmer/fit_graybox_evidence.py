@@ -17,7 +17,6 @@ from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.planar.model import PLANES
 
 #: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
 BEAT_HARMONICS = 3.5
@@ -32,10 +31,11 @@ def body_of(robot: Robot) -> Multilink | Multibody:
 
 def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """The paths in the plane of motion, where the pose was fitted; in space from above and from the side."""
-    body = body_of(experiment.robot)
+    swimmer, body = result.model.swimmer, body_of(experiment.robot)
+    assert swimmer is not None
     if isinstance(body, Multilink):
-        across, along = PLANES[body.plane].pose[:2]
-        return _path(result, across, along, "from above" if body.plane == "horizontal" else "from the side")
+        view = "from above" if body.plane == "horizontal" else "from the side"
+        return _path(result, swimmer.pose[0], swimmer.pose[1], view)
     return [*_path(result, "x_m", "z_m", "from the side"), *_path(result, "x_m", "y_m", "from above")]
 
 
