@@ -48,35 +48,23 @@ class Axis:
 
 
 class Body(ABC):
-    """Links in a plane, joined by driven and passive joints, at the start values of a model's parameters.
+    """Links in a plane, joined by driven and passive joints, at the start values of a model's parameters."""
 
-    Attributes
-    ----------
-    free : bool
-        The base moves; otherwise it is held.
-    pose, velocity : tuple of three str
-        Channels of the reference point: two positions and the heading, two velocities in the body's axes
-        and the turning rate.
-    words : tuple of str
-        The same in words.
-    lengths_m : tuple of float
-        Of each link, the base first.
-    reference_m : (float, float)
-        The reference point in the base's axes, m.
-    density_kg_m3 : float
-        Of the water.
-    step_s : float
-        Longest step of the integration.
-    driven, passive : sequence of Axis
-    """
-
+    #: The base moves; otherwise it is held.
     free: bool
+    #: Channels of the reference point: two positions and the heading, two velocities in the body's axes and
+    #: the turning rate.
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
+    #: The same in words.
     words: tuple[str, ...]
+    #: Of each link, the base first.
     lengths_m: tuple[float, ...]
+    #: The reference point in the base's axes, m.
     reference_m: Point
+    #: Of the water.
     density_kg_m3: float
+    #: Longest step of the integration.
     step_s: float
     driven: Sequence[Axis]
     passive: Sequence[Axis]

@@ -19,20 +19,13 @@ BROKEN = 1e9
 
 @dataclass(frozen=True)
 class Front:
-    """The points of which none is better than another in every objective.
+    """The points of which none is better than another in every objective."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, d)
-        In the order of the first objective.
-    objectives : ndarray, shape (n, m)
-    history : ndarray, shape (generations, m)
-        Smallest value of each objective in the population of each generation.
-    evaluations : int
-    """
-
+    #: Shape (n, d): in the order of the first objective.
     points: Array
+    #: Shape (n, m).
     objectives: Array
+    #: Shape (generations, m): smallest value of each objective in the population of each generation.
     history: Array
     evaluations: int
 

@@ -33,27 +33,19 @@ NEGLIGIBLE = 0.01
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that is known though its members are not.
+    """A weighted sum of parameters that is known though its members are not."""
 
-    Attributes
-    ----------
-    weights : dict of label to float
-        The largest is 1, where units differ that of the most important; those of the parameters over
-        :attr:`divisors` then.
-    members : tuple of str
-        The confounded parameters it belongs to, those of negligible weight too.
-    value, stderr : float
-    unit : str
-        Of the member whose weight is 1; none where units differ.
-    divisors : dict of label to str
-        Where units differ, what each member is divided by to have none: its size, with its unit.
-    """
-
+    #: Dict of label to float: the largest is 1, where units differ that of the most important; those of the
+    #: parameters over :attr:`divisors` then.
     weights: dict[str, float]
+    #: The confounded parameters it belongs to, those of negligible weight too.
     members: tuple[str, ...]
     value: float
     stderr: float
+    #: Of the member whose weight is 1; none where units differ.
     unit: str
+    #: Dict of label to str: where units differ, what each member is divided by to have none: its size, with
+    #: its unit.
     divisors: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -13,27 +13,17 @@ from swimid.fitting.model import Array
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one channel.
+    """Error of one channel."""
 
-    Attributes
-    ----------
-    rmse : float
-        Root-mean-square error, in the channel's unit.
-    nrmse : float
-        RMSE over the measured range (maximum minus minimum).
-    vaf : float
-        Variance accounted for, ``1 - var(error) / var(measured)``.
-    fit_percent : float
-        ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
-    bias : float
-        Mean error, measured minus simulated.
-    samples : int
-    """
-
+    #: Root-mean-square error, in the channel's unit.
     rmse: float
+    #: RMSE over the measured range (maximum minus minimum).
     nrmse: float
+    #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
+    #: ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
     fit_percent: float
+    #: Mean error, measured minus simulated.
     bias: float
     samples: int
 

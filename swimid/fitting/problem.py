@@ -191,11 +191,7 @@ class Problem:
     def hold_derivatives(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
         """Take the derivatives to some numbers as known and unchanging.
 
-        Parameters
-        ----------
-        labels : sequence of str
-        rows : sequence of ndarray, shape (n_k, len(labels))
-            Of each trial, of the simulated samples, weighted as here.
+        The rows, shape (n_k, len(labels)), are each trial's, of the simulated samples, weighted as here.
         """
         weights = [self.sample_weights(k) for k in range(len(self.trials))]
         self._held = {

@@ -30,18 +30,13 @@ LEAST = 1e-12
 
 @dataclass(frozen=True)
 class Own:
-    """What each trial by itself says of a number, all shared parameters free.
-
-    Attributes
-    ----------
-    trials : tuple of str, length n
-    value : ndarray, shape (n,)
-    covariance : ndarray, shape (n, n)
-        Of their errors, under coloured residuals. What the shared parameters can imitate is hardly known.
-    """
+    """What each trial by itself says of a number, all shared parameters free."""
 
     trials: tuple[str, ...]
+    #: Shape (n,).
     value: Array
+    #: Shape (n, n): of their errors, under coloured residuals. What the shared parameters can imitate is
+    #: hardly known.
     covariance: Array
 
 

@@ -66,36 +66,25 @@ def left_by(others: Array, columns: Array, floor: float) -> Array:
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Covariance of least-squares estimates, and what it was made of.
+    """Covariance of least-squares estimates, and what it was made of."""
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (p, p)
-        ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
-        parameters the data do not see are NaN.
-    null : ndarray of bool, shape (p,)
-        Parameters the data do not see.
-    root : ndarray, shape (p, p)
-        Square root of the information: ``root' root`` is the inverse of the covariance, and
-        stays accurate where that is singular.
-    step : ndarray, shape (p,)
-        The Gauss-Newton step from here to the minimum without bounds.
-    gain : float
-        Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
-        unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
-    scatter : float
-        At least 1.
-    scatter_p : float
-        Of the test that the trials agree: their scores, each zero on average at the common
-        optimum, against their own covariance.
-    """
-
+    #: Shape (p, p): ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
+    #: parameters the data do not see are NaN.
     covariance: Array
+    #: Shape (p,): parameters the data do not see.
     null: NDArray[np.bool_]
+    #: Shape (p, p): square root of the information: ``root' root`` is the inverse of the covariance, and
+    #: stays accurate where that is singular.
     root: Array
+    #: Shape (p,): the Gauss-Newton step from here to the minimum without bounds.
     step: Array
+    #: Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
+    #: unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
     gain: float
+    #: At least 1.
     scatter: float
+    #: Of the test that the trials agree: their scores, each zero on average at the common optimum, against
+    #: their own covariance.
     scatter_p: float
 
 

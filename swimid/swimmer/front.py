@@ -39,24 +39,15 @@ OVERALL = "all trials"
 
 @dataclass(frozen=True)
 class Found:
-    """A front and the point chosen on it.
-
-    Attributes
-    ----------
-    profiles : Profiles
-    table : DataFrame
-        All points, each with the profile on whose front it lies and its objectives in every profile.
-    searches : dict of profile to Front
-        Empty where the front was read from a file.
-    chosen : int
-    rules : dict of str to int
-        What every rule would choose; the knee of a single profile's objectives as well.
-    """
+    """A front and the point chosen on it."""
 
     profiles: Profiles
+    #: All points, each with the profile on whose front it lies and its objectives in every profile.
     table: pd.DataFrame
+    #: Dict of profile to Front: empty where the front was read from a file.
     searches: dict[str, Front]
     chosen: int
+    #: What every rule would choose; the knee of a single profile's objectives as well.
     rules: dict[str, int]
 
     @property
@@ -88,13 +79,7 @@ def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, 
 
 
 def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Checkpoint:
-    """What an earlier search left beside the output.
-
-    Raises
-    ------
-    UsageError
-        When there is nothing to go on with although the user insists.
-    """
+    """What an earlier search left beside the output; raises where there is none although the user insists."""
     if options.resume and output is None:
         raise UsageError("--resume needs -o: an unfinished search is kept beside the output")
     if options.resume is False and output is not None:

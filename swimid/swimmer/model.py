@@ -35,21 +35,14 @@ TABLES = 12
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A simulated run on its own grid.
-
-    Attributes
-    ----------
-    begin_s, step_s : float
-    states, rates : ndarray, shape (steps + 1, k)
-        As the engine's ``integrate`` gives them.
-    driven : ndarray, shape (steps + 1, driven joints, 3)
-        Angle, rate and acceleration.
-    """
+    """A simulated run on its own grid."""
 
     begin_s: float
     step_s: float
+    #: Shape (steps + 1, k) each: as the engine's ``integrate`` gives them.
     states: Array
     rates: Array
+    #: Shape (steps + 1, driven joints, 3): angle, rate and acceleration.
     driven: Array
 
 
@@ -236,14 +229,7 @@ class LinkedModel(Swimmer):
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
-        """The run on its own step grid, from the world's origin; relative to the water where that flows.
-
-        Parameters
-        ----------
-        values : ndarray, shape (len(self.parameters),)
-        trial : Trial
-        hooks : Hooks
-        """
+        """The run on its own step grid, from the world's origin; relative to the water where that flows."""
         values = self._with_own_coefficients(values, trial)
         begin, step, steps = self._grid(values, trial, hooks)
         key = values[self._influences(hooks)].tobytes() + hooks.key + np.array((begin, step, steps)).tobytes()

@@ -34,19 +34,7 @@ WORDS = {
 
 
 def check_names(body: Any, part: str) -> None:
-    """Refuse names that stand twice or are not there.
-
-    Parameters
-    ----------
-    body : document with links, joints, elements and coefficients
-    part : str
-        Its place in the robot file.
-
-    Raises
-    ------
-    InputError
-        With the dotted path of what is wrong.
-    """
+    """Refuse names that stand twice or are not there, with their dotted path in a part of the robot file."""
     links = [link.name for link in body.links]
     for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
         for n, own in enumerate(given):
@@ -96,13 +84,7 @@ def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
 
 
 def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
-    """Links with parents before children, and the joint that holds each (None for the base).
-
-    Raises
-    ------
-    InputError
-        A link without or with two joints, or a cycle.
-    """
+    """Links with parents before children, and the joint that holds each (None for the base)."""
     joint_of: dict[str, Any] = {}
     for joint in body.joints:
         where = f"{part}.joints.{joint.name}"
@@ -224,13 +206,7 @@ class Tree(ABC):
     def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
         """Collect the rows of links and elements, and check them at the file's coefficients.
 
-        Parameters
-        ----------
-        rows : Tables
-            Of the elements, with an empty row of inertia for each link.
-        adders : mapping of kind of element to callable
-        engine : module
-            Names the columns of the tables.
+        ``rows`` has an empty row of inertia for each link; the engine names the columns of its tables.
         """
         for link in self.links:
             self._add_rigid(link, rows)
