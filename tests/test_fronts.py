@@ -84,7 +84,7 @@ def test_what_breaks_down_is_left_behind() -> None:
 
     found = genetic.nsga2(broken, *BOX, objectives=2, population=16, generations=6)
     assert (found.points[:, 0] <= 0).all()
-    assert (found.objectives < genetic.BROKEN).all()
+    assert (found.objectives < genetic.BROKEN_OBJECTIVE).all()
 
 
 def test_rules_of_choice() -> None:

@@ -135,12 +135,7 @@ def parameter_file(
     method: str = "maximum likelihood",
     unfinished: bool = False,
 ) -> ParameterFile:
-    """The parameter file of a fit.
-
-    Parameters
-    ----------
-    unfinished : bool
-        Of a fit that was interrupted, too; the file says that it did not converge.
+    """The parameter file of a fit; of one that was interrupted, too, where that may be ``unfinished``.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from swimid.fitting.model import Array
 #: The sea lion paper's settings (section II).
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
 #: An objective of a simulation that broke down.
-BROKEN = 1e9
+BROKEN_OBJECTIVE = 1e9
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,7 @@ def nsga2(
     Parameters
     ----------
     evaluate : callable
-        Objectives, shape (n, m), of points, shape (n, d).
-    lower, upper : ndarray, shape (d,)
-        Finite bounds.
+        Objectives, shape (n, m), of points, shape (n, d), within finite bounds, shape (d,).
     objectives : int
         m.
     population, generations, crossover, seed
@@ -83,10 +81,8 @@ def nsga2(
     first : ndarray, shape (d,), optional
         A point that takes part from the beginning.
     checkpoint : Checkpoint, optional
-        Keeps the objectives of every generation: a search that was stopped is repeated with them up to there
-        and goes on as if nothing had happened.
-    name : str
-        What the generations are kept under.
+        Keeps the objectives of every generation under ``name``: a search that was stopped is repeated with
+        them up to there and goes on as if nothing had happened.
     advance : callable
         Called after each generation.
     """
@@ -114,7 +110,7 @@ def nsga2(
         label = f"{name}: generation {len(history)}"
         found = _kept(keep, label, points, objectives)
         if found is None:
-            found = np.nan_to_num(evaluate(points), nan=BROKEN, posinf=BROKEN)
+            found = np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE)
             keep.put(label, np.concatenate([points.ravel(), found.ravel()]))
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)

@@ -31,7 +31,7 @@ CREEPING = 40
 STRAIGHT, BENT = 0.9, 0.75
 #: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
 #: and over so many steps at most.
-FAITHFUL, LONGEST = 0.75, 5
+FAITHFUL, CARRIED_STEPS = 0.75, 5
 #: What is said of a search that ends: at rest, where no step helps, on an edge, in a valley.
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
@@ -189,7 +189,7 @@ def minimise(
                     if (
                         secant is not None
                         and gain > FAITHFUL
-                        and age < LONGEST
+                        and age < CARRIED_STEPS
                         and not (done or slight or small)
                     ):
                         rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False

@@ -12,7 +12,7 @@ from swimid.fitting import output_error, start_states
 from swimid.fitting.fit_result import FitResult
 
 #: Fewest trials among which one can be odd: of fewer the others do not show how far off is far.
-FEWEST = 4
+MIN_TRIALS = 4
 #: A trial is odd when chance would put one of them as far off less often than this.
 ODD = 1e-2
 #: ... and its error of prediction is at least so many times that of the others: less is no mistake in a
@@ -41,7 +41,7 @@ def odd_trial(result: FitResult) -> Odd | None:
     lacks for all trials is in those errors too, and makes none of them odd.
     """
     names = [t.id for t in result.trials if t.role == "fit"]
-    if len(names) < FEWEST:
+    if len(names) < MIN_TRIALS:
         return None
     here = result.at_estimates()
 

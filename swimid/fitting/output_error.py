@@ -43,7 +43,7 @@ BY_NOISE = 2.0
 SLIGHT = 0.03
 #: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
 #: what fits of right models take (6 to 25; 52 where simulations break down at the start).
-LONGEST, BUDGET = 200, 75
+MAX_ITERATIONS, BUDGET = 200, 75
 #: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
 CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
@@ -200,7 +200,7 @@ def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult
     """
     spent = taken = 0
     for _ in range(MAX_REFINEMENTS):
-        result = _fit_once(task, begin, budget=BUDGET if unfinished else LONGEST, near=near)
+        result = _fit_once(task, begin, budget=BUDGET if unfinished else MAX_ITERATIONS, near=near)
         spent, taken = spent + result.evaluations, taken + result.jacobians
         result = replace(result, evaluations=spent, jacobians=taken)
         if not (result.converged or result.interrupted or unfinished):

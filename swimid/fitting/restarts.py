@@ -17,7 +17,7 @@ from swimid.fitting.noise import huber_damping
 from swimid.fitting.problem import IMMATERIAL, Problem
 
 #: Pairs of points tried around the answer, and their distance in standard errors under white noise.
-PAIRS, NEAR = 3, 2.0
+PAIRS, PAIR_DISTANCE = 3, 2.0
 #: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
 #: error's worth) has corners.
 ROUGH = 0.5
@@ -97,7 +97,7 @@ def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tu
     tried: list[tuple[float, Array]] = []
     rough = kinked(result)
     for _ in range(PAIRS):
-        step = NEAR * steps @ _unit(rng, len(theta))
+        step = PAIR_DISTANCE * steps @ _unit(rng, len(theta))
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
         costs = [_cost(problem, point) for point in pair]
         tried += list(zip(costs, pair, strict=True))

@@ -95,9 +95,8 @@ def sandwich(
 
     Parameters
     ----------
-    jacobians : list of ndarray, each shape (n_k, p)
-        Of the weighted residuals of each trial, columns scaled to parameters of like size.
-    residuals : list of ndarray, each shape (n_k,)
+    jacobians, residuals : list of ndarray, each shape (n_k, p) and (n_k,)
+        Weighted, of each trial; columns scaled to parameters of like size.
     autoregressions : dict of channel name to ndarray
         Of the weighted residuals.
 

@@ -27,7 +27,7 @@ def estimate(
     *,
     tolerance: float = TOLERANCE,
 ) -> dict[str, float]:
-    """Per-trial parameters of one trial, the shared ones held at their start values.
+    """Per-trial parameters of one trial by label, ``name[trial]``, the shared ones held at their starts.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def estimate(
         Shared ones with their values as ``start``; of the others those that are free are estimated.
     sd : mapping of channel name to float
         Noise of each channel, for the weights; channels that are not in it are not used.
-
-    Returns
-    -------
-    dict of label to float
-        ``name[trial]``; empty where nothing is free.
     """
     held = [replace(p, free=p.free and p.per_trial) for p in parameters]
     used = {c: v for c, v in trial.measured.items() if c in sd}

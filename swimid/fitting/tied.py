@@ -90,12 +90,8 @@ class Tied(Model):
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
         """What is known of each parameter, by the names of the untied model.
 
-        Parameters
-        ----------
-        entries : mapping of str to anything
-            By parameter name, or ``name[trial]``: a value, an estimate with its error.
-            A shared one is repeated for every member; its standard error is each member's,
-            all of them fully correlated.
+        A shared one is repeated for every member; its standard error is each member's, all of them fully
+        correlated.
         """
         found: dict[str, Entry] = {}
         for label, entry in entries.items():

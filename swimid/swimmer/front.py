@@ -103,10 +103,8 @@ def search(
 
     Raises
     ------
-    InputError
-        For a front file that does not belong to these trials.
-    UsageError
-        For a choice the front does not have.
+    InputError, UsageError
+        For a front file that does not belong to these trials, a choice the front does not have.
     NoTrustworthyResult
         When it is interrupted, or every simulation breaks down.
     """
@@ -166,8 +164,8 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """The points of all fronts with their objectives in every profile; those that break down left out."""
     points = np.concatenate([f.points for f in searches.values()])
     owners = [name for name, f in searches.items() for _ in f.points]
-    values = np.nan_to_num(profiles.evaluate(points), nan=genetic.BROKEN)
-    sound = np.asarray((values < genetic.BROKEN).all(axis=1))
+    values = np.nan_to_num(profiles.evaluate(points), nan=genetic.BROKEN_OBJECTIVE)
+    sound = np.asarray((values < genetic.BROKEN_OBJECTIVE).all(axis=1))
     if not sound.any():
         raise NoTrustworthyResult(
             "the simulation breaks down at every point of the front",

@@ -167,16 +167,9 @@ class Profiles:
         return found
 
     def evaluate(self, points: Array, profile: str | None = None) -> Array:
-        """Objectives of points, all or those of one profile.
+        """Objectives, shape (n, m), of points, shape (n, d), all or those of one profile.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, d)
-
-        Returns
-        -------
-        ndarray, shape (n, m)
-            In units of the scales; NaN where a simulation breaks down.
+        In units of the scales; NaN where a simulation breaks down.
         """
         members = [k for name in self.names if profile in (None, name) for k in self._members[name]]
         thetas = [self.theta(p) for p in points]

@@ -11,7 +11,7 @@ from swimid.fitting.model import Array
 from swimid.logs.rotation import from_angles
 
 #: Fewest samples of a cycle.
-FEWEST = 6
+MIN_SAMPLES = 6
 #: What is told of a cycle, with its unit.
 QUANTITIES = {
     "max_speed_m_s": "m/s",
@@ -78,7 +78,7 @@ def quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> 
         if values is None:
             return None
         there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)
-        return (time_s[there], values[..., there]) if there.sum() >= FEWEST else None
+        return (time_s[there], values[..., there]) if there.sum() >= MIN_SAMPLES else None
 
     moving = seen(velocity(time_s, channels))
     if moving is not None:
@@ -95,7 +95,7 @@ def quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> 
         rate = channels.get("pitch_rate_rad_s")
         rate = (_slope(time_s, channels["pitch_rad"]) if rate is None else rate)[inside]
         found["final_pitch_rad"] = float(angle[-1])
-        if np.isfinite(rate).sum() >= FEWEST:
+        if np.isfinite(rate).sum() >= MIN_SAMPLES:
             found["max_pitch_rate_rad_s"] = float(np.nanmax(np.abs(rate)))
         found["mean_pitch_rate_rad_s"] = float((angle[-1] - angle[0]) / (t[-1] - t[0]))
     return {name: found[name] for name in QUANTITIES if name in found}

@@ -109,18 +109,8 @@ def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
 def servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
     """Angle, rate and acceleration of a second-order servo that starts at its command, at rest.
 
-    Parameters
-    ----------
-    command : ndarray, shape (2 m + 1,)
-        On half the grid of the result.
-    step : float, s
-        Step of the result's grid.
-    omega : float, rad/s
-    damping : float
-
-    Returns
-    -------
-    ndarray, shape (m + 1, 3)
+    Shape (m + 1, 3), on a grid of this step (s); the command, shape (2 m + 1,), is on half that grid, omega
+    in rad/s.
     """
     count = (len(command) - 1) // 2
     result = np.empty((count + 1, 3))

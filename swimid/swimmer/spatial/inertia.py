@@ -19,20 +19,9 @@ def block(
 ) -> list[Quantity]:
     """The stored entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) of a mass at a place.
 
-    Parameters
-    ----------
-    mass : 3 by 3
-        Symmetric; momentum of the place for its velocity, kg.
-    at : 3
-        The place, m.
-    turning : 3 by 3
-        Inertia about that place, kg m2.
-
-    Returns
-    -------
-    list of 21
-        A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the
-        place is ``v - S w``.
+    A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the place (m)
+    is ``v - S w``. The mass is symmetric, 3 by 3, momentum of the place for its velocity, kg; turning is
+    inertia about that place, kg m2.
     """
     m = np.array([[Polynomial.of(e) for e in row] for row in mass])
     x, y, z = (Polynomial.of(a) for a in at)

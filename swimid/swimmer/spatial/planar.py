@@ -21,16 +21,6 @@ class Lifted(Assembly):
 
     What a planar file does not say is taken as symmetric: no mass and no force off the plane, inertia about
     the axes in it like that about its normal.
-
-    Parameters
-    ----------
-    body : Multilink
-    fluid : Fluid
-
-    Attributes
-    ----------
-    reference : ndarray, shape (3,)
-        The point of the base whose pose the logs hold, m.
     """
 
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
