@@ -6,7 +6,7 @@ of a robot in a plane, and how its tables are changed), ``scales`` (typical size
 else acts on a model), ``experiment`` (a model and its trials), ``tied`` (parameters that share a value).
 Search: ``output_error``, ``problem``, ``levenberg``, ``multistart``, ``restarts``, ``genetic`` (several
 objectives). Uncertainty: ``noise``, ``sandwich`` (covariance), ``identifiability``, ``profile``,
-``random_effect``, ``odd_trial``, ``start_states``. Judging: ``residual_tests``, ``metrics``. ``fit_result`` is
-what a search came to, ``fit_common`` its parameter file, checks and figures, ``fit_model`` the fit of a model
-of one's own, ``options`` what several fits can be told.
+``random_effect``, ``odd_trial``, ``start_states``. Judging: ``residual_tests``, ``metrics``. ``fit_result``
+is what a search came to, ``fit_common`` its parameter file, checks and figures, ``fit_model`` the fit of a
+model of one's own, ``options`` what several fits can be told.
 """

@@ -75,7 +75,7 @@ def multistart(
     best: FitResult | None = None
     ends: list[Start] = []
     failure: NoTrustworthyResult | None = None
-    spent: list[tuple[int, int]] = []
+    results: list[FitResult] = []
     with progress("starts", total=starts) as step:
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
@@ -92,7 +92,7 @@ def multistart(
                 ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
-                spent.append((found.evaluations, found.jacobians))
+                results.append(found)
                 if best is None or (not found.converged, found.cost) < (not best.converged, best.cost):
                     best = found
                 if found.interrupted:
@@ -104,9 +104,11 @@ def multistart(
         assert failure is not None
         raise failure
     found = output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1)
-    evaluations = sum(e for e, _ in spent) - best.evaluations + found.evaluations
-    jacobians = sum(j for _, j in spent) - best.jacobians + found.jacobians
-    return replace(found, evaluations=evaluations, jacobians=jacobians), ends
+    others = [r for r in results if r is not best]
+    evaluations = found.evaluations + sum(r.evaluations for r in others)
+    return replace(
+        found, evaluations=evaluations, jacobians=found.jacobians + sum(r.jacobians for r in others)
+    ), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:

@@ -144,35 +144,33 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
 
     With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
-    first, count = result, 0
+    first, count, settled = result, 0, True
     spent, taken, gain = result.evaluations, result.jacobians, 0.0
+    if result.interrupted:
+        return result
     try:
-        while not result.interrupted:
+        while True:
             if spent > (1.0 + SHARE) * first.evaluations and not restarts.kinked(result):
-                result = replace(result, restarts=count, settled=gain <= ANOTHER)
+                settled = gain <= ANOTHER
                 break
             with threadpool_limits(limits=1, user_api="blas"):
-                found = restarts.held(result, jobs=jobs, seed=count)
-            spent, taken = spent + found.evaluations, taken + found.jacobians
-            if found.point is None or count == RESTARTS:
-                result = replace(result, restarts=count, settled=found.point is None)
+                near = restarts.held(result, jobs=jobs, seed=count)
+            spent, taken = spent + near.evaluations, taken + near.jacobians
+            if near.point is None or count == RESTARTS:
+                settled = near.point is None
                 break
             task = _Task(result.model, result.trials, result.parameters, jobs, result.loss)
-            again = _refined(task, found.point, True, near=result)
+            again = _refined(task, near.point, True, near=result)
             spent, taken = spent + again.evaluations, taken + again.jacobians
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
-                result = replace(result, restarts=count, settled=True)
                 break
-            if not again.converged:
-                result = replace(again, restarts=count + 1, settled=False)
-                break
-            result, count = again, count + 1
-            if gain < TRIFLE and not found.rough:
-                result = replace(result, restarts=count, settled=True)
+            result, count, settled = again, count + 1, again.converged
+            if not settled or (gain < TRIFLE and not near.rough):
                 break
     except KeyboardInterrupt:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
+    result = replace(result, restarts=count, settled=settled)
     if _objective(first) - _objective(result) > ANOTHER:
         warn(
             "SWM073",
