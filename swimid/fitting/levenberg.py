@@ -37,7 +37,7 @@ STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 HIDDEN = "cost and estimates change by less than noise shows"
 KINKED = "no step lowers the cost though the gradient does not vanish"
-CREPT = "the search creeps"
+STALLED = "the search creeps"
 #: Columns that are a handful.
 FEW = 16
 
@@ -52,7 +52,7 @@ class Solution:
     message: str
     iterations: int
     #: Given up though steps still lowered the cost a little.
-    crept: bool = False
+    stalled: bool = False
     #: What the last `STRIDE` steps together lowered the cost by, and how far they went, shape (p,); infinite
     #: where there were fewer.
     lowered: float = math.inf
@@ -225,7 +225,7 @@ def _reason(
         if before - cost <= unnoticed.cost and np.all(np.abs(x - there) <= unnoticed.move):
             return HIDDEN
     if iteration > CREEPING and len(path) > STRIDE and path[-1 - STRIDE][1] - cost < little * cost:
-        return CREPT
+        return STALLED
     return None
 
 
@@ -233,7 +233,7 @@ def _solution(path: list[tuple[Array, float]], success: bool, message: str, iter
     """The end of a path of points and their costs."""
     x, cost = path[-1]
     there, before = path[-1 - STRIDE] if len(path) > STRIDE else (np.full(len(x), math.inf), math.inf)
-    return Solution(x, cost, success, message, iterations, message == CREPT, before - cost, x - there)
+    return Solution(x, cost, success, message, iterations, message == STALLED, before - cost, x - there)
 
 
 def _attempt(

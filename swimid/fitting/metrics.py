@@ -33,16 +33,7 @@ class Score:
 
 
 def score(measured: Array, simulated: Array) -> Score:
-    """Compare two series, leaving out samples missing in either.
-
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n,)
-
-    Returns
-    -------
-    Score
-        NaN where nothing can be compared.
+    """Compare two series, shape (n,), leaving out samples missing in either; NaN where nothing is left.
 
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
@@ -66,15 +57,7 @@ def score(measured: Array, simulated: Array) -> Score:
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
     """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
 
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n,)
-        Samples missing in either are left out.
-
-    Returns
-    -------
-    (absolute, normalised)
-        In the channel's unit, and without one.
+    Of series of shape (n,), samples missing in either left out: in the channel's unit, and without one.
 
     >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
     (1.0, 0.25)

@@ -288,7 +288,7 @@ def _fit_once(
                 f"the fit did not converge: {path.message}", hint="check units and trial settings"
             )
         _insist_unbroken(problem, path.theta)
-        if path.crept:
+        if path.stalled:
             warn(
                 "SWM026",
                 f"the search converged slowly along a flat valley and was ended after {path.iterations} "
@@ -314,7 +314,7 @@ class _Search:
     near: FitResult | None = None
     converged: bool = False
     interrupted: bool = False
-    crept: bool = False
+    stalled: bool = False
     message: str = ""
     iterations: int = 0
     lowered: float = math.inf
@@ -405,14 +405,14 @@ class _Search:
             watch=watch,
         )
         self.theta, self.iterations = solution.x, done + solution.iterations
-        self.converged, self.message, self.crept = solution.success, solution.message, solution.crept
+        self.converged, self.message, self.stalled = solution.success, solution.message, solution.stalled
         self.lowered, self.moved = solution.lowered, solution.moved
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
     """Why the end of a search is no minimum, in words; None where it is one as far as noise tells."""
     moving = {}
-    if search.moved is not None and not (search.converged and not search.crept):
+    if search.moved is not None and not (search.converged and not search.stalled):
         for label, move in zip(result.labels, search.moved, strict=True):
             error = result.stderr(label)
             if "[" not in label and result.status[label] == "estimated" and error:

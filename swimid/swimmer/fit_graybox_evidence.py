@@ -161,15 +161,14 @@ def methods(
 ) -> list[str]:
     """How it was done, in sentences."""
     fitted = [t for t in result.trials if t.role == "fit"]
-    names = [label for label in result.labels if "[" not in label]
     body = body_of(experiment.robot)
     kind = "planar model" if isinstance(body, Multilink) else "model in space"
     swimmer = result.model.swimmer
     assert swimmer is not None
     by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
     said = [
-        f"{', '.join(names)} were estimated from {len(fitted)} {experiment.name} trials ({result.samples} "
-        f"samples of {', '.join(result.noise)}) by {by} with a {kind} of "
+        f"{', '.join(result.shared)} were estimated from {len(fitted)} {experiment.name} trials "
+        f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
         f"{1e3 * swimmer.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",

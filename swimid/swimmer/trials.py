@@ -215,15 +215,10 @@ def beat_of(command: Drive) -> drives.Beat:
 def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None) -> Cycle:
     """A stroke as the robot file has it.
 
-    Parameters
-    ----------
-    path : Path, optional
-        The trials file that asks for it; without one the user does.
-
     Raises
     ------
     InputError, UsageError
-        When the robot has no such stroke.
+        When the robot has no such stroke as the trials file at the path, or without one the user, asks for.
     """
     body = model.robot.multibody
     known = {} if body is None else body.strokes
