@@ -18,7 +18,7 @@ from swimid.fitting import output_error
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array
 from swimid.fitting.output_error import UNIDENTIFIABLE
-from swimid.fitting.sandwich import left_by
+from swimid.fitting.sandwich import orthogonal_part
 from swimid.progress import Progress, silent
 
 #: Directions seen less than this, relatively to the one seen best, are not seen.
@@ -226,7 +226,7 @@ def _marginal(result: FitResult, index: Sequence[int]) -> Array:
     scaled = result.information_root * _sizes(result)
     others = [i for i in _usable(result) if i not in index]
     chosen = scaled[:, list(index)]
-    return left_by(scaled[:, others], chosen, UNSEEN) if others else chosen
+    return orthogonal_part(scaled[:, others], chosen, UNSEEN) if others else chosen
 
 
 def _sd(direction: Array, singular: Array, vt: Array) -> float:

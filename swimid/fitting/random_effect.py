@@ -87,7 +87,7 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     root = found.root * found.scatter
     others = [i for i in range(len(labels)) if i not in mine]
-    part = sandwich.left_by(root[:, others], root[:, mine], math.sqrt(LEAST))
+    part = sandwich.orthogonal_part(root[:, others], root[:, mine], math.sqrt(LEAST))
     values, vectors = np.linalg.eigh(part.T @ part)
     values = np.maximum(values, LEAST * values.max(initial=1e-300))
     size = problem.scale[seen][mine]

@@ -54,8 +54,8 @@ def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, 
     return products
 
 
-def left_by(others: Array, columns: Array, floor: float) -> Array:
-    """What of columns no combination of others can imitate, shape as of the columns.
+def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
+    """The part of columns orthogonal to all others: what no combination of those can imitate.
 
     Directions in which the others have less than the share ``floor`` of their largest are not counted.
     """
