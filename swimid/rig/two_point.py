@@ -20,7 +20,7 @@ from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array
-from swimid.rig.model import falling_weight_closed_form
+from swimid.rig.equation import falling_weight_closed_form
 
 
 @dataclass(frozen=True)
