@@ -392,17 +392,16 @@ class TestTwoPoint:
             drops = []
             for w, exact in clicks.items():
                 t = np.sort(exact + np.r_[0, rng.normal(0, 2e-3, len(exact) - 1)])
-                drops.append(two_point.Drop(f"w{w}", w / 1000, t, np.arange(len(exact)) * STEP))
+                drops.append(two_point.Drop(w / 1000, t, np.arange(len(exact)) * STEP))
             found = two_point.two_point(
                 drops,
-                inertial_mass_kg=1.196,
-                pulley_inertia_kg=0.02,
+                mass_kg=1.196 + 0.02,
                 frontal_area_m2=0.00698,
                 density_kg_m3=997,
                 gravity_m_s2=9.8,
                 points_m=(0.293, 0.584),
             )
-            inside += all(abs(getattr(found, n) - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
+            inside += all(abs(found.values[n] - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
         # three correlated 2-sigma statements hold together in about nine of ten
         assert inside >= 32
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.profile import profile_interval
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -26,7 +25,7 @@ from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
 from swimid.rig import trials as rig_experiment
 from swimid.rig.options import FitDragOptions
-from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd_check, odd_one
+from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, misfit, odd_check, odd_one
 
 
 @takes(FitDragOptions)
@@ -114,7 +113,7 @@ def _best_fit(
     """The fit under the reading of the logs the data prefer, and what was chosen."""
     model = experiment.model
     if start_state == "estimate":
-        choices = _with_free(choices, ("start_offset", "initial_speed"))
+        choices = chosen(choices, freed=("start_offset", "initial_speed"))
     # a friction of each trial is a random effect, never a free number
     friction = any(p.name == FRICTION and p.free for p in choices)
     choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)
@@ -123,7 +122,7 @@ def _best_fit(
         name: output_error.fit(model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: _misfit(fits[key]))
+    name = min(fits, key=lambda key: misfit(fits[key]))
     plain = fits[name]
     found, odd = Explained(plain), odd_one(plain)
     masses = experiment.facts.get("pulling_mass_kg", {})
@@ -135,14 +134,6 @@ def _best_fit(
     checks = [*found.checks, *([odd_check(result, odd, masses)] if odd else [])]
     facts = {**({"encoder_rounding": name} if name else {}), **found.facts}
     return replace(found, result=result, facts=facts, checks=checks)
-
-
-def _misfit(result: output_error.FitResult) -> float:
-    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
-
-
-def _with_free(parameters: tuple[Parameter, ...], names: tuple[str, ...]) -> tuple[Parameter, ...]:
-    return tuple(replace(p, free=True) if p.name in names else p for p in parameters)
 
 
 def _profiles(
@@ -176,19 +167,14 @@ def _two_point(
             raise NoTrustworthyResult(f"the two-point method cannot be used: {reason}")
         return None
     gravity = experiment.robot.fluid.gravity_m_s2
+    drops = [
+        two_point.Drop(t.rig.pull / gravity, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
+        for t in pulled
+    ]
     try:
         return two_point.two_point(
-            [
-                two_point.Drop(
-                    t.id,
-                    t.rig.pull / gravity,
-                    t.time_s - t.rig.begin_s,
-                    t.measured["x_m"] - t.rig.x0,
-                )
-                for t in pulled
-            ],
-            inertial_mass_kg=float(body.inertial_mass_kg or 0.0),
-            pulley_inertia_kg=rig.pulley_inertia_kg,
+            drops,
+            mass_kg=float(body.inertial_mass_kg or 0.0) + rig.pulley_inertia_kg,
             frontal_area_m2=float(body.frontal_area_m2 or 0.0),
             density_kg_m3=experiment.robot.fluid.density_kg_m3,
             gravity_m_s2=gravity,
@@ -208,16 +194,11 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     NoTrustworthyResult
         When the method gives no errors: its points do not lie on lines, or not on rising ones.
     """
-    if not all(math.isfinite(error) for error in pair.stderr.values()):
+    if not pair.answers:
         raise NoTrustworthyResult(
             "the two-point method has no answer: its speeds do not rise with the pulling mass as Eq 13 says",
             hint="look at the pulling masses, or use --method ml",
         )
-    values = {
-        "drag_coefficient": pair.drag_coefficient,
-        "added_mass": pair.added_mass,
-        "pulley_friction": pair.pulley_friction,
-    }
     parameters = {
         name: Estimate(
             value=value,
@@ -226,7 +207,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
             bounds=file.parameters[name].bounds,
             status="estimated",
         )
-        for name, value in values.items()
+        for name, value in pair.values.items()
     }
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
@@ -245,19 +226,17 @@ def _tables(
     result: output_error.FitResult,
 ) -> list[ev.Table]:
     rows: list[dict[str, blocks.Cell]] = []
-    names = ("drag_coefficient", "added_mass", "pulley_friction")
     estimates = theory.estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
-    for name in dict.fromkeys([*names, *(t.parameter for t in estimates)]):
+    for name in dict.fromkeys([*two_point.NAMES, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
         e, known = fitted[name], "not identifiable"
         if e.status != "unidentifiable":
             known = numbers.measured(e.value, e.stderr, e.unit)
         two, bias = "", ""
-        if pair is not None and name in pair.stderr:
-            two = numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
-        if pair is not None and name in pair.bias:
+        if pair is not None and name in pair.values:
+            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
             bias = numbers.number(pair.bias[name], 2, e.unit)
         by_theory = [
             f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
@@ -344,32 +323,21 @@ def _summary(
     experiment: Experiment, file: ParameterFile, evidence: ev.Evidence, pair: two_point.TwoPointResult | None
 ) -> str:
     assert file.fit is not None
-    shown = file.model_copy(
-        update={
-            "derived": {k: v for k, v in file.derived.items() if "[" not in k},
-            "parameters": {k: v for k, v in file.parameters.items() if "[" not in k},
-        }
-    )
+    samples = (file.fit.model_extra or {}).get("samples")
     lines = [
         f"{experiment.name} of {experiment.robot.name}: {len(file.fit.trials)} trials"
-        + (
-            f", {file.fit.model_extra['samples']} samples"
-            if file.fit.model_extra and "samples" in file.fit.model_extra
-            else ""
-        ),
-        rows(shown),
+        + (f", {samples} samples" if samples is not None else ""),
+        rows(fit_common.brief(file)),
     ]
-    if pair is not None and not all(math.isfinite(e) for e in pair.stderr.values()):
+    if pair is not None and not pair.answers:
         lines.append(
             "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
         )
     elif pair is not None and getattr(file.fit, "method", "") != "two-point":
-        lines.append(
-            "  two-point method: "
-            + "; ".join(
-                numbers.measured(getattr(pair, name), pair.stderr[name], unit)
-                for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
-            )
-        )
+        said = [
+            numbers.measured(pair.values[name], pair.stderr[name], unit)
+            for name, unit in zip(two_point.NAMES, ("1", "kg", "N"), strict=True)
+        ]
+        lines.append("  two-point method: " + "; ".join(said))
     lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
     return "\n".join(lines)

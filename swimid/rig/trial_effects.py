@@ -13,13 +13,13 @@ from scipy import optimize, stats
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, random_effect
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.odd_trial import ODD, TIMES, Odd, odd_trial
 from swimid.fitting.residual_tests import fit_autoregression
 from swimid.fitting.sandwich import HETEROGENEITY
 from swimid.notices import warn
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate
 
 #: Another explanation than rest at the first sample is taken when it improves the fit beyond chance ...
@@ -100,14 +100,12 @@ def explained(
     rest = {"start_state": "rest"}
     if not fits:
         return Explained(plain, rest)
-    least = min(_misfit(rival) for rival in fits.values())
+    least = min(misfit(rival) for rival in fits.values())
     drag = fits.pop(DRAG, None)
-    if drag is not None and _misfit(drag) < 1.1 * least:
+    if drag is not None and (not fits or misfit(drag) < 1.1 * least):
         # one number for all trials explains as much as one for each
         return Explained(plain, rest, checks=[_lacks_drag(plain, drag)])
-    if not fits:
-        return Explained(plain, rest)
-    reason = min(fits, key=lambda name: _misfit(fits[name]))
+    reason = min(fits, key=lambda name: misfit(fits[name]))
     if reason == FRICTION:
         return _with_friction(plain, choices, pulling_kg, odd, chance, spread)
     best = fits[reason]
@@ -149,11 +147,12 @@ def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None
         f"{hint} Without it: {without}. Look at what is written of it, or leave it out of the fit with "
         "role: validate",
     )
-    return ev.Check(
-        name="no trial contradicts the others",
-        value=f"{odd.trial}: {times} times the others' error",
-        limit=f"below {TIMES:g} times, or p ≥ {ODD:g}",
-        verdict="fail" if moved else "warn",
+    return blocks.check(
+        "no trial contradicts the others",
+        f"{odd.trial}: {times} times the others' error",
+        f"below {TIMES:g} times, or p ≥ {ODD:g}",
+        False,
+        otherwise="fail" if moved else "warn",
         text=f"without it {', '.join(moved)} would lie outside the stated interval" if moved else "",
     )
 
@@ -223,13 +222,11 @@ def _with_friction(
         refused = "would push in some trials: it differs by more than there is of it"
         warn("SWM072", f"the friction that each trial asks for {refused}, so it is not taken for a friction")
     if refused:
+        limit = f"no trend (p ≥ {TREND:g}), none that pushes"
+        text = "all parameters take up a part of what the model lacks"
         checks.append(
-            ev.Check(
-                name="friction differs by chance only",
-                value=refused,
-                limit=f"no trend (p ≥ {TREND:g}), none that pushes",
-                verdict="fail",
-                text="all parameters take up a part of what the model lacks",
+            blocks.check(
+                "friction differs by chance only", refused, limit, False, otherwise="fail", text=text
             )
         )
         return Explained(plain, facts, checks=checks)
@@ -252,9 +249,10 @@ def _freed(plain: FitResult, choices: tuple[Parameter, ...], name: str) -> FitRe
     """The fit with one more parameter free; None where there is none to free, or it cannot be estimated."""
     if not any(p.name == name and not p.free for p in choices):
         return None
-    freed = tuple(replace(p, free=True) if p.name == name else p for p in choices)
     try:
-        return output_error.fit(plain.model, plain.trials, parameters=freed, tested=False)
+        return output_error.fit(
+            plain.model, plain.trials, parameters=chosen(choices, freed=(name,)), tested=False
+        )
     except NoTrustworthyResult:
         return None
 
@@ -268,11 +266,12 @@ def _lacks_drag(without: FitResult, drag: FitResult) -> ev.Check:
         f"({size}): try --free {DRAG}",
     )
     moved = _beyond(without, drag)
-    return ev.Check(
-        name="no drag left out",
-        value=f"{DRAG} {size}",
-        limit="0 within chance",
-        verdict="fail" if moved else "warn",
+    return blocks.check(
+        "no drag left out",
+        f"{DRAG} {size}",
+        "0 within chance",
+        False,
+        otherwise="fail" if moved else "warn",
         text=f"with it {', '.join(moved)} would lie outside the stated interval" if moved else "",
     )
 
@@ -292,7 +291,7 @@ def _beyond(stated: FitResult, other: FitResult) -> list[str]:
 def _significant(plain: FitResult, rival: FitResult) -> bool:
     """Whether the rival's extra unknowns lower the error beyond what coloured noise allows."""
     extra = len(rival.labels) - len(plain.labels)
-    before, after = _misfit(plain), _misfit(rival)
+    before, after = misfit(plain), misfit(rival)
     if after <= 0 or before <= after or after > GAIN * before:
         return False
     colour = 1.0
@@ -305,7 +304,8 @@ def _significant(plain: FitResult, rival: FitResult) -> bool:
     return bool(stats.chi2.sf(statistic, extra) < SIGNIFICANCE)
 
 
-def _misfit(result: FitResult) -> float:
+def misfit(result: FitResult) -> float:
+    """Sum of squared residuals of the fitted trials."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 

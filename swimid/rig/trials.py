@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.fitting.experiment import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.inputs import RigInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Trial, chosen
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
@@ -129,16 +128,14 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         area_known=factors[0] is not None,
         pulley=any(k.pulley for k in known),
     )
-    # No trial was released a whole trial's length away from its log.
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
-    model.parameters = tuple(
-        replace(p, lower=-span, upper=span) if p.name == "clock_offset" else p for p in model.parameters
+    model.parameters = chosen(
+        model.parameters,
+        # no trial was released a whole trial's length away from its log
+        bounds={"clock_offset": (-span, span)},
+        # a start that is not the origin carries the noise of the sample it is taken from
+        freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
     )
-    # A start that is not the origin carries the noise of the sample it is taken from.
-    if any(k.x0 != 0 for k in known):
-        model.parameters = tuple(
-            replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters
-        )
 
     def trials(rounding: str) -> list[Trial]:
         made = []
@@ -292,9 +289,7 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         area_known=factors[0] is not None,
     )
     if not any("x_m" in t.measured for t in trials):
-        model.parameters = tuple(
-            replace(p, free=False) if p.name == "start_offset" else p for p in model.parameters
-        )
+        model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
 
 
