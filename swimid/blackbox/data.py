@@ -289,17 +289,15 @@ def _sample_time(logs: dict[str, log_format.Log]) -> float:
         if rate.jitter > sampling.NOTABLE_JITTER:
             warn(
                 "SWM003",
-                f"{name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} "
-                "s; the model "
-                "takes them as equal",
+                f"{name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s; the "
+                "model takes them as equal",
             )
         if first is None:
             first = rate.step_s
         elif abs(rate.step_s / first - 1) > 0.01:
             raise InputError(
-                f"is sampled every {rate.step_s:.6g} s, the first log every {first:.6g} s; a "
-                "discrete-time model "
-                "needs one rate",
+                f"is sampled every {rate.step_s:.6g} s, the first log every {first:.6g} s; a discrete-time "
+                "model needs one rate",
                 file=log.path,
                 column="t_s",
                 hint="resample the logs onto the same time base first",

@@ -63,8 +63,7 @@ def _measured(m: Identified) -> list[Figure]:
                 id=f"free-run-{number}",
                 title=f"Measured, predicted and simulated: {name}",
                 caption="The free run sees the input only, after its first samples. A good model's free "
-                "run stays on "
-                "the measurement, and its error shows neither drift nor the beat.",
+                "run stays on the measurement, and its error shows neither drift nor the beat.",
                 panels=[top, below],
             )
         )
@@ -137,8 +136,7 @@ def _trajectories(m: Identified) -> Figure:
         id="trajectories",
         title="Parameters as the recursion proceeds",
         caption="A good run settles well before the end and stays inside its band. Steps late in the run "
-        "mean that the "
-        "robot, or its working point, changed. The band takes the residuals as white.",
+        "mean that the robot, or its working point, changed. The band takes the residuals as white.",
         panels=panels,
         columns=2,
     )
@@ -149,10 +147,8 @@ def _residuals(m: Identified) -> Figure:
         id="residuals",
         title="What the one-step residuals still hold",
         caption="Autocorrelation, and correlation with the input at earlier (positive) and later "
-        "(negative lag) "
-        "samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders or delay "
-        "are wrong. At "
-        "negative lags: the input reacts to the output.",
+        "(negative lag) samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders "
+        "or delay are wrong. At negative lags: the input reacts to the output.",
         panels=[
             blocks.correlogram(m.tests.autocorrelation, "autocorrelation", "residuals", skip_zero=True),
             blocks.correlogram(m.tests.cross, "correlation with the input", "residuals", skip_zero=False),
@@ -214,8 +210,7 @@ def _bode(m: Identified, file: ParameterFile) -> Figure:
         id="bode",
         title="Frequency response",
         caption="Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the "
-        "data speak; "
-        "elsewhere the curve is an extrapolation.",
+        "data speak; elsewhere the curve is an extrapolation.",
         panels=[
             Panel(
                 x_label="frequency (Hz)",
@@ -297,8 +292,7 @@ def _order_figure(m: Identified) -> list[Figure]:
             id="order-choice",
             title="Choice of the order",
             caption="The best model of each size. The criteria fall while parameters earn their place "
-            "and rise after; "
-            "where the free run stops gaining, more parameters only describe noise.",
+            "and rise after; where the free run stops gaining, more parameters only describe noise.",
             panels=[
                 Panel(
                     x_label="parameters",

@@ -207,8 +207,7 @@ def _warn(m: Identified) -> None:
         text = (
             f"working point removed: {data.columns.source} {point.source:.6g}, {data.columns.output} "
             f"{point.output:.6g} (means of the fitted part; constant term t = {point.t:.1f}); the model "
-            "describes "
-            "deviations from it"
+            "describes deviations from it"
         )
         moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
         if moved:
@@ -232,8 +231,7 @@ def _warn(m: Identified) -> None:
         warn(
             "SWM022",
             f"the regression is ill-conditioned (condition number {found.determined.condition:.1e}): the "
-            "orders are "
-            "higher than the excitation supports",
+            "orders are higher than the excitation supports",
         )
     if found.recursion.windup:
         warn(
@@ -246,9 +244,8 @@ def _warn(m: Identified) -> None:
         warn(
             "SWM013",
             f"one-step residuals are not white (Ljung-Box p = {found.whiteness.p_value:.2g}): ARX "
-            "coefficients are then "
-            "biased, and the standard errors (a sandwich for correlated residuals) do not cover that "
-            f"bias; {cure}",
+            "coefficients are then biased, and the standard errors (a sandwich for correlated residuals) do "
+            f"not cover that bias; {cure}",
         )
     _warn_stability(m)
     suffix = "" if unit == "1" else f" {unit}"
@@ -277,9 +274,8 @@ def _warn_stability(m: Identified) -> None:
     elif near:
         warn(
             "SWM020",
-            f"the model integrates: |z| = {numbers.measured(near[0].magnitude, near[0].stderr)} cannot "
-            "be told from 1; "
-            f"a free run drifts{tail}",
+            f"the model integrates: |z| = {numbers.measured(near[0].magnitude, near[0].stderr)} cannot be "
+            f"told from 1; a free run drifts{tail}",
         )
 
 
@@ -308,9 +304,8 @@ def _parameter_file(
     words = []
     if len(identifiable) < orders.count:
         words.append(
-            f"the data span {found.determined.rank} of {orders.na + orders.nb} directions; only "
-            "combinations of "
-            f"{', '.join(n for n in orders.names if n not in identifiable)} are determined"
+            f"the data span {found.determined.rank} of {orders.na + orders.nb} directions; only combinations "
+            f"of {', '.join(n for n in orders.names if n not in identifiable)} are determined"
         )
     return parameters.ParameterFile(
         model=NAME,

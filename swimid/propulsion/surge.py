@@ -11,7 +11,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.notices import warn
 from swimid.progress import Progress
 from swimid.results import blocks, numbers
@@ -94,12 +94,14 @@ def fit(
         },
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
-    rows = [
-        [
-            name,
-            b["stated_hz"],
-            "none found" if b["found_hz"] is None else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
-        ]
+    beats: list[dict[str, blocks.Cell]] = [
+        {
+            "trial": name,
+            "stated (Hz)": b["stated_hz"],
+            "found in yaw": "none found"
+            if b["found_hz"] is None
+            else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
+        }
         for name, b in experiment.facts["beats"].items()
     ]
     evidence = ev.Evidence(
@@ -107,19 +109,11 @@ def fit(
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
-        tables=[
-            ev.Table(
-                id="beats",
-                title="Beat frequency",
-                columns=["trial", "stated (Hz)", "found in yaw"],
-                rows=rows,
-            )
-        ],
+        tables=[blocks.table("beats", "Beat frequency", beats)],
         figures=fit_common.figures(result),
         methods=[
-            "Surge was averaged over whole tail beats, their frequency found in the yaw, and "
-            f"du/dt = a (A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by "
-            "output-error maximum "
+            "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
+            f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
             f"likelihood, {'every trial from rest' if from_rest else _STARTS}.",
         ],
         references=list(experiment.robot.sources),
@@ -134,8 +128,7 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
     if len(amplitudes) < 2:
         return {}
     name = "amplitude_exponent"
-    free = tuple(replace(p, free=True) if p.name == name else p for p in choices)
-    result = output_error.fit(experiment.model, experiment.trials, parameters=free)
+    result = output_error.fit(experiment.model, experiment.trials, parameters=chosen(choices, freed=(name,)))
     fit_common.refuse_interrupted(result)
     value, stderr = result.value(name), result.stderr(name)
     if stderr and abs(value - 2.0) > 3 * stderr:
@@ -143,8 +136,5 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
             "SWM031",
             f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2",
         )
-    return {
-        f"free_{name}": Estimate(
-            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name]
-        )  # type: ignore[arg-type]
-    }
+    free = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name])  # type: ignore[arg-type]
+    return {f"free_{name}": free}

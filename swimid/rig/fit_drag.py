@@ -297,9 +297,8 @@ def _methods(
     trials = [t for t in result.trials if t.role == "fit"]
     names = [label for label in result.labels if "[" not in label]
     said = [
-        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials "
-        f"({result.samples} samples) by "
-        "output-error maximum likelihood with a single-degree-of-freedom rig model.",
+        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials ({result.samples} "
+        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
     ]

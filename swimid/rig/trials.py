@@ -196,9 +196,8 @@ def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, 
         return time, position
     warn(
         "SWM018",
-        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; "
-        f"the {time[-1] - time[last]:.3g} s after that are left out "
-        "(end_s in the trials file sets the end yourself)",
+        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {time[-1] - time[last]:.3g} "
+        "s after that are left out (end_s in the trials file sets the end yourself)",
     )
     return time[:last], position[:last]
 
