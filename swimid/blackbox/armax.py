@@ -15,35 +15,11 @@ from swimid.errors import NoTrustworthyResult
 
 #: Zeros of C are kept this far inside the unit circle, where its inverse is stable.
 EDGE = 0.999
+#: Gauss-Newton steps, at most.
+MOST_STEPS = 100
 
 
 @njit(cache=True, error_model="numpy")
-def _errors(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
-) -> tuple[np.ndarray, np.ndarray]:
-    n, m = rows.shape
-    p = m + nc
-    errors = np.zeros(n)
-    gradient = np.zeros((n, p))
-    start = 0
-    for k in range(n):
-        if fresh[k]:
-            start = k
-        past = min(k - start, nc)
-        error = outputs[k]
-        for i in range(m):
-            error -= rows[k, i] * theta[i]
-            gradient[k, i] = rows[k, i]
-        for j in range(past):
-            error -= errors[k - 1 - j] * theta[m + j]
-            gradient[k, m + j] = errors[k - 1 - j]
-        for j in range(past):
-            for i in range(p):
-                gradient[k, i] -= theta[m + j] * gradient[k - 1 - j, i]
-        errors[k] = error
-    return errors, gradient
-
-
 def errors_and_gradient(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -69,13 +45,27 @@ def errors_and_gradient(
     gradient : ndarray, shape (n, m + nc)
         Minus its derivative: the regression vector filtered by 1 / C.
     """
-    return _errors(
-        np.asarray(theta, dtype=float),
-        np.ascontiguousarray(rows, dtype=float),
-        np.ascontiguousarray(outputs, dtype=float),
-        np.asarray(fresh, dtype=np.bool_),
-        nc,
-    )
+    n, m = rows.shape
+    p = m + nc
+    errors = np.zeros(n)
+    gradient = np.zeros((n, p))
+    start = 0
+    for k in range(n):
+        if fresh[k]:
+            start = k
+        past = min(k - start, nc)
+        error = outputs[k]
+        for i in range(m):
+            error -= rows[k, i] * theta[i]
+            gradient[k, i] = rows[k, i]
+        for j in range(past):
+            error -= errors[k - 1 - j] * theta[m + j]
+            gradient[k, m + j] = errors[k - 1 - j]
+        for j in range(past):
+            for i in range(p):
+                gradient[k, i] -= theta[m + j] * gradient[k - 1 - j, i]
+        errors[k] = error
+    return errors, gradient
 
 
 def invertible(c: np.ndarray) -> np.ndarray:
@@ -97,8 +87,6 @@ def refine(
     fresh: np.ndarray,
     nc: int,
     weights: np.ndarray,
-    *,
-    steps: int = 100,
 ) -> np.ndarray:
     """The coefficients of least weighted one-step error, from a start nearby.
 
@@ -112,8 +100,6 @@ def refine(
         See :func:`errors_and_gradient`.
     weights : ndarray, shape (n,)
         Of the squared errors.
-    steps : int
-        Most iterations.
 
     Raises
     ------
@@ -130,7 +116,7 @@ def refine(
 
     best = np.concatenate((theta[:m], invertible(theta[m:])))
     value = cost(best)
-    for _ in range(steps):
+    for _ in range(MOST_STEPS):
         errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
         step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
         for halving in range(30):
@@ -146,7 +132,8 @@ def refine(
         if gained <= 1e-13 * value:
             return best
     raise NoTrustworthyResult(
-        f"the noise polynomial C did not converge in {steps} steps", hint="lower --nc, or give longer logs"
+        f"the noise polynomial C did not converge in {MOST_STEPS} steps",
+        hint="lower --nc, or give longer logs",
     )
 
 

@@ -1,20 +1,8 @@
 """ARX and ARMAX models from records with gaps: regression, estimate, uncertainty.
 
-Model (long-fin paper [1]_ Eq 4-7, with a delay and a noise polynomial added),
-
-    A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
-    A = 1 + a1 z^-1 + ... + a_na z^-na
-    B = b1 z^-nk + b2 z^-(nk+1) + ... + b_nb z^-(nk+nb-1)
-    C = 1 + c1 z^-1 + ... + c_nc z^-nc
-
-A row of the regression exists only where every sample it needs is there; a gap costs the
-rows around it and nothing else.
-
-References
-----------
-.. [1] L. Shang, S. Wang, M. Tan, L. Cheng, Robotica 30 (2012) 913-923.
-   doi:10.1017/S0263574711001159
-.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
+The model is that of :mod:`swimid.blackbox.difference`. A row of the regression exists only where every
+sample it needs is there; a gap costs the rows around it and nothing else. See L. Ljung, "System
+Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
 """
 
 from __future__ import annotations
@@ -108,7 +96,7 @@ def columns(record: Record, orders: Orders) -> np.ndarray:
     return result
 
 
-def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> Regression:
+def regression(records: Sequence[Record], orders: Orders) -> Regression:
     """Every whole row of several records.
 
     Parameters
@@ -117,27 +105,19 @@ def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> R
         All at the same rate.
     orders : Orders
         C plays no part.
-    skip : int
-        Leave out the first ``skip`` samples of each record even where a row exists (so that
-        models of different order see the same rows).
     """
-    rows, outputs, number, sample = [], [], [], []
+    none = np.empty(0, dtype=int)
+    rows, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
     possible = 0
     for i, record in enumerate(records):
         h = columns(record, orders)
         whole = np.isfinite(record.output) & np.isfinite(h).all(axis=1)
-        whole[:skip] = False
         k = np.flatnonzero(whole)
-        possible += max(len(record) - max(orders.lag, skip), 0)
+        possible += max(len(record) - orders.lag, 0)
         rows.append(h[k])
         outputs.append(record.output[k])
         number.append(np.full(len(k), i))
         sample.append(k)
-    if not rows:
-        empty = np.empty(0, dtype=int)
-        return Regression(
-            np.empty((0, orders.na + orders.nb)), np.empty(0), empty, empty, empty.astype(bool), 0
-        )
     record_of, samples = np.concatenate(number), np.concatenate(sample)
     fresh = np.ones(len(samples), dtype=bool)
     fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
@@ -146,39 +126,36 @@ def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> R
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Which parameters the regression determines.
+    """Which parameters a regression determines.
 
     Attributes
     ----------
     determined : ndarray of bool, shape (p,)
     rank : int
         Number of determined directions.
+    condition : float
+        Condition number of the determined part with columns scaled to length one.
+    factor : ndarray, shape (p, p)
+        R of the scaled regression's QR factors.
     input_rank : int
         Number of directions the input columns alone excite: the order of excitation.
-    condition : float
-        Condition number of the regression with columns scaled to length one.
     """
 
     determined: np.ndarray
     rank: int
-    input_rank: int
     condition: float
+    factor: np.ndarray
+    input_rank: int = 0
 
 
-def identifiability(
-    data: Regression, orders: Orders, quanta: tuple[float, float] = (0.0, 0.0)
-) -> Identifiability:
-    """Find the directions in which the data say nothing.
+def directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
+    """Find the directions in which a regression says nothing.
 
     Parameters
     ----------
-    data : Regression
-        The rows of A and B.
-    orders : Orders
-        What the columns stand for.
-    quanta : (float, float)
-        Rounding step of input and output as they were logged. A direction in which the
-        regression holds no more than rounding is not determined by it.
+    rows : ndarray, shape (n, p)
+    steps : ndarray, shape (p,)
+        Rounding step of each column as it was logged.
 
     Notes
     -----
@@ -187,10 +164,40 @@ def identifiability(
     empty when its singular value is below three times the length of that in its direction,
     and below :data:`ROUNDING_LIMIT` of the largest: a well-conditioned regression is never empty.
     """
+    n, p = rows.shape
+    scale = _lengths(rows)
+    factor = np.asarray(np.linalg.qr(rows / scale, mode="r"))
+    _, singular, vectors = np.linalg.svd(factor, full_matrices=True)
+    singular = np.append(singular, np.zeros(p - len(singular)))
+    largest = max(singular[0], 1e-300)
+    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
+    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
+    # A parameter is undetermined when an empty direction has a real part of it.
+    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
+    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
+    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
+    return Identifiability(share < 1e-3, int(np.count_nonzero(~empty)), condition, factor)
+
+
+def _lengths(rows: np.ndarray) -> np.ndarray:
+    """Lengths of the columns, 1 for those of zeros."""
+    length = np.linalg.norm(rows, axis=0)
+    return np.where(length > 0, length, 1.0)
+
+
+def identifiability(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
+    """What the rows of A and B determine; of C, all.
+
+    Parameters
+    ----------
+    quanta : (float, float)
+        Rounding step of input and output as they were logged.
+    """
     steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
-    determined, rank, condition = directions(data.rows, steps)
-    _, input_rank, _ = directions(data.rows[:, orders.na :], steps[orders.na :])
-    return Identifiability(np.append(determined, np.ones(orders.nc, dtype=bool)), rank, input_rank, condition)
+    both = directions(data.rows, steps)
+    inputs = directions(data.rows[:, orders.na :], steps[orders.na :])
+    determined = np.append(both.determined, np.ones(orders.nc, dtype=bool))
+    return replace(both, determined=determined, input_rank=inputs.rank)
 
 
 def without_indistinct(
@@ -212,18 +219,15 @@ def without_indistinct(
     Parameters
     ----------
     known : Identifiability
-        Of the regression.
-    data, orders
-        See :func:`identifiability`.
+        Of the regression ``data``.
     theta, stderr : ndarray, shape (p,)
         The estimate.
     noise_sd : float
         Standard deviation of the one-step errors.
     """
     count = orders.na + orders.nb
+    inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
     length = np.linalg.norm(data.rows, axis=0)
-    scaled = data.rows / np.where(length > 0, length, 1.0)
-    inflation = np.sum(np.linalg.pinv(np.linalg.qr(scaled, mode="r")) ** 2, axis=1)
     determined = known.determined.copy()
     rank, input_rank = known.rank, known.input_rank
     for block in (slice(0, orders.na), slice(orders.na, count)):
@@ -233,34 +237,13 @@ def without_indistinct(
         if not np.any(stderr[block][lost] > 0.5 * np.abs(theta[block][lost])):
             continue
         determined[block] &= ~lost
-        singular = np.linalg.svd(np.linalg.qr(scaled[:, block], mode="r"), compute_uv=False)
+        scaled = data.rows[:, block] / _lengths(data.rows[:, block])
+        singular = np.linalg.svd(np.linalg.qr(scaled, mode="r"), compute_uv=False)
         empty = int(np.clip(np.count_nonzero(noise_sd > effect * singular), 1, len(singular) - 1))
         rank = min(rank, count - max(empty, 1))
         if block.stop == count:
             input_rank = min(input_rank, orders.nb - empty)
     return replace(known, determined=determined, rank=rank, input_rank=input_rank)
-
-
-def directions(rows: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int, float]:
-    """Which columns are determined, the rank, and the condition of the determined part.
-
-    ``steps`` is the rounding step of each column, shape (p,).
-    """
-    n, p = rows.shape
-    if p == 0:
-        return np.ones(0, dtype=bool), 0, 1.0
-    length = np.linalg.norm(rows, axis=0)
-    scale = np.where(length > 0, length, 1.0)
-    _, singular, vectors = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"), full_matrices=True)
-    singular = np.append(singular, np.zeros(p - len(singular)))
-    largest = max(singular[0], 1e-300)
-    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
-    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
-    # A parameter is undetermined when an empty direction has a real part of it.
-    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
-    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
-    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
-    return share < 1e-3, int(np.count_nonzero(~empty)), condition
 
 
 @dataclass(frozen=True)
@@ -269,7 +252,6 @@ class Estimate:
 
     Attributes
     ----------
-    orders : Orders
     theta, stderr : ndarray, shape (p,)
         Coefficients and standard errors; NaN for a parameter the data do not determine.
     covariance : ndarray, shape (p, p)
@@ -277,9 +259,6 @@ class Estimate:
         Standard deviation of e.
     residuals : ndarray, shape (n,)
         One-step errors of the final model at every row, z - h' theta.
-    data : Regression
-    recursion : recursive.Recursion
-    determined : Identifiability
     whiteness : residual_tests.TestResult
         Of the one-step errors (with forgetting: of the recursion's innovations).
     robust : bool
@@ -380,7 +359,7 @@ def estimate(
     """
     data = regression(records, orders)
     check_enough(data, orders)
-    quanta = (_quantum(records, "source"), _quantum(records, "output"))
+    quanta = (max(rounding(r.source) for r in records), max(rounding(r.output) for r in records))
     known = identifiability(data, orders, quanta)
     _check_determined(known, orders)
     padded = np.hstack((data.rows, np.zeros((len(data), orders.nc))))
@@ -420,10 +399,6 @@ def estimate(
     return Estimate(
         orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
     )
-
-
-def _quantum(records: Sequence[Record], field: str) -> float:
-    return max((rounding(getattr(record, field)) for record in records), default=0.0)
 
 
 def _check_determined(known: Identifiability, orders: Orders) -> None:

@@ -11,7 +11,9 @@ with a delay and a noise polynomial added.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -119,6 +121,11 @@ class Pole:
         """Whether it lies on or outside the unit circle."""
         return self.magnitude >= 1.0
 
+    @property
+    def state(self) -> Literal["stable", "integrating", "unstable"]:
+        """What it makes of a free run."""
+        return "unstable" if self.unstable else "integrating" if self.integrating else "stable"
+
 
 def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
     """Roots of A, largest first, with the standard error of their modulus.
@@ -139,7 +146,7 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
     n = len(a)
     polynomial = np.concatenate(([1.0], a))
     result = []
-    for z in np.roots(polynomial) if n else []:
+    for z in np.roots(polynomial):
         stderr = np.nan
         slope = np.polyval(np.polyder(polynomial), z)
         if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
@@ -226,9 +233,26 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     span = float(np.ptp(values)) if len(values) else 0.0
     # Without a range (a start from rest) only overflow is kept away.
     limit = float(np.max(np.abs(values))) + RUNAWAY * span if span > 0 else 1e150
-    return free_run(
-        np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
-    )
+    return free_run(a, b, orders.nk, record.source, record.output, limit)
+
+
+def simulate_all(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measured outputs and free runs of several records, one after the other."""
+    runs = [simulate(r, orders, theta) for r in records]
+    return np.concatenate([r.output for r in records]), np.concatenate(runs)
+
+
+def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
+    """The level of least squared error, of runs at level 0 and at level 1; 0 where none can tell.
+
+    The free run is linear in its initial samples, so that with level L it is ``run + L (raised - run)``.
+    """
+    slope, error = raised - run, measured - run
+    use = np.isfinite(slope) & np.isfinite(error)
+    weight = float(np.sum(slope[use] ** 2))
+    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
 
 
 def warm_up() -> None:

@@ -93,6 +93,5 @@ class Identified:
     @property
     def stability(self) -> str:
         """``stable``, ``integrating`` or ``unstable``."""
-        if any(p.unstable for p in self.poles):
-            return "unstable"
-        return "integrating" if any(p.integrating for p in self.poles) else "stable"
+        states = {p.state for p in self.poles}
+        return next((state for state in ("unstable", "integrating") if state in states), "stable")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swimid.blackbox.difference import Orders, Record, poles, simulate
+from swimid.blackbox.difference import Orders, Record, best_level, poles, simulate
 from swimid.errors import InputError
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
@@ -212,14 +212,9 @@ class Arma(Model):
         """
         if not (self.output_level or self.source_level):
             return self, {}
-        runs = []
-        for level in (self.output_level, self.output_level + 1.0):
-            runs.append(self._at_level(level).simulate(values, trial)[self.output])
-        gain, left = runs[1] - runs[0], trial.measured[self.output] - runs[0]
-        there = np.isfinite(gain) & np.isfinite(left)
-        power = float(np.sum(gain[there] ** 2))
-        shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
-        level = self.output_level + shift
+        levels = (self.output_level, self.output_level + 1.0)
+        run, raised = (self._at_level(level).simulate(values, trial)[self.output] for level in levels)
+        level = self.output_level + best_level(trial.measured[self.output], run, raised)
         return self._at_level(level), {"output_level": level}
 
     def _at_level(self, level: float) -> Arma:

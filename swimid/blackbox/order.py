@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.blackbox.arx import EXACT, check_enough, regression
-from swimid.blackbox.difference import Orders, Record, simulate
+from swimid.blackbox.difference import Orders, Record, simulate_all
 from swimid.blackbox.prediction import about_own_level
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting.metrics import Score, score
+from swimid.fitting.metrics import score
 from swimid.progress import Progress, silent
 
 
@@ -100,8 +100,10 @@ def search(
             # Below rounding all fits are equal; without a floor noise-free data would
             # reward ever more parameters.
             fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
-            error, measured = _free_run(judged, orders, theta, level_removed)
-            complete = error.samples > 0.5 * measured
+            parts = [about_own_level(r, orders, theta)[0] if level_removed else r for r in judged]
+            measured, run = simulate_all([r for part in parts for r in part], orders, theta)
+            error = score(measured, run)
+            complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
             found.append(
                 Candidate(
@@ -115,19 +117,6 @@ def search(
             )
             step()
     return found
-
-
-def _free_run(
-    sets: list[list[Record]], orders: Orders, theta: np.ndarray, level_removed: bool
-) -> tuple[Score, int]:
-    """Score of the free run over all sets, and the number of measured samples."""
-    measured, simulated = [], []
-    for records in sets:
-        part = about_own_level(records, orders, theta)[0] if level_removed else records
-        measured += [r.output for r in part]
-        simulated += [simulate(r, orders, theta) for r in part]
-    y = np.concatenate(measured)
-    return score(y, np.concatenate(simulated)), int(np.count_nonzero(np.isfinite(y)))
 
 
 def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:

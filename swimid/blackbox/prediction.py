@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.blackbox import armax
 from swimid.blackbox.arx import Estimate, regression
-from swimid.blackbox.difference import Orders, Pole, Record, simulate
+from swimid.blackbox.difference import Orders, Pole, Record, best_level, simulate, simulate_all
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
 
@@ -58,10 +58,7 @@ def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int
 
 def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
     """The prediction ``steps`` samples ahead, shape (n,); see :func:`predictions`."""
-    result = np.full(len(record), np.nan)
-    for result in predictions(record, orders, theta, steps=steps):  # noqa: B007 - the last one is wanted
-        pass
-    return result
+    return list(predictions(record, orders, theta, steps=steps))[-1]
 
 
 def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
@@ -80,25 +77,10 @@ def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> f
 
     For a model of deviations on data with a working point of their own: one number, so that
     ``y - level`` is simulated, initial samples included.
-
-    Returns
-    -------
-    float
-        Unit of the output; 0 where no free run can tell.
-
-    Notes
-    -----
-    The free run is linear in its initial samples, so that with level L it is
-    ``s_0 + L (s_1 - s_0)`` with s_0 the run at level 0 and s_1 at level 1: least squares in L.
     """
-    plain = [simulate(r, orders, theta) for r in records]
-    raised = [simulate(replace(r, output=r.output - 1.0), orders, theta) + 1.0 for r in records]
-    run, moved = np.concatenate(plain), np.concatenate(raised)
-    slope = moved - run
-    error = np.concatenate([r.output for r in records]) - run
-    use = np.isfinite(slope) & np.isfinite(error)
-    weight = float(np.sum(slope[use] ** 2))
-    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
+    measured, run = simulate_all(records, orders, theta)
+    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
+    return best_level(measured, run, raised + 1.0)
 
 
 def about_own_level(
@@ -184,33 +166,22 @@ def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon
     steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
     errors = horizon_errors(records, estimate.orders, estimate.theta, steps)
     by_step = dict(zip(steps, errors, strict=True))
-    measured = np.concatenate([r.output for r in records])
     runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
-    simulated = np.concatenate(runs)
-    free = score(measured, simulated)
-    at_risk = any(p.unstable or p.integrating for p in poles)
+    free = score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+    at_risk = any(p.state != "stable" for p in poles)
     gave_up = any(
         np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
         for r, run in zip(records, runs, strict=True)
         if np.isfinite(run).any() and not np.isfinite(run[-1])
     )
     diverged = bool((gave_up and at_risk) or (at_risk and free.fit_percent < 0))
-    return Scores(
-        by_step[1],
-        by_step[horizon],
-        free,
-        None,
-        0.0,
-        diverged,
-        [(s, by_step[s].rmse) for s in steps],
-    )
+    rmse = [(s, by_step[s].rmse) for s in steps]
+    return Scores(by_step[1], by_step[horizon], free, None, 0.0, diverged, rmse)
 
 
-def pooled(sets: list[list[Record]], estimate: Estimate) -> Score:
-    """Free-run score over several sets of records together."""
-    records = [r for records in sets for r in records]
-    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
-    return score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+def pooled(records: Sequence[Record], estimate: Estimate) -> Score:
+    """Free-run score over several records together."""
+    return score(*simulate_all(records, estimate.orders, estimate.theta))
 
 
 def scores_about_own_level(
@@ -218,10 +189,7 @@ def scores_about_own_level(
 ) -> tuple[list[Record], Scores]:
     """Held-out records about their own level, with their errors there and at the predicted level."""
     _check_long(records, estimate)
-    strict = score(
-        np.concatenate([r.output for r in records]),
-        np.concatenate([simulate(r, estimate.orders, estimate.theta) for r in records]),
-    )
+    strict = pooled(records, estimate)
     moved, level = about_own_level(records, estimate.orders, estimate.theta)
     return moved, replace(scores(moved, estimate, poles, horizon), strict=strict, level=level)
 

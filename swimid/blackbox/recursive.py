@@ -79,7 +79,6 @@ def recursive_least_squares(
     weight: float = 1.0,
     forgetting: float = 1.0,
     prior_scale: float = PRIOR_SCALE,
-    start: np.ndarray | None = None,
     noise_terms: int = 0,
     fresh: np.ndarray | None = None,
     stride: int = 1,
@@ -98,8 +97,6 @@ def recursive_least_squares(
         P is divided by it after every row; 0 < forgetting <= 1.
     prior_scale : float
         a of P(0) = a^2 I, > 0.
-    start : ndarray, shape (p,), optional
-        theta(0), zero by default.
     noise_terms : int
         The last ``noise_terms`` columns of ``regressors`` are replaced by the residuals of the
         rows before (extended least squares [3]_); what they hold is ignored.
@@ -126,26 +123,22 @@ def recursive_least_squares(
     h = np.array(regressors, dtype=float, order="C", ndmin=2, copy=bool(noise_terms) or None)
     z = np.ascontiguousarray(outputs, dtype=float)
     n, p = h.shape
-    if z.shape != (n,):
-        raise ValueError(f"outputs have shape {z.shape}, regressors {h.shape}")
-    if not weight > 0:
-        raise ValueError(f"weight is {weight!r}; it must be positive")
-    if not 0 < forgetting <= 1:
-        raise ValueError(f"forgetting is {forgetting!r}; it must be above 0 and at most 1")
-    if not prior_scale > 0:
-        raise ValueError(f"prior_scale is {prior_scale!r}; it must be positive")
-    if stride < 1:
-        raise ValueError(f"stride is {stride}; it must be at least 1")
-    if not 0 <= noise_terms <= p:
-        raise ValueError(f"noise_terms is {noise_terms}, with {p} parameters")
+    for allowed, what in (
+        (z.shape == (n,), f"outputs have shape {z.shape}, regressors {h.shape}"),
+        (weight > 0, f"weight is {weight!r}; it must be positive"),
+        (0 < forgetting <= 1, f"forgetting is {forgetting!r}; it must be above 0 and at most 1"),
+        (prior_scale > 0, f"prior_scale is {prior_scale!r}; it must be positive"),
+        (stride >= 1, f"stride is {stride}; it must be at least 1"),
+        (0 <= noise_terms <= p, f"noise_terms is {noise_terms}, with {p} parameters"),
+    ):
+        if not allowed:
+            raise ValueError(what)
     if noise_terms:
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    theta = np.zeros(p) if start is None else np.array(start, dtype=float)
-    breaks = np.zeros(n if noise_terms else 0, dtype=np.bool_)
-    if noise_terms and fresh is not None:
-        breaks[:] = fresh
+    theta = np.zeros(p)
+    breaks = np.zeros(n, dtype=np.bool_) if fresh is None else fresh
     kept = np.arange(stride - 1, n, stride)
     if n and (len(kept) == 0 or kept[-1] != n - 1):
         kept = np.append(kept, n - 1)

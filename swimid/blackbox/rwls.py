@@ -298,7 +298,7 @@ def _parameter_file(
             identifiable.append(name)
     validation: dict[str, Any] = {}
     if m.scores:
-        together = prediction.pooled(list(m.held_out.values()), found)
+        together = prediction.pooled([r for part in m.held_out.values() for r in part], found)
         by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.blackbox.arx import EXACT, Regression, covariance, directions, regression
-from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate
+from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate_all
 from swimid.fitting import residual_tests as rt
 
 #: |t| of a constant term from which on the working point is removed.
@@ -109,7 +109,7 @@ def _helps(
     for part in (list(records), shifted(records, point)):
         data = regression(part, plain)
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
-        errors = np.concatenate([r.output - simulate(r, plain, theta) for r in part])
+        errors = np.subtract(*simulate_all(part, plain, theta))
         rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
         found = poles(theta[: orders.na], None, 1.0)
         largest.append(found[0].magnitude if found else 0.0)
@@ -130,8 +130,7 @@ def _constant(data: Regression) -> tuple[float, float]:
     if n <= p + 1:
         return float("nan"), float("nan")
     rows = np.hstack((data.rows, np.ones((n, 1))))
-    determined, _, _ = directions(rows, np.zeros(p + 1))
-    if not determined[-1]:
+    if not directions(rows, np.zeros(p + 1)).determined[-1]:
         return float("nan"), float("nan")
     theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
     residuals = data.outputs - rows @ theta
