@@ -29,14 +29,10 @@ def errors_and_gradient(
     ----------
     theta : ndarray, shape (m + nc,)
         Coefficients of A, B and C.
-    rows : ndarray, shape (n, m)
-        Regression vectors of A and B.
-    outputs : ndarray, shape (n,)
-        z.
+    rows, outputs : ndarray, shape (n, m) and (n,)
+        Regression vectors of A and B, and z.
     fresh : ndarray of bool, shape (n,)
         True where a row does not continue the one before: the past errors are taken as zero.
-    nc : int
-        Number of coefficients of C.
 
     Returns
     -------
@@ -88,18 +84,10 @@ def refine(
     nc: int,
     weights: np.ndarray,
 ) -> np.ndarray:
-    """The coefficients of least weighted one-step error, from a start nearby.
+    """The coefficients of least weighted one-step error, from those of the extended recursion.
 
-    Gauss-Newton with step halving; C is kept invertible.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (m + nc,)
-        Start, the extended recursion's estimate.
-    rows, outputs, fresh, nc
-        See :func:`errors_and_gradient`.
-    weights : ndarray, shape (n,)
-        Of the squared errors.
+    Gauss-Newton with step halving; C is kept invertible. See :func:`errors_and_gradient`; ``weights`` are
+    those of the squared errors, shape (n,).
 
     Raises
     ------

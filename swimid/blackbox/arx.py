@@ -35,10 +35,8 @@ class Regression:
 
     Attributes
     ----------
-    rows : ndarray, shape (n, na + nb)
-        H.
-    outputs : ndarray, shape (n,)
-        z.
+    rows, outputs : ndarray, shape (n, na + nb) and (n,)
+        H and z.
     record, sample : ndarray of int, shape (n,)
         Which record and which of its samples each row predicts.
     fresh : ndarray of bool, shape (n,)
@@ -58,14 +56,9 @@ class Regression:
         return len(self.outputs)
 
     def spread(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Values of the rows on the time grid: NaN where a row is missing and between records.
+        """Values of the rows, shape (n,) or (n, p), on the time grid: NaN where a row is missing.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n,) or (n, p)
-            One per row.
-        gap : int
-            Samples of NaN between records.
+        Between records there are ``gap`` samples of NaN.
         """
         if len(self) == 0:
             return np.asarray(values, dtype=float)
@@ -81,10 +74,7 @@ class Regression:
 def columns(record: Record, orders: Orders) -> np.ndarray:
     """The regression vectors of every sample of a record, NaN where they are not whole.
 
-    Returns
-    -------
-    ndarray, shape (n, na + nb)
-        ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7).
+    ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7), shape (n, na + nb).
     """
     n = len(record)
     result = np.full((n, orders.na + orders.nb), np.nan)
@@ -97,15 +87,7 @@ def columns(record: Record, orders: Orders) -> np.ndarray:
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Every whole row of several records.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        All at the same rate.
-    orders : Orders
-        C plays no part.
-    """
+    """Every whole row of several records of one rate; C plays no part."""
     none = np.empty(0, dtype=int)
     rows, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
     possible = 0
@@ -131,14 +113,13 @@ class Identifiability:
     Attributes
     ----------
     determined : ndarray of bool, shape (p,)
-    rank : int
-        Number of determined directions.
+    rank, input_rank : int
+        Number of determined directions, and of those that the input columns alone excite (the order of
+        excitation).
     condition : float
         Condition number of the determined part with columns scaled to length one.
     factor : ndarray, shape (p, p)
         R of the scaled regression's QR factors.
-    input_rank : int
-        Number of directions the input columns alone excite: the order of excitation.
     """
 
     determined: np.ndarray
@@ -186,13 +167,7 @@ def _lengths(rows: np.ndarray) -> np.ndarray:
 
 
 def identifiability(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
-    """What the rows of A and B determine; of C, all.
-
-    Parameters
-    ----------
-    quanta : (float, float)
-        Rounding step of input and output as they were logged.
-    """
+    """What the rows of A and B determine; of C, all. ``quanta``: rounding step of input and output."""
     steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
     both = directions(data.rows, steps)
     inputs = directions(data.rows[:, orders.na :], steps[orders.na :])
@@ -215,15 +190,6 @@ def without_indistinct(
     is nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error alone moves
     the prediction by more than the whole polynomial does; they are left out together when
     the standard error of any is above half its size. A coefficient that is known to be small stays.
-
-    Parameters
-    ----------
-    known : Identifiability
-        Of the regression ``data``.
-    theta, stderr : ndarray, shape (p,)
-        The estimate.
-    noise_sd : float
-        Standard deviation of the one-step errors.
     """
     count = orders.na + orders.nb
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -329,15 +295,9 @@ def estimate(
     records : sequence of Record
         All at the same rate, working point removed where there is one
         (:mod:`swimid.blackbox.working_point`).
-    orders : Orders
-        Of A, B and C.
     weight, forgetting, prior_scale, stride
         See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs
         through the records one after the other.
-
-    Returns
-    -------
-    Estimate
 
     Raises
     ------

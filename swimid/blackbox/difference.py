@@ -29,14 +29,12 @@ RUNAWAY = 100.0
 
 @dataclass(frozen=True)
 class Record:
-    """Input and output on one grid of constant rate.
+    """Input u and output y on one grid of constant rate, from the log ``name``.
 
     Attributes
     ----------
-    name : str
-        The log it came from.
     time_s, source, output : ndarray, shape (n,)
-        Time, u and y; NaN in u or y where the sample is missing.
+        NaN in u or y where the sample is missing.
     """
 
     name: str
@@ -50,15 +48,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of the model.
-
-    Attributes
-    ----------
-    na, nb, nc : int
-        Number of coefficients of A, B and C.
-    nk : int
-        Delay of b1, samples.
-    """
+    """Numbers of coefficients of A, B and C, and the delay of b1 in samples."""
 
     na: int
     nb: int
@@ -136,8 +126,7 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
         a1 .. ana.
     covariance : ndarray, shape (na, na), or None
         Of a.
-    sample_time_s : float
-        Sample time, s.
+    sample_time_s : float, s
 
     Notes
     -----
@@ -168,12 +157,8 @@ def free_run(
 
     Parameters
     ----------
-    a : ndarray, shape (na,)
-        a1 .. ana of A = 1 + a1 z^-1 + ...
-    b : ndarray, shape (nb,)
-        b1 .. bnb of B = b1 z^-delay + b2 z^-(delay+1) + ...
-    delay : int
-        nk, samples.
+    a, b : ndarray, shape (na,) and (nb,)
+        a1 .. ana and b1 .. bnb; the delay of b1 is ``delay`` samples.
     source : ndarray, shape (n,)
         u, NaN where missing.
     measured : ndarray, shape (n,)

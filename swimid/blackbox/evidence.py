@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -77,16 +76,14 @@ def _checks(m: Identified) -> list[Check]:
     checks = []
     if m.poles:
         largest = m.poles[0]
-        verdicts: dict[str, Literal["pass", "warn", "fail"]]
-        verdicts = {"stable": "pass", "integrating": "warn", "unstable": "fail"}
-        state = "unstable" if largest.unstable else "integrating" if largest.integrating else "stable"
         checks.append(
-            Check(
-                name="largest pole",
-                value=f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
-                limit="below 1",
-                verdict=verdicts[state],
-                text=state,
+            blocks.check(
+                "largest pole",
+                f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
+                "below 1",
+                largest.state == "stable",
+                otherwise="fail" if largest.unstable else "warn",
+                text=largest.state,
             )
         )
     for name, s in m.scores.items():
@@ -150,12 +147,17 @@ def _errors(m: Identified) -> Table:
             " The working point was removed: held-out data are judged about a level of their own, and "
             "the free run beside it at the level the fitted part predicts."
         )
-    unit = numbers.unit_text(m.data.columns.units[1])
-    rmse = f"RMSE ({unit})" if unit else "RMSE"
     return Table(
         id="errors",
         title="Errors on fitted and held-out data",
-        columns=["data", "prediction", "fit (%)", rmse, "NRMSE (of the range)", "samples"],
+        columns=[
+            "data",
+            "prediction",
+            "fit (%)",
+            m.data.columns.rmse_title,
+            "NRMSE (of the range)",
+            "samples",
+        ],
         rows=rows,
         caption=caption,
     )
@@ -168,7 +170,7 @@ def _poles(m: Identified) -> Table:
             numbers.measured(p.magnitude, p.stderr),
             _finite(p.frequency_hz),
             _finite(p.damping_ratio),
-            "unstable" if p.unstable else "integrating" if p.integrating else "stable",
+            p.state,
         ]
         for p in m.poles
     ]

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.blackbox.arx import Estimate
-from swimid.blackbox.data import Data
 from swimid.blackbox.difference import Pole, Record
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.order import Candidate
 from swimid.blackbox.prediction import Scores
+from swimid.blackbox.trials import Data
 from swimid.blackbox.working_point import WorkingPoint
 from swimid.fitting import residual_tests as rt
 
@@ -54,23 +54,8 @@ def _on_record(estimate: Estimate, index: int, record: Record) -> np.ndarray:
 class Identified:
     """A model with the data it was fitted to and what tells of its quality.
 
-    Attributes
-    ----------
-    options : RwlsOptions
-    data : Data
-        As read.
-    point : WorkingPoint
-        Removed from ``data``.
-    fit, held_out
-        Records without the working point; held-out ones about a level of their own where one was removed.
-    estimate : Estimate
-    poles : list of Pole
-        The largest first.
-    fit_scores, scores
-        Errors on the fitted records, and by name on the held-out ones.
-    candidates : sequence of Candidate
-        Models tried, where the order was chosen.
-    tests : Tests
+    ``fit`` and ``held_out`` are records without the working point, held-out ones about a level of their own
+    where one was removed; ``scores`` are the errors on them. The poles come with the largest first.
     """
 
     options: RwlsOptions

@@ -64,8 +64,6 @@ class Arma(Model):
     ----------
     orders : Orders
         na, nb, nk; the noise polynomial plays no part in a simulation.
-    sample_time_s : float
-        Sample time, s.
     source, output : str
         Names of the input and the output column.
     source_level, output_level : float
@@ -242,17 +240,7 @@ class Arma(Model):
         return hooks.seen(found, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """The input of a trial: its column, or the sine where no column holds it.
-
-        Parameters
-        ----------
-        trial : Trial
-        time : ndarray, shape (n,), s
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            NaN where missing.
+        """The input of a trial at ``time`` (s), NaN where missing: its column, or the sine without one.
 
         Raises
         ------
@@ -296,18 +284,9 @@ def _orders(parameters: ParameterFile) -> Orders:
 
 
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
-    """The model as a discrete-time transfer function B / A of python-control.
+    """The model of a file of ``swimid rwls`` as a discrete-time transfer function B / A of python-control.
 
-    Parameters
-    ----------
-    parameters : ParameterFile
-        As ``swimid rwls`` writes it (:func:`swimid.results.parameters.read`).
-
-    Returns
-    -------
-    control.TransferFunction
-        In z, with ``dt`` the sample time. Between deviations from the working point, where one
-        was removed.
+    In z, with ``dt`` the sample time. Between deviations from the working point, where one was removed.
     """
     import control
 
@@ -323,17 +302,9 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 
 
 def published(name: str) -> ParameterFile:
-    """A model the long-fin paper published.
+    """A model the long-fin paper published, one of :func:`published_names`; it gives no uncertainties.
 
-    Parameters
-    ----------
-    name : str
-        One of :func:`published_names`. The paper gives no uncertainties.
-
-    Returns
-    -------
-    ParameterFile
-        With poles and stability computed here: the rotating model is unstable.
+    Poles and stability are computed here: the rotating model is unstable.
     """
     if name not in _PUBLISHED:
         raise KeyError(f"no published model {name!r}; there are {', '.join(_PUBLISHED)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,14 +22,12 @@ class Candidate:
 
     Attributes
     ----------
-    orders : Orders
     one_step_rmse : float
         On the rows all candidates share, unit of the output.
     aic, bic : float
         Akaike's and the Bayesian information criterion.
     free_run_fit : float
         Fit of the free run on held-out data, per cent; minus infinity when it runs away.
-    stable : bool
     """
 
     orders: Orders
@@ -37,6 +36,16 @@ class Candidate:
     bic: float
     free_run_fit: float
     stable: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the result as data."""
+        return {
+            **{name: getattr(self.orders, name) for name in ("na", "nb", "nk")},
+            "aic": float(self.aic),
+            "bic": float(self.bic),
+            "free_run_fit_percent": float(self.free_run_fit),
+            "stable": self.stable,
+        }
 
     def score(self, criterion: str) -> float:
         """What ``criterion`` ("bic", "aic" or "free-run") minimises."""
@@ -61,16 +70,8 @@ def search(
         The fit part.
     held_out : sequence of sequence of Record
         Sets on which the free run is judged; the fit part when empty.
-    max_na, max_nb, max_nk : int
-        The grid.
     level_removed : bool
         Judge the free run about each set's own level.
-    progress : Progress
-        Shows the models tried.
-
-    Returns
-    -------
-    list of Candidate
 
     Notes
     -----

@@ -110,13 +110,11 @@ class Scores:
 
     Attributes
     ----------
-    one_step, k_step, free_run : metrics.Score
     strict : metrics.Score or None
         The free run at the level the fitted part predicts, where all else is about the data's
         own level.
     level : float
         That own level less the predicted one, unit of the output.
-    diverged : bool
     horizons : list of (int, float)
         RMSE over the prediction horizon.
     """
@@ -201,14 +199,9 @@ def response_spread(
 
     Parameters
     ----------
-    orders : Orders
-        Of the model.
     theta, covariance : ndarray, shape (p,) and (p, p)
         Coefficients and their covariance.
-    sample_time_s : float
-        Sample time, s.
     omega_rad_s : ndarray, shape (m,)
-        Angular frequencies, rad/s.
 
     Returns
     -------

@@ -50,14 +50,10 @@ class Recursion:
         the estimate, where nothing was forgotten.
     innovations : ndarray, shape (n,)
         z(k) - h(k)' theta(k-1): the one-step error before the row was used.
-    residuals : ndarray, shape (n,)
-        z(k) - h(k)' theta(k): after it was used.
     kept : ndarray of int, shape (m,)
         Rows at which the trajectory was kept; the last row is always among them.
-    thetas : ndarray, shape (m, p)
-        Estimates after those rows.
-    spreads : ndarray, shape (m, p)
-        Square roots of the diagonal of P after those rows.
+    thetas, spreads : ndarray, shape (m, p)
+        Estimates and square roots of the diagonal of P after those rows.
     windup : int
         Number of rows after which a factor of P had to be held (see :data:`WINDUP`).
     """
@@ -65,7 +61,6 @@ class Recursion:
     theta: np.ndarray
     covariance: np.ndarray
     innovations: np.ndarray
-    residuals: np.ndarray
     kept: np.ndarray
     thetas: np.ndarray
     spreads: np.ndarray
@@ -83,7 +78,7 @@ def recursive_least_squares(
     fresh: np.ndarray | None = None,
     stride: int = 1,
 ) -> Recursion:
-    """Run the recursion over rows ``outputs = regressors @ theta + noise``.
+    """Run the recursion over rows ``outputs = regressors @ theta + noise``, from theta(0) = 0.
 
     Parameters
     ----------
@@ -104,10 +99,6 @@ def recursive_least_squares(
         True where a row does not continue the one before: past residuals restart at zero.
     stride : int
         Keep every ``stride``-th row of the trajectory.
-
-    Returns
-    -------
-    Recursion
 
     Raises
     ------
@@ -164,7 +155,7 @@ def recursive_least_squares(
         spreads,
     )
     covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, covariance, innovations, residuals, kept, thetas, spreads, int(windup))
+    return Recursion(theta, covariance, innovations, kept, thetas, spreads, int(windup))
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from swimid.blackbox import data as rwls_data
 from swimid.blackbox import difference, prediction, working_point
 from swimid.blackbox import evidence as rwls_evidence
 from swimid.blackbox import order as order_search
@@ -20,6 +19,7 @@ from swimid.blackbox.identified import Identified, tests
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.prediction import Scores
+from swimid.blackbox.trials import Data, read
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.notices import recorded, warn
@@ -46,7 +46,7 @@ def rwls(
 ) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
-    A trials file may name the columns instead. See :class:`swimid.blackbox.arx.Orders` for the orders,
+    A trials file may name the columns instead. See :class:`swimid.blackbox.difference.Orders` for the orders,
     :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
     :func:`swimid.blackbox.working_point.centre` for the means.
 
@@ -59,10 +59,6 @@ def rwls(
     progress : Progress
         Shows the order search.
 
-    Returns
-    -------
-    Fitted
-
     Raises
     ------
     UsageError, InputError, NoTrustworthyResult
@@ -70,9 +66,7 @@ def rwls(
     if options.order == "given" and (options.na is None or options.nb is None):
         raise UsageError("give --na and --nb, or --order auto")
     with recorded(repeat=True) as notices:
-        data = rwls_data.read(
-            logs, options.held_out, options.input_column, options.output_column, options.input_model
-        )
+        data = read(logs, options.held_out, options.input_column, options.output_column, options.input_model)
         m = _identified(data, options, progress)
         _warn(m)
     settings = _settings(m)
@@ -82,23 +76,14 @@ def rwls(
     file = _parameter_file(m, settings, block)
     shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))
     result = file.model_dump(mode="python")
-    result["orders_tried"] = [
-        {
-            **{k: getattr(c.orders, k) for k in ("na", "nb", "nk")},
-            "aic": float(c.aic),
-            "bic": float(c.bic),
-            "free_run_fit_percent": float(c.free_run_fit),
-            "stable": c.stable,
-        }
-        for c in m.candidates
-    ]
+    result["orders_tried"] = [c.as_dict() for c in m.candidates]
     return Fitted("rwls", _summary(m, file), result, evidence=shown, document=file).saved(output)
 
 
 # ---------------------------------------------------------------- computing
 
 
-def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) -> Identified:
+def _identified(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
     orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
     candidates: list[order_search.Candidate] = []
     if options.order == "auto":
@@ -129,30 +114,24 @@ def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) 
 
 
 def _choose(
-    data: rwls_data.Data, orders: Orders, options: RwlsOptions, progress: Progress
+    data: Data, orders: Orders, options: RwlsOptions, progress: Progress
 ) -> tuple[Orders, list[order_search.Candidate]]:
-    max_na, max_nb, max_nk, criterion = options.max_na, options.max_nb, options.max_nk, options.criterion
-    point = working_point.centre(data.fit, Orders(max_na, max_nb, 1), options.centre)
+    grid = {"max_na": options.max_na, "max_nb": options.max_nb, "max_nk": options.max_nk}
+    point = working_point.centre(data.fit, Orders(options.max_na, options.max_nb, 1), options.centre)
+    fit = working_point.shifted(data.fit, point)
     held = [working_point.shifted(part, point) for part in data.held_out.values()]
-    candidates = order_search.search(
-        working_point.shifted(data.fit, point),
-        held,
-        max_na=max_na,
-        max_nb=max_nb,
-        max_nk=max_nk,
-        level_removed=point.removed,
-        progress=progress,
-    )
-    best = order_search.best(candidates, criterion).orders
-    edge = order_search.on_edge(best, max_na=max_na, max_nb=max_nb, max_nk=max_nk)
+    candidates = order_search.search(fit, held, **grid, level_removed=point.removed, progress=progress)
+    best = order_search.best(candidates, options.criterion).orders
+    edge = order_search.on_edge(best, **grid)
     if edge:
         flags = ", ".join(f"--max-{name}" for name in edge)
         warn(
             "SWM023",
-            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {max_na}, "
-            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {flags}",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to "
+            f"{options.max_na}, nb 1 to {options.max_nb}, nk 0 to {options.max_nk}): widen the grid with "
+            f"{flags}",
         )
-    if criterion == "free-run" and held:
+    if options.criterion == "free-run" and held:
         warn(
             "SWM023",
             "the order was chosen on the held-out data, which therefore no longer judge the model "
@@ -259,24 +238,18 @@ def _warn(m: Identified) -> None:
 
 
 def _warn_stability(m: Identified) -> None:
+    if m.stability == "stable":
+        return
     diverged = [n for n, s in {"the fitted part": m.fit_scores, **m.scores}.items() if s.diverged]
     tail = f"; its free run diverges on {', '.join(diverged)}" if diverged else ""
-    outside = [p for p in m.poles if p.unstable]
-    near = [p for p in m.poles if p.integrating and not p.unstable]
-    if outside:
-        kind = " (not to be told from an integrator)" if outside[0].integrating else ""
-        warn(
-            "SWM020",
-            f"the model is UNSTABLE{kind}: |z| = "
-            f"{numbers.measured(outside[0].magnitude, outside[0].stderr)}; "
-            f"judge it by its prediction, do not simulate far{tail}",
-        )
-    elif near:
-        warn(
-            "SWM020",
-            f"the model integrates: |z| = {numbers.measured(near[0].magnitude, near[0].stderr)} cannot be "
-            f"told from 1; a free run drifts{tail}",
-        )
+    pole = next(p for p in m.poles if p.state == m.stability)
+    size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
+    kind = " (not to be told from an integrator)" if pole.integrating else ""
+    if pole.unstable:
+        text = f"is UNSTABLE{kind}: {size}; judge it by its prediction, do not simulate far{tail}"
+    else:
+        text = f"integrates: {size} cannot be told from 1; a free run drifts{tail}"
+    warn("SWM020", f"the model {text}")
 
 
 def _parameter_file(

@@ -59,25 +59,14 @@ class WorkingPoint:
 
 
 def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
-    """Decide whether the working point must be removed.
+    """Decide whether the working point must be removed; ``records`` are the fit part.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        The fit part.
-    orders : Orders
-        C plays no part.
-    mode : {"auto", "none", "mean"}
-        auto removes the means when a constant term beside A and B has a t value above
-        :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
-        better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
-        from zero, it also does when the free run gets better by that much whatever t is, at all
-        with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
-        without an offset stay as they are.
-
-    Returns
-    -------
-    WorkingPoint
+    Mode ``auto`` removes the means when a constant term beside A and B has a t value above
+    :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
+    better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
+    from zero, it also does when the free run gets better by that much whatever t is, at all
+    with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
+    without an offset stay as they are. ``none`` and ``mean``: never, and always.
     """
     source = _mean([r.source for r in records])
     output = _mean([r.output for r in records])
