@@ -1,4 +1,4 @@
-"""Trials of a black-box model, and what ``swimid rwls`` reads: logs on one grid, fitted and held-out parts."""
+"""Trials of a black-box model; records that ``swimid rwls`` reads on one time grid, fitted and held out."""
 
 from __future__ import annotations
 

@@ -43,8 +43,6 @@ def fit(
         The model's with the user's choices applied.
     origin : dict
         The provenance block.
-    wake, keep_departures
-        As in :func:`swimid.propulsion.fit_propulsion.fit_propulsion`.
 
     Raises
     ------

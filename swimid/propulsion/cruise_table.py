@@ -27,16 +27,9 @@ NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
 
 @dataclass(frozen=True)
 class CruiseTable:
-    """Runs of a robot from rest over a distance.
+    """Runs of a robot from rest over a distance; speed NaN where the run has none.
 
-    Attributes
-    ----------
-    path : Path
-    source : Path or Held
-        What stands for it in the provenance.
-    fin : list of str, length n
-    frequency_hz, amplitude_deg, distance_m, mean_speed_m_s : ndarray, shape (n,)
-        Speed NaN where the run has none.
+    ``source`` is what stands for it in the provenance.
     """
 
     path: Path

@@ -39,7 +39,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
     b1 : float, 1/m
         ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
     start_m, end_m : float, m
-        Displacements since rest between which the average is taken.
+        Since rest.
 
     >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
     0.688
@@ -56,19 +56,10 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
 def terminal_speed(
     power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
 ) -> Array:
-    """Speed at which drag consumes a propulsive power: ``v (dry + linear v + quadratic v^2) = power``.
+    """Speed at which drag consumes a propulsive power (W): ``v (dry + linear v + quadratic v^2) = power``.
 
-    Parameters
-    ----------
-    power : ndarray, W
-    quadratic, linear, dry : float or ndarray
-        Coefficients of the drag, kg/m, kg/s and N.
-
-    Returns
-    -------
-    ndarray, m/s
-        The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone
-        (Eq 26).
+    The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone (Eq 26).
+    The coefficients are in kg/m, kg/s and N.
     """
     power, quadratic, linear, dry = np.broadcast_arrays(
         *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
@@ -92,18 +83,9 @@ def mean_speed(
     quadratic: Array | float,
     linear: Array | float,
 ) -> Array:
-    """Average speed from rest over a distance, under the thrust that holds the terminal speed.
+    """Average speed (m/s) from rest over a distance (m), under the thrust that holds the terminal speed.
 
-    Parameters
-    ----------
-    terminal_m_s, distance_m : ndarray
-    mass : float or ndarray, kg
-    quadratic, linear : float or ndarray
-        Coefficients of the drag, kg/m and kg/s; dry friction only takes its part of the thrust.
-
-    Returns
-    -------
-    ndarray, m/s
+    Mass in kg, quadratic and linear drag in kg/m and kg/s; dry friction only takes its part of the thrust.
 
     Notes
     -----

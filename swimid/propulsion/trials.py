@@ -252,19 +252,9 @@ def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surge averaged over whole beats.
+    """Surge averaged over whole beats: middle of each (s) and its average; NaN where samples are missing.
 
-    Parameters
-    ----------
-    log : Log
-        With ``u_m_s``, or with position and yaw: then the displacement over a beat along its
-        mean heading.
-    period_s : float
-
-    Returns
-    -------
-    time_s, u_m_s : ndarray, shape (beats,)
-        Middle of each beat and its average; NaN for a beat with missing samples.
+    From ``u_m_s``, or from position and yaw: then the displacement over a beat along its mean heading.
 
     Raises
     ------

@@ -28,14 +28,12 @@ class Displacement:
     kind : str
         ``continuous`` (no encoder seen), ``clicks`` or ``sampled``.
     time_s, position : ndarray, shape (n,)
-        For ``sampled``: the instants at which steps were passed, or the samples themselves
+        For ``sampled``: the instants at which steps were passed (``events``), or the samples themselves
         where the body moves more than a step per sample.
     resolution : float or None
         Encoder step, in the unit of the displacement.
     time_sd_s, position_sd : float
         Known part of the errors (from the sampling interval, or from the step).
-    events : bool
-        Whether the samples are the instants at which the count changed.
     """
 
     kind: Kind
@@ -73,18 +71,9 @@ def step_of(position: Array) -> float | None:
 
 
 def understand(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Tell the kind of a displacement record and bring it into usable form.
+    """Tell the kind of a displacement record without missing samples and bring it into usable form.
 
-    Parameters
-    ----------
-    time_s, position : ndarray, shape (n,)
-        Without missing samples.
-    resolution : float, optional
-        The encoder's step where it is known: decides for records that move several steps a sample.
-
-    Returns
-    -------
-    Displacement
+    The encoder's ``resolution``, where it is known, decides for records that move several steps a sample.
     """
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)

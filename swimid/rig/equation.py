@@ -18,7 +18,7 @@ MOST_EVENTS = 8
 
 @numba.njit(cache=True, nogil=True)
 def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
-    """When a body at rest gets loose of its dry friction, and to which side.
+    """When a body at rest gets loose of its dry friction, and to which side (0 where it stays).
 
     Parameters
     ----------
@@ -27,14 +27,7 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
     dry : float
         Largest force that friction withstands.
     left : float, s
-        How far to look.
-
-    Returns
-    -------
-    after : float, s
-        ``left`` where it stays.
-    side : float
-        1 or -1; 0 where it stays.
+        How far to look, and the answer where it stays.
 
     >>> breakaway(0.5, 2.0, 1.0, 1.0)
     (0.25, 1.0)
@@ -206,8 +199,6 @@ def integrate_forced(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    time, start, max_step, force, x0, v0
-        See :func:`integrate`.
     water : ndarray, shape (steps + 1,), m/s
         Velocity of the water at :func:`step_ends`, linear in between.
     c : tuple of float
@@ -216,10 +207,6 @@ def integrate_forced(  # type: ignore[no-untyped-def]
         How many of the forces act.
     f1, c1, f2, c2, f3, c3, f4, c4
         Compiled forces (:class:`swimid.fitting.hooks.Force`) and their constants.
-
-    Returns
-    -------
-    x, v : ndarray, shape (n,)
     """
     extra = (np.zeros((3, 3)), acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4))
     return _run(time, start, max_step, force, c, x0, v0, water, extra)
@@ -227,16 +214,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Where the steps of :func:`integrate` begin and end, from the release on.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-    start, max_step : float, s
-
-    Returns
-    -------
-    ndarray, shape (steps + 1,), s
+    """Where the steps of :func:`integrate` begin and end, from the release on, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
@@ -255,23 +233,16 @@ def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type: ignore[no-untyped-def]
-    """Displacement and speed of a body pulled from rest by a constant force.
+    """Displacement (m) and speed (m/s) of a body pulled from rest by a constant force, at ``time`` (s).
 
     Parameters
     ----------
-    time : ndarray, shape (n,), s
-    start : float, s
-        Time of release.
     inertia : float, kg
         M of Eq 8.
     quadratic : float, N s2/m2
         ``rho C_d A / 2``; zero is allowed.
     force : float, N
         Net force ``m_w g - f_c``; the body stays where it is when it is not positive.
-
-    Returns
-    -------
-    x, v : ndarray, shape (n,), m and m/s
 
     Notes
     -----

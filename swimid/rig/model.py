@@ -273,16 +273,10 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 
 
 def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: bool) -> RigModel:
-    """The falling-weight model (boxfish paper, Eqs 7, 8).
+    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia and driving force.
 
-    Parameters
-    ----------
-    mass_kg, force_N : float
-        Typical inertia and driving force, for starting values and scales.
-    area_known : bool
-        Estimate the drag coefficient; else the quadratic coefficient itself.
-    pulley : bool
-        Whether a pulley's friction acts; without one it is fixed at zero.
+    ``area_known``: the drag coefficient is estimated, else the quadratic coefficient itself; without a
+    ``pulley`` its friction is fixed at zero.
     """
     half, friction = 0.5 * mass_kg, 0.1 * force_N if pulley else 0.0
     common = "pulley friction of a trial against the common one"
@@ -316,12 +310,10 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
 def free_decay(
     coordinate: str, *, inertia: float, stiffness: float | None, guess: float, amplitude: float
 ) -> RigModel:
-    """Free decay of one coordinate.
+    """Free decay of one of :data:`COORDINATES`.
 
     Parameters
     ----------
-    coordinate : str
-        A key of :data:`COORDINATES`.
     inertia : float
         Known inertia, kg or kg m2.
     stiffness : float or None

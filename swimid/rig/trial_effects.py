@@ -41,15 +41,7 @@ TREND = 1e-2
 
 @dataclass(frozen=True)
 class Explained:
-    """A fit, and what was found to differ between its trials.
-
-    Attributes
-    ----------
-    facts : dict
-        For the settings of the parameter file.
-    derived : dict of str to Estimate
-    checks : list of Check
-    """
+    """A fit, and what was found to differ between its trials; ``facts`` are for the file's settings."""
 
     result: FitResult
     facts: dict[str, Any] = field(default_factory=dict)

@@ -28,14 +28,7 @@ NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 
 @dataclass(frozen=True)
 class Drop:
-    """One falling-weight trial for this method.
-
-    Attributes
-    ----------
-    pulling_mass_kg : float
-    time_s, displacement_m : ndarray, shape (n,)
-        Since release, without missing samples.
-    """
+    """One falling-weight trial for this method, since release and without missing samples."""
 
     pulling_mass_kg: float
     time_s: Array
@@ -48,17 +41,13 @@ class TwoPointResult:
 
     Attributes
     ----------
-    values : dict of name to float
-        Of :data:`NAMES`.
-    stderr : dict of name to float
-        Statistical error and method bias together.
-    bias : dict of name to float
-        What the method gives on perfect data of its own answer, minus that answer.
+    values, stderr, bias : dict of name to float
+        Of :data:`NAMES`; the standard error is of chance and bias together. The bias is what the method gives
+        on perfect data of its own answer, minus that answer.
     points_m : tuple of float
         The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
-    speed_squared : ndarray, shape (2, k), m2/s2
-    speed_squared_sd : ndarray, shape (2, k), m2/s2
+    speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
     slopes, intercepts : ndarray, shape (2,)
         Of squared speed against pulling mass: alpha and beta of Eq 13.
     """
