@@ -128,57 +128,27 @@ def recursive_least_squares(
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    theta = np.zeros(p)
     breaks = np.zeros(n, dtype=np.bool_) if fresh is None else fresh
     kept = np.arange(stride - 1, n, stride)
     if n and (len(kept) == 0 or kept[-1] != n - 1):
         kept = np.append(kept, n - 1)
-    factors = np.eye(p)  # row j holds column j of U
-    diagonal = np.full(p, prior_scale**2)
-    innovations, residuals = np.empty(n), np.empty(n)
     thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
-    windup = _run(
-        h,
-        z,
-        breaks,
-        noise_terms,
-        1.0 / weight,
-        1.0 / forgetting,
-        WINDUP * prior_scale**2,
-        stride,
-        theta,
-        factors,
-        diagonal,
-        innovations,
-        residuals,
-        thetas,
-        spreads,
+    theta, factors, diagonal, innovations, windup = _run(
+        h, z, breaks, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
     )
     covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, covariance, innovations, kept, thetas, spreads, int(windup))
+    return Recursion(theta, covariance, innovations, kept, thetas, spreads, windup)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
-    h: np.ndarray,
-    z: np.ndarray,
-    fresh: np.ndarray,
-    noise_terms: int,
-    variance: float,
-    growth: float,
-    ceiling: float,
-    stride: int,
-    theta: np.ndarray,
-    factors: np.ndarray,
-    diagonal: np.ndarray,
-    innovations: np.ndarray,
-    residuals: np.ndarray,
-    thetas: np.ndarray,
-    spreads: np.ndarray,
-) -> int:
+def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spreads):  # type: ignore[no-untyped-def]  # noqa: C901
+    """One compiled loop: calls and branches cost time here."""
     n, p = h.shape
-    gain = np.empty(p)
-    f = np.empty(p)
+    ceiling = WINDUP * prior
+    theta = np.zeros(p)
+    factors, diagonal = np.eye(p), np.full(p, prior)  # row j of the factors holds column j of U
+    innovations, residuals = np.empty(n), np.empty(n)
+    gain, f = np.empty(p), np.empty(p)
     row = 0
     windup = 0
     first = p - noise_terms
@@ -238,7 +208,7 @@ def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
                     total += factors[j, i] * factors[j, i] * diagonal[j]
                 spreads[row, i] = np.sqrt(total)
             row += 1
-    return windup
+    return theta, factors, diagonal, innovations, windup
 
 
 def warm_up() -> None:
