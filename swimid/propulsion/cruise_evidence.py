@@ -93,20 +93,14 @@ def tables(
         }
         for p in points
     ]
+    about_fins = "A rectangle's inertia follows from Eq 6; where none is shown it is not known."
+    about_runs = (
+        "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake width "
+        "(the source's Eq 28) and with the distance from the axle to the trailing edge."
+    )
     tables = [
-        blocks.table(
-            "fins",
-            "Fins",
-            fins,
-            "A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
-        ),
-        blocks.table(
-            "points",
-            "Runs",
-            runs,
-            "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake "
-            "width (the source's Eq 28) and with the distance from the axle to the trailing edge.",
-        ),
+        blocks.table("fins", "Fins", fins, about_fins),
+        blocks.table("points", "Runs", runs, about_runs),
     ]
     if offsets:
         tables.append(blocks.table("offsets", "Amplitude offsets by fin and frequency", offsets))

@@ -22,7 +22,7 @@ STEP_S = 0.05
 NEWTON = 60
 
 
-def plate_inertia(*, height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
+def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
     """Hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
 
     >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)

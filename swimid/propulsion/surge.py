@@ -57,26 +57,25 @@ def fit(
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     derived = _free_amplitude(experiment, choices)
-    n = result.value("amplitude_exponent")
-    stderr = result.stderr("thrust_acceleration")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
-    at_one = result.value("thrust_acceleration") / reference**n
-    relative = (stderr or 0.0) / result.value("thrust_acceleration")
-    spread = math.hypot(relative, (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)))
-    derived["thrust_coefficient"] = Estimate(
-        value=at_one,
-        stderr=at_one * spread,
-        unit="m/s^2",
-        status="estimated" if spread < 0.5 else "unidentifiable",
+    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
+    at_one = thrust / reference**exponent
+    spread = math.hypot(
+        (result.stderr("thrust_acceleration") or 0.0) / thrust,
+        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    found = [b for b in experiment.facts["beats"].values() if b["found_hz"] is not None]
-    if found:
-        values = [float(b["found_hz"]) for b in found]
+    status = "estimated" if spread < 0.5 else "unidentifiable"
+    derived["thrust_coefficient"] = Estimate(
+        value=at_one, stderr=at_one * spread, unit="m/s^2", status=status
+    )
+    beats = experiment.facts["beats"]
+    measured = [b for b in beats.values() if b["found_hz"] is not None]
+    if measured:
+        values = [float(b["found_hz"]) for b in measured]
+        scatter = float(np.std(values) / math.sqrt(len(values)))
         derived["beat_frequency"] = Estimate(
             value=float(np.median(values)),
-            stderr=max(
-                float(np.std(values) / math.sqrt(len(values))), min(float(b["stderr_hz"]) for b in found)
-            ),
+            stderr=max(scatter, min(float(b["stderr_hz"]) for b in measured)),
             unit="Hz",
             status="estimated",
         )
@@ -88,13 +87,13 @@ def fit(
         settings={
             "reference_amplitude_rad": reference,
             "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
-            "beats": experiment.facts["beats"],
+            "beats": beats,
             "waveform": experiment.facts["waveform"],
             "asymmetry": experiment.facts["asymmetry"],
         },
     )
-    checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
-    beats: list[dict[str, blocks.Cell]] = [
+    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats)]
+    rows: list[dict[str, blocks.Cell]] = [
         {
             "trial": name,
             "stated (Hz)": b["stated_hz"],
@@ -102,14 +101,14 @@ def fit(
             if b["found_hz"] is None
             else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
         }
-        for name, b in experiment.facts["beats"].items()
+        for name, b in beats.items()
     ]
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
-        tables=[blocks.table("beats", "Beat frequency", beats)],
+        tables=[blocks.table("beats", "Beat frequency", rows)],
         figures=fit_common.figures(result),
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "

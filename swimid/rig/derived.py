@@ -80,15 +80,14 @@ def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> 
         gradient[j] = slope
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
     statuses = {result.status[label] for label, g in zip(result.labels, gradient, strict=True) if g != 0}
-    bound = "at-bound" in statuses
-    if held:
-        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "unidentifiable")
-    if not known.any():
-        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "fixed")
+    if "at-bound" in statuses and (held or not known.any()):
+        return Estimate(value=centre, unit=unit, status="at-bound")
+    if not held and not known.any():
+        return Estimate(value=centre, unit=unit, status="fixed")
     variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
-    error = math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else math.nan
-    if not math.isfinite(error):
+    if held or not (math.isfinite(variance) and variance >= 0):
         return Estimate(value=centre, unit=unit, status="unidentifiable")
+    error = math.sqrt(variance)
     vague = error > UNIDENTIFIABLE * abs(centre) and unit != "1"
     return Estimate(value=centre, stderr=error, unit=unit, status="unidentifiable" if vague else "estimated")
 

@@ -231,20 +231,18 @@ def _tables(
     for name in dict.fromkeys([*two_point.NAMES, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
-        e, known = fitted[name], "not identifiable"
-        if e.status != "unidentifiable":
-            known = numbers.measured(e.value, e.stderr, e.unit)
-        two, bias = "", ""
+        e, two, bias = fitted[name], "", ""
         if pair is not None and name in pair.values:
             two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
             bias = numbers.number(pair.bias[name], 2, e.unit)
+        known = numbers.measured(e.value, e.stderr, e.unit)
         by_theory = [
             f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
         ]
         rows.append(
             {
                 "parameter": name,
-                "maximum likelihood": known,
+                "maximum likelihood": "not identifiable" if e.status == "unidentifiable" else known,
                 "two-point": two,
                 "two-point bias": bias,
                 "theory": "; ".join(by_theory),
@@ -266,18 +264,11 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
     order = np.argsort(grams)
     traces = []
     for i, point in enumerate(pair.points_m):
-        traces.append(
-            ev.Trace(
-                x=grams[order],
-                y=pair.speed_squared[i][order],
-                y_error=1.96 * pair.speed_squared_sd[i][order],
-                style="points",
-                label=f"at {point:.3f} m",
-                group=i,
-            )
-        )
+        x, squared, error = grams[order], pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
-        traces.append(ev.Trace(x=grams[order], y=line, group=i))
+        label = f"at {point:.3f} m"
+        traces.append(ev.Trace(x=x, y=squared, y_error=error, style="points", label=label, group=i))
+        traces.append(ev.Trace(x=x, y=line, group=i))
     return [
         blocks.figure(
             "speed-squared",
@@ -294,26 +285,25 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
 def _methods(
     experiment: Experiment, result: output_error.FitResult, method: str, pair: two_point.TwoPointResult | None
 ) -> list[str]:
-    trials = [t for t in result.trials if t.role == "fit"]
+    count = len([t for t in result.trials if t.role == "fit"])
     names = [label for label in result.labels if "[" not in label]
     said = [
-        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials ({result.samples} "
-        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
+        f"{', '.join(names)} were estimated from {count} {experiment.name} trials ({result.samples} samples) "
+        "by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
     ]
-    kinds = set(experiment.facts.get("encoder", {}).values()) - {"continuous"}
-    if kinds:
+    if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
         step = experiment.facts.get("resolution_m")
         size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
         said.append(
-            f"The displacement came from an encoder with steps{size}; its quantisation is part of "
-            "the noise model."
+            f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise "
+            "model."
         )
     if method == "two-point" and pair is not None:
         said.append(
-            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} "
-            f"and {pair.points_m[1]:.3f} m."
+            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} and "
+            f"{pair.points_m[1]:.3f} m."
         )
     return said
 
