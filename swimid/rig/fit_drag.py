@@ -63,7 +63,12 @@ def fit_drag(
         found = _best_fit(experiment, choices, options.start_state, progress)
         result = found.result
         profiles = _profiles(result, progress) if options.profile else {}
-        pair = _two_point(experiment, options.points_m, insist=options.method == "two-point")
+        try:
+            pair = _two_point(experiment, options.points_m)
+        except NoTrustworthyResult:
+            if options.method == "two-point":
+                raise
+            pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
@@ -151,39 +156,31 @@ def _profiles(
 # ------------------------------------------------------------ two-point method
 
 
-def _two_point(
-    experiment: Experiment, points_m: tuple[float, float] | None, *, insist: bool
-) -> two_point.TwoPointResult | None:
-    """The paper's method, where it applies; raises only when it was asked for."""
-    body, rig = experiment.robot.body, experiment.robot.rig
+def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> two_point.TwoPointResult:
+    """The paper's method; raises where it does not apply."""
+    body, fluid = experiment.robot.body, experiment.robot.fluid
     pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    reason = None
+    cannot = "the two-point method cannot be used: "
     if experiment.name != "falling-weight" or len(pulled) < 3:
-        reason = "it needs a falling-weight experiment with at least three pulling masses"
-    elif body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        reason = "the robot's inertial mass and frontal area are needed"
-    if reason:
-        if insist:
-            raise NoTrustworthyResult(f"the two-point method cannot be used: {reason}")
-        return None
-    gravity = experiment.robot.fluid.gravity_m_s2
+        raise NoTrustworthyResult(
+            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
+        )
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
     drops = [
-        two_point.Drop(t.rig.pull / gravity, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
+        two_point.Drop(
+            t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0
+        )
         for t in pulled
     ]
-    try:
-        return two_point.two_point(
-            drops,
-            mass_kg=float(body.inertial_mass_kg or 0.0) + rig.pulley_inertia_kg,
-            frontal_area_m2=float(body.frontal_area_m2 or 0.0),
-            density_kg_m3=experiment.robot.fluid.density_kg_m3,
-            gravity_m_s2=gravity,
-            points_m=points_m,
-        )
-    except NoTrustworthyResult:
-        if insist:
-            raise
-        return None
+    return two_point.two_point(
+        drops,
+        mass_kg=body.inertial_mass_kg + experiment.robot.rig.pulley_inertia_kg,
+        frontal_area_m2=body.frontal_area_m2,
+        density_kg_m3=fluid.density_kg_m3,
+        gravity_m_s2=fluid.gravity_m_s2,
+        points_m=points_m,
+    )
 
 
 def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> ParameterFile:

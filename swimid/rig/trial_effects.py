@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -80,15 +81,16 @@ def explained(
         When a friction was insisted on that these trials do not tell.
     """
     if insist:
-        return _with_friction(plain, choices, pulling_kg, odd, *_friction(plain, odd, insist=True))
+        return _with_friction(plain, choices, pulling_kg, odd, *_friction(plain, odd))
     fits: dict[str, FitResult] = {}
     for name in (*STARTS, DRAG):
         rival = _freed(plain, choices, name)
         if rival is not None and _significant(plain, rival):
             fits[name] = rival
-    chance, spread = _friction(plain, odd)
-    if spread.p_value < HETEROGENEITY:
-        fits[FRICTION] = chance
+    with suppress(NoTrustworthyResult):
+        chance, spread = _friction(plain, odd)
+        if spread.p_value < HETEROGENEITY:
+            fits[FRICTION] = chance
     rest = {"start_state": "rest"}
     if not fits:
         return Explained(plain, rest)
@@ -121,15 +123,14 @@ def odd_one(plain: FitResult) -> Odd | None:
 
 def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None]) -> ev.Check:
     """That one trial contradicts the others, and what that does to the answer; warns of it."""
-    moved = _beyond(result, odd.others)
+    units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
-        f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), _unit(result, label))}"
+        f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
         for label in odd.others.labels
         if "[" not in label
     )
-    stated = pulling_kg.get(odd.trial)
+    stated, hint = pulling_kg.get(odd.trial), ""
     mass = None if stated is None else _mass_that_fits(odd, stated)
-    hint = ""
     if mass is not None and stated is not None:
         hint = f" It would agree with a pulling mass of {1e3 * mass:.3g} g; stated are {1e3 * stated:.3g} g."
     times = numbers.number(odd.times, 2)
@@ -139,24 +140,16 @@ def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None
         f"{hint} Without it: {without}. Look at what is written of it, or leave it out of the fit with "
         "role: validate",
     )
-    return blocks.check(
-        "no trial contradicts the others",
-        f"{odd.trial}: {times} times the others' error",
-        f"below {TIMES:g} times, or p ≥ {ODD:g}",
-        False,
-        otherwise="fail" if moved else "warn",
-        text=f"without it {', '.join(moved)} would lie outside the stated interval" if moved else "",
-    )
+    value = f"{odd.trial}: {times} times the others' error"
+    limit = f"below {TIMES:g} times, or p ≥ {ODD:g}"
+    return _answer_moved("no trial contradicts the others", value, limit, result, odd.others, "without")
 
 
 # ------------------------------------------------------------ friction by chance
 
 
-def _friction(
-    plain: FitResult, odd: Odd | None, *, insist: bool = False
-) -> tuple[FitResult, random_effect.Spread]:
-    """The fit with a friction that differs by chance."""
-    none = random_effect.Spread(0.0, 0.0, 1.0)
+def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effect.Spread]:
+    """The fit with a friction that differs by chance; raises where these trials do not tell it."""
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
     if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < random_effect.FEWEST:
@@ -164,17 +157,10 @@ def _friction(
     elif COMMON not in plain.labels:
         reason = f"{COMMON} is held"
     if reason:
-        if insist:
-            raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
-        return plain, none
-    try:
-        # where the others agree the model is nearly linear; pulled off by an odd one it is not
-        near = odd.others if odd is not None and COMMON in odd.others.labels else None
-        return random_effect.fit(plain, FRICTION, COMMON, near=near)
-    except NoTrustworthyResult:
-        if insist:
-            raise
-        return plain, none
+        raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
+    # where the others agree the model is nearly linear; pulled off by an odd one it is not
+    near = odd.others if odd is not None and COMMON in odd.others.labels else None
+    return random_effect.fit(plain, FRICTION, COMMON, near=near)
 
 
 def _with_friction(
@@ -191,7 +177,8 @@ def _with_friction(
     checks = []
     drag = _freed(plain, choices, DRAG)
     if drag is not None:
-        drag, _ = _friction(drag, None)
+        with suppress(NoTrustworthyResult):
+            drag, _ = _friction(drag, None)
         error = drag.stderr(DRAG)
         if error and drag.value(DRAG) > float(stats.norm.isf(SIGNIFICANCE / 2)) * error:
             checks.append(_lacks_drag(chance, drag))
@@ -257,27 +244,22 @@ def _lacks_drag(without: FitResult, drag: FitResult) -> ev.Check:
         "a linear drag beside the quadratic one would explain most of what the fit leaves over "
         f"({size}): try --free {DRAG}",
     )
-    moved = _beyond(without, drag)
-    return blocks.check(
-        "no drag left out",
-        f"{DRAG} {size}",
-        "0 within chance",
-        False,
-        otherwise="fail" if moved else "warn",
-        text=f"with it {', '.join(moved)} would lie outside the stated interval" if moved else "",
-    )
+    return _answer_moved("no drag left out", f"{DRAG} {size}", "0 within chance", without, drag, "with")
 
 
-def _beyond(stated: FitResult, other: FitResult) -> list[str]:
-    """Shared parameters whose 95 % interval does not hold the other fit's value."""
-    found = []
+def _answer_moved(
+    name: str, value: str, limit: str, stated: FitResult, other: FitResult, how: str
+) -> ev.Check:
+    """A check that is not passed; it fails where a 95 % interval does not hold the other fit's value."""
+    moved = []
     for label in stated.labels:
         error = stated.stderr(label)
         if "[" in label or label not in other.labels:
             continue
         if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
-            found.append(label)
-    return found
+            moved.append(label)
+    text = f"{how} it {', '.join(moved)} would lie outside the stated interval" if moved else ""
+    return blocks.check(name, value, limit, False, otherwise="fail" if moved else "warn", text=text)
 
 
 def _significant(plain: FitResult, rival: FitResult) -> bool:
@@ -310,10 +292,6 @@ def _own(result: FitResult, name: str) -> str:
     return ", ".join(
         f"{label[len(name) + 1 : -1]} {result.estimate[result.labels.index(label)]:+.3g}" for label in labels
     )
-
-
-def _unit(result: FitResult, label: str) -> str:
-    return next(p.unit for p in result.parameters if p.name == label)
 
 
 def _mass_that_fits(odd: Odd, stated: float) -> float | None:
