@@ -1,6 +1,6 @@
 """The ARX model as a model: simulated by free run, read from parameter files, given to python-control.
 
-Also the models the long-fin paper published (Tables II and III), ready to run.
+The models the long-fin paper published (Tables II and III) lie in ``published``, ready to run.
 """
 
 from __future__ import annotations
@@ -8,16 +8,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swimid.blackbox.difference import Orders, Record, best_level, poles, simulate
+from swimid.blackbox.difference import Orders, Record, best_level, simulate
 from swimid.errors import InputError
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.logs import sampling
-from swimid.results.parameters import Estimate, ParameterFile, Pole
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import ParameterFile
 
 if TYPE_CHECKING:
     import control
@@ -28,33 +30,8 @@ _PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
-#: Published models of the long-fin vehicle: a, b, sample time (s), output column, weight, place.
-_PUBLISHED: dict[str, tuple[tuple[float, ...], tuple[float, ...], float, str, float, str]] = {
-    "long-fin-marching-3-2": (
-        (-1.921, 1.069, -0.147),
-        (-2.278e-3, 2.695e-3),
-        0.02375,
-        "u_m_s",
-        0.93,
-        "Table II, m = 2, n = 3",
-    ),
-    "long-fin-marching-4-3": (
-        (-2.023, 1.489, -0.815, 0.350),
-        (1.140e-4, 2.881e-4, 6.670e-4),
-        0.02375,
-        "u_m_s",
-        0.95,
-        "Table II, m = 3, n = 4",
-    ),
-    "long-fin-rotating-4-3": (
-        (-0.462, -0.460, -0.162, 0.082),
-        (-4.467e-3, -6.193e-3, -6.410e-3),
-        0.0533,
-        "yaw_rate_rad_s",
-        0.95,
-        "Table III",
-    ),
-}
+#: Parameter files of the models of the long-fin vehicle that the paper published.
+PUBLISHED = Path(__file__).with_name("published")
 
 
 class Arma(Model):
@@ -304,34 +281,13 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 def published(name: str) -> ParameterFile:
     """A model the long-fin paper published, one of :func:`published_names`; it gives no uncertainties.
 
-    Poles and stability are computed here: the rotating model is unstable.
+    The rotating model is unstable.
     """
-    if name not in _PUBLISHED:
-        raise KeyError(f"no published model {name!r}; there are {', '.join(_PUBLISHED)}")
-    a, b, step, output, weight, place = _PUBLISHED[name]
-    orders = Orders(len(a), len(b))
-    found = poles(np.array(a), None, step)
-    settings: dict[str, Any] = {
-        "orders": {"na": orders.na, "nb": orders.nb, "nk": 1},
-        "input": "cmd1_rad",
-        "output": output,
-        "weight": weight,
-        "source": f"{_PAPER}, {place}",
-    }
-    return ParameterFile(
-        model=NAME,
-        robot="long-fin",
-        parameters={
-            n: Estimate(value=v, unit="1", status="fixed") for n, v in zip(orders.names, a + b, strict=True)
-        },
-        delay=1,
-        sample_time_s=step,
-        poles=[Pole(real=p.value.real, imag=p.value.imag, magnitude=p.magnitude) for p in found],
-        stable=not any(p.unstable for p in found),
-        settings=settings,
-    )
+    if name not in published_names():
+        raise KeyError(f"no published model {name!r}; there are {', '.join(published_names())}")
+    return parameters_format.read(PUBLISHED / f"{name}.yaml")
 
 
 def published_names() -> tuple[str, ...]:
     """Names :func:`published` knows."""
-    return tuple(_PUBLISHED)
+    return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
