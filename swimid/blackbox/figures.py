@@ -13,7 +13,7 @@ from swimid.blackbox.identified import Identified
 from swimid.blackbox.model import to_control
 from swimid.blackbox.order import Candidate
 from swimid.results import blocks, numbers
-from swimid.results.evidence import Figure, Mark, Panel, Span, Trace, thinned
+from swimid.results.evidence import Figure, Mark, Span, Trace, thinned
 from swimid.results.parameters import ParameterFile
 
 
@@ -47,15 +47,16 @@ def _measured(m: Identified) -> list[Figure]:
         curves = [curve(measured, label="measured", group=0), curve(one, **one_step), curve(run, **free_run)]
         errors = [curve(measured - one, **one_step), curve(measured - run, **free_run)]
         figures.append(
-            Figure(
-                id=f"free-run-{number}",
-                title=f"Measured, predicted and simulated: {name}",
-                caption="The free run sees the input only, after its first samples. A good model's free run "
-                "stays on the measurement, and its error shows neither drift nor the beat.",
-                panels=[
-                    Panel(x_label="t (s)", y_label=title, title=name, traces=curves),
-                    Panel(x_label="t (s)", y_label=f"error, {title}", traces=errors, marks=[Mark(at=0.0)]),
+            blocks.panels(
+                f"free-run-{number}",
+                f"Measured, predicted and simulated: {name}",
+                "The free run sees the input only, after its first samples. A good model's free run stays on "
+                "the measurement, and its error shows neither drift nor the beat.",
+                [
+                    blocks.panel("t (s)", title, curves, title=name),
+                    blocks.panel("t (s)", f"error, {title}", errors, marks=[Mark(at=0.0)]),
                 ],
+                columns=1,
             )
         )
     return figures
@@ -111,31 +112,27 @@ def _trajectories(m: Identified) -> Figure:
         value, spread = run.thetas[shown, i], 1.96 * scale * run.spreads[shown, i]
         estimate = blocks.band(x[shown], value, spread, label="" if i else "estimate, 95 % band", group=0)
         final = Mark(at=float(m.estimate.theta[i]), label="" if i else "final")
-        panels.append(
-            Panel(x_label="t (s)" if single else "row", y_label=name, traces=[estimate], marks=[final])
-        )
-    return Figure(
-        id="trajectories",
-        title="Parameters as the recursion proceeds",
-        caption="A good run settles well before the end and stays inside its band. Steps late in the run "
-        "mean that the robot, or its working point, changed. The band takes the residuals as white.",
-        panels=panels,
-        columns=2,
+        panels.append(blocks.panel("t (s)" if single else "row", name, [estimate], marks=[final]))
+    return blocks.panels(
+        "trajectories",
+        "Parameters as the recursion proceeds",
+        "A good run settles well before the end and stays inside its band. Steps late in the run mean that "
+        "the robot, or its working point, changed. The band takes the residuals as white.",
+        panels,
     )
 
 
 def _residuals(m: Identified) -> Figure:
-    return Figure(
-        id="residuals",
-        title="What the one-step residuals still hold",
-        caption="Autocorrelation, and correlation with the input at earlier (positive) and later "
-        "(negative lag) samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders "
-        "or delay are wrong. At negative lags: the input reacts to the output.",
-        panels=[
+    return blocks.panels(
+        "residuals",
+        "What the one-step residuals still hold",
+        "Autocorrelation, and correlation with the input at earlier (positive) and later (negative lag) "
+        "samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders or delay are "
+        "wrong. At negative lags: the input reacts to the output.",
+        [
             blocks.correlogram(m.tests.autocorrelation, "autocorrelation", "residuals", skip_zero=True),
             blocks.correlogram(m.tests.cross, "correlation with the input", "residuals", skip_zero=False),
         ],
-        columns=2,
     )
 
 
@@ -179,18 +176,20 @@ def _bode(m: Identified, file: ParameterFile) -> Figure:
     hertz = omega / (2 * np.pi)
     factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
     low, high = np.degrees(phase - half), np.degrees(phase + half)
-    axis: dict[str, Any] = {"x_label": "frequency (Hz)", "x_scale": "log", "spans": _excited(m)}
+    axis: dict[str, Any] = {"x_scale": "log", "spans": _excited(m)}
     gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, label="model", group=0)
     phases = Trace(x=hertz, y=np.degrees(phase), lower=low, upper=high, group=0)
-    return Figure(
-        id="bode",
-        title="Frequency response",
-        caption="Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the "
-        "data speak; elsewhere the curve is an extrapolation.",
-        panels=[
-            Panel(y_label=f"gain ({m.data.columns.gain_title})", y_scale="log", traces=[gains], **axis),
-            Panel(y_label="phase (deg)", traces=[phases], **axis),
+    gain_title = f"gain ({m.data.columns.gain_title})"
+    return blocks.panels(
+        "bode",
+        "Frequency response",
+        "Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the data speak; "
+        "elsewhere the curve is an extrapolation.",
+        [
+            blocks.panel("frequency (Hz)", gain_title, [gains], y_scale="log", **axis),
+            blocks.panel("frequency (Hz)", "phase (deg)", [phases], **axis),
         ],
+        columns=1,
     )
 
 
@@ -247,23 +246,16 @@ def _order_figure(m: Identified) -> list[Figure]:
     chosen = Mark(at=float(m.estimate.orders.na + m.estimate.orders.nb), axis="x", label="chosen")
     where = "held-out data" if m.scores else "the fitted data"
     criteria = [criterion("bic", group=0), criterion("aic", style="dashed", group=1)]
+    gained = f"free-run fit on {where} (%)"
     return [
-        Figure(
-            id="order-choice",
-            title="Choice of the order",
-            caption="The best model of each size. The criteria fall while parameters earn their place and "
-            "rise after; where the free run stops gaining, more parameters only describe noise.",
-            panels=[
-                Panel(
-                    x_label="parameters", y_label="criterion above its least", traces=criteria, marks=[chosen]
-                ),
-                Panel(
-                    x_label="parameters",
-                    y_label=f"free-run fit on {where} (%)",
-                    traces=[Trace(x=x, y=fits, group=0)],
-                    marks=[chosen],
-                ),
+        blocks.panels(
+            "order-choice",
+            "Choice of the order",
+            "The best model of each size. The criteria fall while parameters earn their place and rise "
+            "after; where the free run stops gaining, more parameters only describe noise.",
+            [
+                blocks.panel("parameters", "criterion above its least", criteria, marks=[chosen]),
+                blocks.panel("parameters", gained, [Trace(x=x, y=fits, group=0)], marks=[chosen]),
             ],
-            columns=2,
         )
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -148,43 +147,32 @@ def figures(experiment: Experiment, result: FitResult, points: list[dict[str, An
                 by_amplitude.append(cloud(swept, AMPLITUDE, lambda p: (100 * p["mean_speed_m_s"]) ** 1.5))
                 by_amplitude.append(ev.Trace(x=a, y=speed**1.5, group=group))
 
-    def over_frequency(y_label: str, traces: list[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
-        title = f"at {amplitude:g}°"
-        return ev.Panel(
-            x_label="frequency (Hz)", y_label=y_label, traces=traces, title=title, marks=list(marks)
-        )
-
+    over_frequency = partial(blocks.panel, "frequency (Hz)", title=f"at {amplitude:g}°")
     panels = [over_frequency("average speed (cm/s)", by_frequency)]
     if by_amplitude:
+        title = f"at {frequencies[0]:g} Hz"
         panels.append(
-            ev.Panel(
-                x_label="amplitude (deg)",
-                y_label="average speed^1.5 (cm/s)^1.5",
-                traces=by_amplitude,
-                title=f"at {frequencies[0]:g} Hz",
-            )
+            blocks.panel("amplitude (deg)", "average speed^1.5 (cm/s)^1.5", by_amplitude, title=title)
         )
     efficient = [ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]
     return [
-        ev.Figure(
-            id="speeds",
-            title="Average speed against frequency and amplitude",
-            columns=2,
-            panels=panels,
-            caption="Points are runs, lines the fitted law: straight through the origin against frequency, "
-            "straight with the offset as intercept against amplitude. Runs below their line at high "
-            "frequency point to a flexing fin.",
+        blocks.panels(
+            "speeds",
+            "Average speed against frequency and amplitude",
+            "Points are runs, lines the fitted law: straight through the origin against frequency, straight "
+            "with the offset as intercept against amplitude. Runs below their line at high frequency point "
+            "to a flexing fin.",
+            panels,
         ),
-        ev.Figure(
-            id="force",
-            title="Propulsive force and Strouhal number",
-            columns=2,
-            panels=[
-                over_frequency("propulsive force (mN)", force),
-                over_frequency("Strouhal number", wake, efficient),
-            ],
-            caption="Force grows with the square of frequency under the law; the Strouhal number then stays "
+        blocks.panels(
+            "force",
+            "Propulsive force and Strouhal number",
+            "Force grows with the square of frequency under the law; the Strouhal number then stays "
             "constant.",
+            [
+                over_frequency("propulsive force (mN)", force),
+                over_frequency("Strouhal number", wake, marks=efficient),
+            ],
         ),
         *fit_common.figures(result)[1:],
     ]
