@@ -213,7 +213,7 @@ def without_indistinct(
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ArxEstimate:
     """A fitted model.
 
     Attributes
@@ -287,7 +287,7 @@ def estimate(
     forgetting: float = 1.0,
     prior_scale: float = recursive.PRIOR_SCALE,
     stride: int = 1,
-) -> Estimate:
+) -> ArxEstimate:
     """Fit a model to one or several records.
 
     Parameters
@@ -356,7 +356,7 @@ def estimate(
     known = without_indistinct(known, data, orders, theta, stderr, noise_sd)
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
-    return Estimate(
+    return ArxEstimate(
         orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
     )
 

@@ -1,4 +1,4 @@
-"""A model that was identified, and all its result is told from."""
+"""A model that was identified, with all that its result needs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.blackbox.arx import Estimate
+from swimid.blackbox.arx import ArxEstimate
 from swimid.blackbox.difference import Pole, Record
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.order import Candidate
@@ -29,7 +29,7 @@ class Tests:
     independent: rt.TestResult
 
 
-def tests(fit: list[Record], estimate: Estimate) -> Tests:
+def tests(fit: list[Record], estimate: ArxEstimate) -> Tests:
     """Test the residuals of the fitted part."""
     lags = rt.default_lags(len(estimate.data))
     gap = 2 * lags + estimate.orders.lag
@@ -43,7 +43,7 @@ def tests(fit: list[Record], estimate: Estimate) -> Tests:
     )
 
 
-def _on_record(estimate: Estimate, index: int, record: Record) -> np.ndarray:
+def _on_record(estimate: ArxEstimate, index: int, record: Record) -> np.ndarray:
     values = np.full(len(record), np.nan)
     mine = estimate.data.record == index
     values[estimate.data.sample[mine]] = estimate.residuals[mine]
@@ -63,7 +63,7 @@ class Identified:
     point: WorkingPoint
     fit: list[Record]
     held_out: Mapping[str, list[Record]]
-    estimate: Estimate
+    estimate: ArxEstimate
     poles: list[Pole]
     fit_scores: Scores
     scores: Mapping[str, Scores]

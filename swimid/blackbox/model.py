@@ -34,7 +34,7 @@ _PAPER = (
 PUBLISHED = Path(__file__).with_name("published")
 
 
-class Arma(Model):
+class ArxModel(Model):
     """A discrete-time model from one input column to one output column.
 
     Parameters
@@ -93,7 +93,7 @@ class Arma(Model):
         self.channels = (Channel(output, unit, "output of the model"),)
 
     @classmethod
-    def from_file(cls, parameters: ParameterFile) -> Arma:
+    def from_file(cls, parameters: ParameterFile) -> ArxModel:
         """The model a parameter file holds.
 
         Raises
@@ -180,7 +180,7 @@ class Arma(Model):
             result[piece.rows[there]] = run[there] + self.output_level
         return {self.output: result}
 
-    def at_own_level(self, values: Array, trial: Trial) -> tuple[Arma, dict[str, float]]:
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
         """A model of deviations from a working point, at the level this trial's output has.
 
         The run is linear in the level, so two runs give the one with the least squared error.
@@ -192,7 +192,7 @@ class Arma(Model):
         level = self.output_level + best_level(trial.measured[self.output], run, raised)
         return self._at_level(level), {"output_level": level}
 
-    def _at_level(self, level: float) -> Arma:
+    def _at_level(self, level: float) -> ArxModel:
         moved = copy.copy(self)
         moved.output_level = level
         return moved
@@ -207,14 +207,14 @@ class Arma(Model):
         if hooks.command:
             column = hooks.actuated(time, self.input_of(trial, time))
             trial = replace(trial, inputs={**trial.inputs, self.source: column})
-        found = self.simulate(values, trial)
+        channels = self.simulate(values, trial)
         if hooks.clock_s:
-            run = found[self.output]
+            run = channels[self.output]
             there = np.isfinite(run)
             if there.any():
                 late = np.interp(time - hooks.clock_s, time[there], run[there])
-                found[self.output] = np.where(there, late, np.nan)
-        return hooks.seen(found, trial.time_s)
+                channels[self.output] = np.where(there, late, np.nan)
+        return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
         """The input of a trial at ``time`` (s), NaN where missing: its column, or the sine without one.

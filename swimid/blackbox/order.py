@@ -92,7 +92,7 @@ def search(
         for nb in range(1, max_nb + 1)
         for nk in range(max_nk + 1)
     ]
-    found = []
+    candidates = []
     with progress("trying orders", total=len(grid)) as step:
         for orders in grid:
             chosen = [*range(orders.na), *range(max_na + orders.nk, max_na + orders.nk + orders.nb)]
@@ -106,7 +106,7 @@ def search(
             error = score(measured, run)
             complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
-            found.append(
+            candidates.append(
                 Candidate(
                     orders,
                     float(np.sqrt(rss / n)),
@@ -117,7 +117,7 @@ def search(
                 )
             )
             step()
-    return found
+    return candidates
 
 
 def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:

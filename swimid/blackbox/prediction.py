@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from swimid.blackbox import armax
-from swimid.blackbox.arx import Estimate, regression
+from swimid.blackbox.arx import ArxEstimate, regression
 from swimid.blackbox.difference import Orders, Pole, Record, best_level, simulate, simulate_all
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
@@ -140,7 +140,7 @@ class Scores:
         return block
 
 
-def _check_long(records: list[Record], estimate: Estimate) -> int:
+def _check_long(records: list[Record], estimate: ArxEstimate) -> int:
     """Length of the longest record, which the model's memory must fit into."""
     longest = max((len(r) for r in records), default=0)
     if longest <= estimate.orders.lag:
@@ -151,7 +151,7 @@ def _check_long(records: list[Record], estimate: Estimate) -> int:
     return longest
 
 
-def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int) -> Scores:
+def scores(records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
     """Errors one step ahead, ``horizon`` steps ahead and in free run.
 
     Raises
@@ -177,13 +177,13 @@ def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon
     return Scores(by_step[1], by_step[horizon], free, None, 0.0, diverged, rmse)
 
 
-def pooled(records: Sequence[Record], estimate: Estimate) -> Score:
+def pooled(records: Sequence[Record], estimate: ArxEstimate) -> Score:
     """Free-run score over several records together."""
     return score(*simulate_all(records, estimate.orders, estimate.theta))
 
 
 def scores_about_own_level(
-    records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int
+    records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int
 ) -> tuple[list[Record], Scores]:
     """Held-out records about their own level, with their errors there and at the predicted level."""
     _check_long(records, estimate)

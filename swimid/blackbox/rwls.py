@@ -91,7 +91,7 @@ def _identified(data: Data, options: RwlsOptions, progress: Progress) -> Identif
     point = working_point.centre(data.fit, orders, options.centre)
     fit = working_point.shifted(data.fit, point)
     held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
-    found = estimate(
+    fitted = estimate(
         fit,
         orders,
         weight=options.weight,
@@ -99,17 +99,17 @@ def _identified(data: Data, options: RwlsOptions, progress: Progress) -> Identif
         prior_scale=options.prior_scale,
         stride=options.stride or max(1, -(-len(regression(fit, orders)) // KEPT)),
     )
-    a, _, _ = orders.split(found.theta)
-    poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-    fit_scores = prediction.scores(fit, found, poles, options.horizon)
+    a, _, _ = orders.split(fitted.theta)
+    poles = difference.poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
+    fit_scores = prediction.scores(fit, fitted, poles, options.horizon)
     scores: dict[str, Scores] = {}
     for name, part in held.items():
         if point.removed:
-            held[name], scores[name] = prediction.scores_about_own_level(part, found, poles, options.horizon)
+            held[name], scores[name] = prediction.scores_about_own_level(part, fitted, poles, options.horizon)
         else:
-            scores[name] = prediction.scores(part, found, poles, options.horizon)
+            scores[name] = prediction.scores(part, fitted, poles, options.horizon)
     return Identified(
-        options, data, point, fit, held, found, poles, fit_scores, scores, candidates, tests(fit, found)
+        options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates, tests(fit, fitted)
     )
 
 
@@ -172,14 +172,14 @@ def _settings(m: Identified) -> dict[str, Any]:
 
 
 def _warn(m: Identified) -> None:
-    found, data, point = m.estimate, m.data, m.point
-    orders, unit = found.orders, data.columns.units[1]
-    lost = found.data.possible - len(found.data)
-    restarts = int(np.count_nonzero(found.data.fresh)) - len(data.logs)
+    fitted, data, point = m.estimate, m.data, m.point
+    orders, unit = fitted.orders, data.columns.units[1]
+    lost = fitted.data.possible - len(fitted.data)
+    restarts = int(np.count_nonzero(fitted.data.fresh)) - len(data.logs)
     if lost or restarts > 0:
         warn(
             "SWM001",
-            f"{lost} of {found.data.possible} regression rows left out around missing samples, and the "
+            f"{lost} of {fitted.data.possible} regression rows left out around missing samples, and the "
             f"regression restarted {max(restarts, 0)} times at gaps; no value was filled in",
         )
     if point.removed:
@@ -193,36 +193,36 @@ def _warn(m: Identified) -> None:
             suffix = f" {unit}" if unit != "1" else ""
             text += f". Held-out data sit at another level: {', '.join(moved)}{suffix}"
         warn("SWM021", text)
-    undetermined = [n for n, ok in zip(orders.names, found.determined.determined, strict=True) if not ok]
+    undetermined = [n for n, ok in zip(orders.names, fitted.determined.determined, strict=True) if not ok]
     if undetermined:
         warn(
             "SWM010",
             f"the data do not determine {', '.join(undetermined)}; their values are arbitrary in part",
         )
-    rank = found.determined.input_rank
+    rank = fitted.determined.input_rank
     source = np.concatenate([record.source for record in data.fit])
     if np.ptp(source[np.isfinite(source)]) == 0:
         warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
     elif rank < orders.nb:
         why = "; a single sine excites two" if rank == 2 else ""
         warn("SWM022", f"the input excites {rank} of the {orders.nb} coefficients of B{why}")
-    elif found.determined.condition > ILL_CONDITIONED:
+    elif fitted.determined.condition > ILL_CONDITIONED:
         warn(
             "SWM022",
-            f"the regression is ill-conditioned (condition number {found.determined.condition:.1e}): the "
+            f"the regression is ill-conditioned (condition number {fitted.determined.condition:.1e}): the "
             "orders are higher than the excitation supports",
         )
-    if found.recursion.windup:
+    if fitted.recursion.windup:
         warn(
             "SWM022",
             f"with forgetting, P grew without limit in directions the input does not excite; it was held at "
-            f"{found.recursion.windup} of {len(found.data)} samples",
+            f"{fitted.recursion.windup} of {len(fitted.data)} samples",
         )
-    if found.robust:
+    if fitted.robust:
         cure = "raise the orders" if orders.nc else "raise the orders or model the noise with --nc"
         warn(
             "SWM013",
-            f"one-step residuals are not white (Ljung-Box p = {found.whiteness.p_value:.2g}): ARX "
+            f"one-step residuals are not white (Ljung-Box p = {fitted.whiteness.p_value:.2g}): ARX "
             "coefficients are then biased, and the standard errors (a sandwich for correlated residuals) do "
             f"not cover that bias; {cure}",
         )
@@ -255,11 +255,11 @@ def _warn_stability(m: Identified) -> None:
 def _parameter_file(
     m: Identified, settings: dict[str, Any], block: dict[str, Any]
 ) -> parameters.ParameterFile:
-    found, data, horizon = m.estimate, m.data, m.options.horizon
-    orders = found.orders
+    fitted, data, horizon = m.estimate, m.data, m.options.horizon
+    orders = fitted.orders
     unit, channel = data.columns.units[1], data.columns.output
     estimates, identifiable = {}, []
-    for name, value, stderr in zip(orders.names, found.theta, found.stderr, strict=True):
+    for name, value, stderr in zip(orders.names, fitted.theta, fitted.stderr, strict=True):
         known = math.isfinite(stderr)
         estimates[name] = parameters.Estimate(
             value=float(value),
@@ -271,21 +271,21 @@ def _parameter_file(
             identifiable.append(name)
     validation: dict[str, Any] = {}
     if m.scores:
-        together = prediction.pooled([r for part in m.held_out.values() for r in part], found)
+        together = prediction.pooled([r for part in m.held_out.values() for r in part], fitted)
         by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
     if len(identifiable) < orders.count:
         words.append(
-            f"the data span {found.determined.rank} of {orders.na + orders.nb} directions; only combinations "
-            f"of {', '.join(n for n in orders.names if n not in identifiable)} are determined"
+            f"the data span {fitted.determined.rank} of {orders.na + orders.nb} directions; only "
+            f"combinations of {', '.join(n for n in orders.names if n not in identifiable)} are determined"
         )
     return parameters.ParameterFile(
         model=NAME,
         robot=data.robot,
         parameters=estimates,
         identifiability=words,
-        correlation=parameters.Correlation(names=identifiable, matrix=found.correlation.tolist()),
+        correlation=parameters.Correlation(names=identifiable, matrix=fitted.correlation.tolist()),
         delay=orders.nk,
         sample_time_s=data.sample_time_s,
         poles=[
@@ -307,31 +307,31 @@ def _parameter_file(
             validation=validation,
             converged=True,
             noise={
-                "sd": found.noise_sd,
+                "sd": fitted.noise_sd,
                 "unit": unit,
                 "white": m.tests.white.passed,
                 "white_p": m.tests.white.p_value,
                 "input_independent": m.tests.independent.passed,
                 "input_independent_p": m.tests.independent.p_value,
-                "standard_errors": "sandwich" if found.robust else "sigma^2 (H'H)^-1",
+                "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
-            rows=len(found.data),  # type: ignore[call-arg]
-            rows_left_out=found.data.possible - len(found.data),  # type: ignore[call-arg]
-            condition=found.determined.condition,  # type: ignore[call-arg]
-            input_excites=found.determined.input_rank,  # type: ignore[call-arg]
+            rows=len(fitted.data),  # type: ignore[call-arg]
+            rows_left_out=fitted.data.possible - len(fitted.data),  # type: ignore[call-arg]
+            condition=fitted.determined.condition,  # type: ignore[call-arg]
+            input_excites=fitted.determined.input_rank,  # type: ignore[call-arg]
             stability=m.stability,  # type: ignore[call-arg]
             integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
-            recursion_end=dict(zip(orders.names, found.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
+            recursion_end=dict(zip(orders.names, fitted.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
         ),
         provenance=block,
     )
 
 
 def _summary(m: Identified, file: parameters.ParameterFile) -> str:
-    found, data = m.estimate, m.data
+    fitted, data = m.estimate, m.data
     lines = [
-        f"{m.kind} {found.orders}: {data.columns.source} -> {data.columns.output}, "
-        f"{len(found.data)} rows every {data.sample_time_s:.6g} s",
+        f"{m.kind} {fitted.orders}: {data.columns.source} -> {data.columns.output}, "
+        f"{len(fitted.data)} rows every {data.sample_time_s:.6g} s",
         "",
     ]
     for name, e in file.parameters.items():

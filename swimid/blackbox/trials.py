@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from swimid.blackbox.difference import Record
-from swimid.blackbox.model import Arma, sine_input
+from swimid.blackbox.model import ArxModel, sine_input
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting.experiment import Experiment, read_log
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
 
 
-def model_of(file: ParameterFile, path: Path) -> Arma:
+def model_of(file: ParameterFile, path: Path) -> ArxModel:
     """The model a parameter file holds.
 
     Raises
@@ -43,7 +43,7 @@ def model_of(file: ParameterFile, path: Path) -> Arma:
         With the file's name, when it lacks delay, sample time or coefficients.
     """
     try:
-        return Arma.from_file(file)
+        return ArxModel.from_file(file)
     except InputError as error:
         raise InputError(error.reason, file=path, column=error.column, hint=error.hint) from error
 
@@ -248,16 +248,16 @@ def _alone(
 
 def _agreed(listings: dict[Path, ArmaTrials], key: str) -> str | None:
     """What the trials files say of a key, which must be the same in all that have it."""
-    said = {
+    values = {
         path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key) is not None
     }
-    for path, value in said.items():
-        first = next(iter(said.values()))
+    for path, value in values.items():
+        first = next(iter(values.values()))
         if value != first:
             raise InputError(
-                f"'{value}' contradicts '{first}' of {next(iter(said)).name}", file=path, column=key
+                f"'{value}' contradicts '{first}' of {next(iter(values)).name}", file=path, column=key
             )
-    return next(iter(said.values()), None)
+    return next(iter(values.values()), None)
 
 
 def _check_apart(parts: list[_Part]) -> None:

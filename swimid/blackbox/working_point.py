@@ -100,8 +100,8 @@ def _helps(
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
         errors = np.subtract(*simulate_all(part, plain, theta))
         rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
-        found = poles(theta[: orders.na], None, 1.0)
-        largest.append(found[0].magnitude if found else 0.0)
+        roots = poles(theta[: orders.na], None, 1.0)
+        largest.append(roots[0].magnitude if roots else 0.0)
     if far and largest[0] > INTEGRATING >= largest[1]:
         return True
     return rms[1] < rms[0] * (1.0 if far and likely else 1.0 - CLEAR_GAIN)

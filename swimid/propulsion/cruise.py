@@ -119,9 +119,9 @@ def _departures(
     levels = np.unique(
         np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials])
     )
-    found: list[dict[str, Any]] = []
-    while len(levels) - len(found) > 3 and len(found) < len(levels) // 3:
-        out = [d["frequency_hz"] for d in found]
+    departures: list[dict[str, Any]] = []
+    while len(levels) - len(departures) > 3 and len(departures) < len(levels) // 3:
+        out = [d["frequency_hz"] for d in departures]
         tests = []
         for level in (f for f in levels if f not in out):
             rest = [_without(t, [*out, float(level)]) for t in trials]
@@ -136,7 +136,7 @@ def _departures(
         if not tests:
             break
         worst = max(tests, key=lambda t: abs(t["z"]))
-        found.append(worst)
+        departures.append(worst)
         warn(
             "SWM030",
             f"the runs at {worst['frequency_hz']:g} Hz are {abs(100 * worst['share']):.1f} % "
@@ -144,7 +144,7 @@ def _departures(
             f"({abs(worst['z']):.1f} standard errors, {worst['runs']} runs); they are left out of the fit. "
             "Fins that flex at high frequency do this (source, section 4.2)",
         )
-    return found
+    return departures
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
@@ -172,24 +172,26 @@ def _exponents(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> dict[str, Estimate]:
     """Each exponent of the law set free in turn; the offset stays free with it."""
-    found = {}
+    exponents = {}
     for name, law in LAWS.items():
         try:
             result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
         except NoTrustworthyResult:
             continue
         value, stderr = result.value(name), result.stderr(name)
-        # with the offset stuck at a bound the exponent answers another question
-        stuck = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
-        status = "unidentifiable" if stuck else result.status[name]
-        found[f"free_{name}"] = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status)  # type: ignore[arg-type]
+        # with the offset held at a bound the exponent answers another question
+        held = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
+        status = "unidentifiable" if held else result.status[name]
+        exponents[f"free_{name}"] = Estimate(
+            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status
+        )  # type: ignore[arg-type]
         if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
             warn(
                 "SWM031",
                 f"set free, the {name.replace('_', ' ')} of power is "
                 f"{numbers.measured(value, stderr)}, the law says {law:g}",
             )
-    return found
+    return exponents
 
 
 def _by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
@@ -267,7 +269,7 @@ def _derived(
     centre = float(velocity_ratio(model.b1, 0.0, distance))
     ratios = [float(velocity_ratio(other.b1, 0.0, distance)) for other in _by_drag_error(experiment).values()]
     variance = sum((ratio - centre) ** 2 for ratio in ratios)
-    found = {
+    quantities = {
         "velocity_ratio": Estimate(value=centre, stderr=math.sqrt(variance), unit="1", status="estimated")
     }
     coefficient = drag.parameters["drag_coefficient"]
@@ -275,10 +277,10 @@ def _derived(
     scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
     for end, pick in (("smallest", min), ("largest", max)):
         force = pick(p["propulsive_force_N"] for p in points)
-        found[f"{end}_propulsive_force"] = Estimate(
+        quantities[f"{end}_propulsive_force"] = Estimate(
             value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
         )
-    return found
+    return quantities
 
 
 def _offsets(experiment: Experiment) -> list[dict[str, blocks.Cell]]:

@@ -30,7 +30,7 @@ FREQUENCY, AMPLITUDE = itemgetter("frequency_hz"), itemgetter("amplitude_deg")
 def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate]) -> list[ev.Check]:
     """Whether every frequency, and each exponent set free, follows the law."""
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures)
-    found = [
+    checks = [
         blocks.check(
             "every frequency follows the law",
             off or "all",
@@ -45,7 +45,7 @@ def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate])
             continue
         known = e.status == "estimated" and e.stderr is not None
         agrees = not known or abs(e.value - law) <= 3 * (e.stderr or 0.0)
-        found.append(
+        checks.append(
             ev.Check(
                 name=name.replace("_", " "),
                 value=numbers.measured(e.value, e.stderr) if known else "not identifiable",
@@ -54,7 +54,7 @@ def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate])
                 text="of the power, set free with the offset",
             )
         )
-    return found
+    return checks
 
 
 def tables(

@@ -383,15 +383,15 @@ def _half_steps(t: Array) -> Array:
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
     """Surge on every second of the times, by fourth-order Runge-Kutta over two; the water's speed on all."""
     count = (len(half) + 1) // 2
-    found = np.empty(count)
-    found[0] = u0
+    surge = np.empty(count)
+    surge[0] = u0
     for i in range(count - 1):
-        u, at, rate, rise = found[i], 2 * i, 0.0, 0.0
+        u, at, rate, rise = surge[i], 2 * i, 0.0, 0.0
         step = half[at + 2] - half[at]
         for stage in range(4):
             part = 0.5 * ((stage + 1) // 2)
             v = u + part * step * rate - water[at + (stage + 1) // 2]
             rate = thrust - quadratic * v * abs(v) - linear * v - dry * np.sign(v)
             rise += rate / 6.0 if stage % 3 == 0 else rate / 3.0
-        found[i + 1] = u + step * rise
-    return found
+        surge[i + 1] = u + step * rise
+    return surge

@@ -18,7 +18,7 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: What is said of start states.
+#: How the methods tell of start states.
 _STARTS = "with each trial's initial speed estimated, a held-out one's with all else held"
 
 

@@ -86,7 +86,7 @@ def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
     """Hydrodynamic inertia of each fin, kg m2: as given, from Eq 6 for a rectangle, or None."""
-    found: dict[str, float | None] = {}
+    inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
         if fin not in robot.fins:
             close = nearest(fin, list(robot.fins))
@@ -98,10 +98,10 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
                 hint=f"{hint}it has: {', '.join(robot.fins) or 'none'}",
             )
         known, density = robot.fins[fin], robot.fluid.density_kg_m3
-        found[fin] = known.hydrodynamic_inertia_kg_m2
-        if found[fin] is None and known.shape == "rectangle":
-            found[fin] = plate_inertia(known.height_m, known.length_m, known.axle_gap_m, density)
-    return found
+        inertias[fin] = known.hydrodynamic_inertia_kg_m2
+        if inertias[fin] is None and known.shape == "rectangle":
+            inertias[fin] = plate_inertia(known.height_m, known.length_m, known.axle_gap_m, density)
+    return inertias
 
 
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
@@ -143,7 +143,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
 
 def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
     trials, logs, turning = [], [], []
-    found: dict[str, dict[str, float | str | None]] = {}
+    beat_facts: dict[str, dict[str, float | str | None]] = {}
     waveforms: dict[tuple[str, float], str] = {}
     for entry in entries.trials:
         drive = entry.drive
@@ -160,7 +160,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        found[entry.id] = beats.facts(entry, beat, used="measured")
+        beat_facts[entry.id] = beats.facts(entry, beat, used="measured")
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
@@ -204,7 +204,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
     )
     waveform, asymmetry = next(iter(waveforms))
-    facts = {"beats": found, "waveform": waveform, "asymmetry": asymmetry}
+    facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
     return Experiment("free-swim", robot, model, trials, inputs_of(path, entries, logs), facts=facts)
 
 

@@ -30,23 +30,23 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     limit of small ones, where the linear part alone is left.
     """
     first = result.trials[0]
-    found: dict[str, Estimate | None] = {}
+    quantities: dict[str, Estimate | None] = {}
     if experiment.name == "falling-weight":
         for trial in result.trials:
             terminal = partial(_terminal_speed, force=trial.rig.pull)
-            found[f"terminal_speed[{trial.id}]"] = estimate(result, trial, terminal, "m/s")
+            quantities[f"terminal_speed[{trial.id}]"] = propagated(result, trial, terminal, "m/s")
     if experiment.name == "free-decay":
-        found["natural_period_s"] = estimate(result, first, _period, "s")
-        found["damping_ratio_linear"] = estimate(result, first, _linear_ratio, "1")
+        quantities["natural_period_s"] = propagated(result, first, _period, "s")
+        quantities["damping_ratio_linear"] = propagated(result, first, _linear_ratio, "1")
         amplitude = max(_first_amplitude(result, t) for t in result.trials)
         unit = COORDINATES[result.model.channels[0].name][0]
-        found["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
+        quantities["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
         ratio = partial(_equivalent_ratio, amplitude=amplitude)
-        found["damping_ratio_first_swing"] = estimate(result, first, ratio, "1")
-    return {name: e for name, e in found.items() if e is not None}
+        quantities["damping_ratio_first_swing"] = propagated(result, first, ratio, "1")
+    return {name: e for name, e in quantities.items() if e is not None}
 
 
-def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
+def propagated(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
     """A function of a trial's coefficients with its standard error, to first order.
 
     Its status is that of what it depends on: ``fixed`` where that is nothing estimated, ``at-bound``

@@ -18,7 +18,7 @@ MOST_EVENTS = 8
 
 @numba.njit(cache=True, nogil=True)
 def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
-    """When a body at rest gets loose of its dry friction, and to which side (0 where it stays).
+    """When a body at rest overcomes its dry friction, and to which side (0 where it stays).
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """One step under dry friction, cut where the body stops and where it gets loose again."""
+    """One step under dry friction, cut where the body stops and where it moves again."""
     inertia, _, _, dry, stiffness, rest = c
     slope = (f1 - f0) / h
     done = 0.0
@@ -184,7 +184,7 @@ def integrate(  # type: ignore[no-untyped-def]
     -----
     Dry friction holds its sign within a step; a step in which the speed would change sign is
     cut at the reversal, where the body sticks while the net force is below the friction, and where
-    it gets loose again. Both instants move with the parameters: kept to the grid of steps, the
+    it moves again. Both instants move with the parameters: kept to the grid of steps, the
     motion would be a staircase of the friction, and its derivative wrong.
     """
     c = (inertia, quadratic, linear, dry, stiffness, rest)

@@ -60,8 +60,8 @@ def fit_drag(
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
-        found = _best_fit(experiment, choices, options.start_state, progress)
-        result = found.result
+        best = _best_fit(experiment, choices, options.start_state, progress)
+        result = best.result
         profiles = _profiles(result, progress) if options.profile else {}
         try:
             pair = _two_point(experiment, options.points_m)
@@ -70,19 +70,19 @@ def fit_drag(
                 raise
             pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
+        derived = {**best.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
             derived=derived,
-            settings=found.facts,
+            settings=best.facts,
         )
         checks = [
             *fit_common.checks(result, file),
             *fit_drag_derived.possible(experiment, result),
-            *found.checks,
+            *best.checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
     if estimated and all(result.status[label] != "estimated" for label in estimated):
@@ -129,28 +129,28 @@ def _best_fit(
     }
     name = min(fits, key=lambda key: misfit(fits[key]))
     plain = fits[name]
-    found, odd = Explained(plain), odd_one(plain)
+    best, odd = Explained(plain), odd_one(plain)
     masses = experiment.facts.get("pulling_mass_kg", {})
     if experiment.name == "falling-weight":
         free_start = any(p.free for p in choices if p.name in STARTS)
         if friction or (start_state == "auto" and not free_start):
-            found = explained(plain, choices, masses, odd, insist=friction)
-    result = start_states.with_held_out(found.result)
-    checks = [*found.checks, *([odd_check(result, odd, masses)] if odd else [])]
-    facts = {**({"encoder_rounding": name} if name else {}), **found.facts}
-    return replace(found, result=result, facts=facts, checks=checks)
+            best = explained(plain, choices, masses, odd, insist=friction)
+    result = start_states.with_held_out(best.result)
+    checks = [*best.checks, *([odd_check(result, odd, masses)] if odd else [])]
+    facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
+    return replace(best, result=result, facts=facts, checks=checks)
 
 
 def _profiles(
     result: output_error.FitResult, progress: Progress
 ) -> dict[str, tuple[float | None, float | None]]:
     names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
-    found = {}
+    intervals = {}
     with progress("profiling", total=len(names)) as step:
         for name in names:
-            found[name] = profile_interval(result, name)
+            intervals[name] = profile_interval(result, name)
             step()
-    return found
+    return intervals
 
 
 # ------------------------------------------------------------ two-point method
@@ -284,7 +284,7 @@ def _methods(
 ) -> list[str]:
     count = len([t for t in result.trials if t.role == "fit"])
     names = [label for label in result.labels if "[" not in label]
-    said = [
+    sentences = [
         f"{', '.join(names)} were estimated from {count} {experiment.name} trials ({result.samples} samples) "
         "by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
@@ -293,16 +293,16 @@ def _methods(
     if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
         step = experiment.facts.get("resolution_m")
         size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
-        said.append(
+        sentences.append(
             f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise "
             "model."
         )
     if method == "two-point" and pair is not None:
-        said.append(
+        sentences.append(
             f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} and "
             f"{pair.points_m[1]:.3f} m."
         )
-    return said
+    return sentences
 
 
 def _summary(
@@ -320,10 +320,10 @@ def _summary(
             "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
         )
     elif pair is not None and getattr(file.fit, "method", "") != "two-point":
-        said = [
+        values = [
             numbers.measured(pair.values[name], pair.stderr[name], unit)
             for name, unit in zip(two_point.NAMES, ("1", "kg", "N"), strict=True)
         ]
-        lines.append("  two-point method: " + "; ".join(said))
+        lines.append("  two-point method: " + "; ".join(values))
     lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
     return "\n".join(lines)

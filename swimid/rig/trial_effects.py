@@ -81,7 +81,7 @@ def explained(
         When a friction was insisted on that these trials do not tell.
     """
     if insist:
-        return _with_friction(plain, choices, pulling_kg, odd, *_friction(plain, odd))
+        return _by_chance(plain, choices, pulling_kg, odd, *_friction(plain, odd))
     fits: dict[str, FitResult] = {}
     for name in (*STARTS, DRAG):
         rival = _freed(plain, choices, name)
@@ -101,7 +101,7 @@ def explained(
         return Explained(plain, rest, checks=[_lacks_drag(plain, drag)])
     reason = min(fits, key=lambda name: misfit(fits[name]))
     if reason == FRICTION:
-        return _with_friction(plain, choices, pulling_kg, odd, chance, spread)
+        return _by_chance(plain, choices, pulling_kg, odd, chance, spread)
     best = fits[reason]
     unit = next(p.unit for p in choices if p.name == reason)
     warn(
@@ -163,7 +163,7 @@ def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effe
     return random_effect.fit(plain, FRICTION, COMMON, near=near)
 
 
-def _with_friction(
+def _by_chance(
     plain: FitResult,
     choices: tuple[Parameter, ...],
     pulling_kg: Mapping[str, float | None],
@@ -315,6 +315,8 @@ def _mass_that_fits(odd: Odd, stated: float) -> float | None:
     if best in (0, len(grid) - 1):
         return None
     ends = (grid[best - 1], grid[best + 1])
-    found = optimize.minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    optimum = optimize.minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-5})
     # it agrees when it is then predicted as well as the others are
-    return stated * math.exp(float(found.x)) if found.fun * odd.times**2 <= TIMES**2 * error(0.0) else None
+    return (
+        stated * math.exp(float(optimum.x)) if optimum.fun * odd.times**2 <= TIMES**2 * error(0.0) else None
+    )

@@ -135,8 +135,8 @@ def two_point(
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
         """Speed at the points and its standard error, each shape (2, k)."""
         pairs = list(zip(drops, displacements, strict=True))
-        found = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
-        return found[:, :, 0], found[:, :, 1]
+        fits = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
+        return fits[:, :, 0], fits[:, :, 1]
 
     def solve(squared: Array) -> tuple[Array, Array, Array]:
         slopes, intercepts = np.array([np.polyfit(masses, v, 1) for v in squared]).T
