@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.blackbox import armax, recursive
-from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.difference import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import residual_tests as rt
 from swimid.logs.sampling import rounding
@@ -76,14 +76,8 @@ def columns(record: Record, orders: Orders) -> np.ndarray:
 
     ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7), shape (n, na + nb).
     """
-    n = len(record)
-    result = np.full((n, orders.na + orders.nb), np.nan)
-    for i in range(orders.na):
-        result[i + 1 :, i] = -record.output[: max(n - i - 1, 0)]
-    for j in range(orders.nb):
-        lag = orders.nk + j
-        result[lag:, orders.na + j] = record.source[: max(n - lag, 0)]
-    return result
+    past = [-lagged(record.output, i) for i in range(1, orders.na + 1)]
+    return np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:

@@ -208,6 +208,11 @@ def free_run(
     return result
 
 
+def lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    """A series so many samples later: NaN first."""
+    return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
+
+
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Free run over a record from its first ``na`` outputs, shape (n,).
 

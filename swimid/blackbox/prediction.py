@@ -14,32 +14,21 @@ import numpy as np
 
 from swimid.blackbox import armax
 from swimid.blackbox.arx import ArxEstimate, regression
-from swimid.blackbox.difference import Orders, Pole, Record, best_level, simulate, simulate_all
+from swimid.blackbox.difference import Orders, Pole, Record, best_level, lagged, simulate, simulate_all
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
 
 
-def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    result = np.full(len(x), np.nan)
-    if lag < len(x):
-        result[lag:] = x[: len(x) - lag]
-    return result
-
-
 def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int) -> Iterator[np.ndarray]:
-    """Predictions 1, 2, .. ``steps`` samples ahead, one array after the other.
+    """Predictions 1, 2, .. ``steps`` samples ahead, one array of shape (n,) after the other.
 
-    The input is known throughout; the output only up to the sample the prediction is made at.
-
-    Yields
-    ------
-    ndarray, shape (n,)
-        The prediction of y(k) from what was measured until k - j; NaN where that is missing.
+    The input is known throughout; the output only up to the sample the prediction is made at, NaN where that
+    is missing.
     """
     a, b, c = orders.split(theta)
     driven = np.zeros(len(record))
     for j, value in enumerate(b):
-        driven = driven + value * _lagged(record.source, orders.nk + j)
+        driven = driven + value * lagged(record.source, orders.nk + j)
     errors = one_step_errors(record, orders, theta) if orders.nc else np.empty(0)
     # Before its first row a model with C knows no error; it takes zero, as the fit does.
     errors = np.nan_to_num(errors)
@@ -47,9 +36,9 @@ def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int
     for ahead in range(1, steps + 1):
         total = driven.copy()
         for i, value in enumerate(a, start=1):
-            total -= value * _lagged(done[ahead - i - 1] if ahead > i else record.output, i)
+            total -= value * lagged(done[ahead - i - 1] if ahead > i else record.output, i)
         for i in range(ahead, orders.nc + 1):
-            total += c[i - 1] * np.nan_to_num(_lagged(errors, i))
+            total += c[i - 1] * np.nan_to_num(lagged(errors, i))
         done.append(total)
         if ahead > orders.na:
             done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
@@ -64,11 +53,9 @@ def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1
 def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """One-step errors on the record's samples, shape (n,); NaN where there is no whole row."""
     data = regression([record], orders)
+    errors, _ = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
     result = np.full(len(record), np.nan)
-    if len(data):
-        result[data.sample] = armax.errors_and_gradient(
-            theta, data.rows, data.outputs, data.fresh, orders.nc
-        )[0]
+    result[data.sample] = errors
     return result
 
 
@@ -89,19 +76,6 @@ def about_own_level(
     """The records relative to their :func:`own_level`, and that level."""
     level = own_level(records, orders, theta)
     return [replace(r, output=r.output - level) for r in records], level
-
-
-def horizon_errors(
-    records: Sequence[Record], orders: Orders, theta: np.ndarray, horizons: Sequence[int]
-) -> list[Score]:
-    """Score of the prediction at several horizons, over all records together."""
-    predicted: dict[int, list[np.ndarray]] = {h: [] for h in horizons}
-    for record in records:
-        for ahead, values in enumerate(predictions(record, orders, theta, steps=max(horizons)), start=1):
-            if ahead in predicted:
-                predicted[ahead].append(values)
-    measured = np.concatenate([r.output for r in records])
-    return [score(measured, np.concatenate(predicted[h])) for h in horizons]
 
 
 @dataclass(frozen=True)
@@ -162,10 +136,15 @@ def scores(records: list[Record], estimate: ArxEstimate, poles: list[Pole], hori
     steps = sorted({1, 2, 5, 10, 20, 50, 100, horizon})
     longest = _check_long(records, estimate)
     steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
-    errors = horizon_errors(records, estimate.orders, estimate.theta, steps)
-    by_step = dict(zip(steps, errors, strict=True))
-    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
-    free = score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+    orders, theta = estimate.orders, estimate.theta
+    measured = np.concatenate([r.output for r in records])
+    ahead = [
+        [y for k, y in enumerate(predictions(r, orders, theta, steps=steps[-1]), start=1) if k in steps]
+        for r in records
+    ]
+    by_step = {s: score(measured, np.concatenate(parts)) for s, *parts in zip(steps, *ahead, strict=True)}
+    runs = [simulate(r, orders, theta) for r in records]
+    free = score(measured, np.concatenate(runs))
     at_risk = any(p.state != "stable" for p in poles)
     gave_up = any(
         np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
