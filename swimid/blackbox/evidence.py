@@ -54,7 +54,7 @@ def _verdict(m: Identified) -> Verdict:
     reasons = []
     if m.stability == "integrating":
         reasons.append("it integrates, so that a free run drifts")
-    if not m.tests.white.passed:
+    if not m.estimate.whiteness.passed:
         reasons.append("its residuals are not white, so that the coefficients are biased")
     if not np.isfinite(m.estimate.stderr).all():
         reasons.append("the data do not determine every coefficient")
@@ -90,7 +90,7 @@ def _checks(m: Identified) -> list[Check]:
                 otherwise="fail",
             )
         )
-    white, independent, known = m.tests.white, m.tests.independent, m.estimate.determined
+    white, independent, known = m.estimate.whiteness, m.independent, m.estimate.determined
     rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
     lost = m.estimate.data.possible - len(m.estimate.data)
     return [

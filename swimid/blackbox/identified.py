@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,39 +16,6 @@ from swimid.blackbox.prediction import Scores
 from swimid.blackbox.trials import Data
 from swimid.blackbox.working_point import WorkingPoint
 from swimid.fitting import residual_tests as rt
-
-
-@dataclass(frozen=True)
-class Tests:
-    """Residual tests on the fit part."""
-
-    __test__ = False
-
-    autocorrelation: rt.Correlation
-    cross: rt.Correlation
-    white: rt.TestResult
-    independent: rt.TestResult
-
-
-def tests(fit: list[Record], estimate: ArxEstimate) -> Tests:
-    """Test the residuals of the fitted part."""
-    lags = rt.default_lags(len(estimate.data))
-    gap = 2 * lags + estimate.orders.lag
-    residuals = rt.joined([_on_record(estimate, i, r) for i, r in enumerate(fit)], gap=gap)
-    source = rt.joined([r.source for r in fit], gap=gap)
-    return Tests(
-        rt.autocorrelation(residuals, max_lag=lags),
-        rt.cross_correlation(residuals, source, max_lag=lags),
-        estimate.whiteness,
-        rt.independence(residuals, source, lags=lags, first=estimate.orders.nk),
-    )
-
-
-def _on_record(estimate: ArxEstimate, index: int, record: Record) -> np.ndarray:
-    values = np.full(len(record), np.nan)
-    mine = estimate.data.record == index
-    values[estimate.data.sample[mine]] = estimate.residuals[mine]
-    return values
 
 
 @dataclass(frozen=True)
@@ -68,12 +36,28 @@ class Identified:
     fit_scores: Scores
     scores: Mapping[str, Scores]
     candidates: Sequence[Candidate]
-    tests: Tests
 
     @property
     def kind(self) -> str:
         """``ARX``, or ``ARMAX`` with a noise polynomial."""
         return "ARMAX" if self.estimate.orders.nc else "ARX"
+
+    @cached_property
+    def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """One-step residuals and input of the fitted records in one series each, and the lags to test."""
+        data, lags = self.estimate.data, rt.default_lags(len(self.estimate.data))
+        parts = [np.full(len(record), np.nan) for record in self.fit]
+        for index, part in enumerate(parts):
+            mine = data.record == index
+            part[data.sample[mine]] = self.estimate.residuals[mine]
+        gap = 2 * lags + self.estimate.orders.lag
+        return rt.joined(parts, gap=gap), rt.joined([r.source for r in self.fit], gap=gap), lags
+
+    @cached_property
+    def independent(self) -> rt.TestResult:
+        """Whether the residuals are independent of the input's past."""
+        residuals, source, lags = self.residual_series
+        return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
 
     @property
     def stability(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from swimid.blackbox import evidence as rwls_evidence
 from swimid.blackbox import order as order_search
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders
-from swimid.blackbox.identified import Identified, tests
+from swimid.blackbox.identified import Identified
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.prediction import Scores
@@ -108,9 +108,7 @@ def _identified(data: Data, options: RwlsOptions, progress: Progress) -> Identif
             held[name], scores[name] = prediction.scores_about_own_level(part, fitted, poles, options.horizon)
         else:
             scores[name] = prediction.scores(part, fitted, poles, options.horizon)
-    return Identified(
-        options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates, tests(fit, fitted)
-    )
+    return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
 
 
 def _choose(
@@ -149,7 +147,7 @@ def _name(held_out: Any) -> str:
 def _settings(m: Identified) -> dict[str, Any]:
     """The options as the file records them, with the orders, columns and levels they led to."""
     settings: dict[str, Any] = {
-        "orders": {key: getattr(m.estimate.orders, key) for key in ("na", "nb", "nk", "nc")},
+        "orders": asdict(m.estimate.orders),
         "order": m.options.order if m.options.order == "given" else f"auto, {m.options.criterion}",
         "input": m.data.columns.source,
         "output": m.data.columns.output,
@@ -309,10 +307,10 @@ def _parameter_file(
             noise={
                 "sd": fitted.noise_sd,
                 "unit": unit,
-                "white": m.tests.white.passed,
-                "white_p": m.tests.white.p_value,
-                "input_independent": m.tests.independent.passed,
-                "input_independent_p": m.tests.independent.p_value,
+                "white": m.estimate.whiteness.passed,
+                "white_p": m.estimate.whiteness.p_value,
+                "input_independent": m.independent.passed,
+                "input_independent_p": m.independent.p_value,
                 "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
             rows=len(fitted.data),  # type: ignore[call-arg]
