@@ -65,27 +65,17 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     for key, mine in (("input", None if model.sine else model.source), ("output", model.output)):
         named = getattr(entries, key)
         if mine is not None and named is not None and named != mine:
-            raise InputError(
-                f"these trials name the {key} '{named}', the parameters are of '{mine}'",
-                file=path,
-                column=key,
-            )
-    wanted = [model.output] if model.sine else [model.source, model.output]
-    listing = [] if entries._in_memory else [path]
-    trials, logs = [], []
+            words = f"these trials name the {key} '{named}', the parameters are of '{mine}'"
+            raise InputError(words, file=path, column=key)
+    read = () if model.sine else (model.source,)
+    inputs: list[Input] = [] if entries._in_memory else [path]
+    trials = []
     for entry in entries.trials:
-        log = read_log(entry, path.parent, required=tuple(wanted))
-        logs.append(log.source)
-        trials.append(
-            Trial(
-                entry.id,
-                entry.role,
-                log.time_s,
-                {model.output: log[model.output]},
-                inputs={} if model.sine else {model.source: log[model.source]},
-            )
-        )
-    return Experiment("arma", robot, model, trials, [*listing, *logs])
+        log = read_log(entry, path.parent, required=(*read, model.output))
+        inputs.append(log.source)
+        measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
+    return Experiment("arma", robot, model, trials, inputs)
 
 
 # ------------------------------------------------------------ records for rwls
@@ -211,7 +201,11 @@ def read(
         raise UsageError("every trial is a validation trial; at least one must be fitted")
     _check_apart(parts)
     names = _names(parts)
-    read = {names[i]: _log(part, columns) for i, part in enumerate(parts)}
+    required = (columns.output,) if columns.sine else (columns.source, columns.output)
+    read = {
+        name: read_log(part.entry, part.folder, required=required)
+        for name, part in zip(names, parts, strict=True)
+    }
     step = _sample_time(read)
     for log in read.values():
         _check_distinct(log, columns)
@@ -248,16 +242,13 @@ def _alone(
 
 def _agreed(listings: dict[Path, ArmaTrials], key: str) -> str | None:
     """What the trials files say of a key, which must be the same in all that have it."""
-    values = {
-        path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key) is not None
-    }
-    for path, value in values.items():
-        first = next(iter(values.values()))
-        if value != first:
-            raise InputError(
-                f"'{value}' contradicts '{first}' of {next(iter(values)).name}", file=path, column=key
-            )
-    return next(iter(values.values()), None)
+    stated = [(path, getattr(listed, key)) for path, listed in listings.items()]
+    stated = [(path, value) for path, value in stated if value is not None]
+    for path, value in stated:
+        if value != stated[0][1]:
+            contradiction = f"'{value}' contradicts '{stated[0][1]}' of {stated[0][0].name}"
+            raise InputError(contradiction, file=path, column=key)
+    return stated[0][1] if stated else None
 
 
 def _check_apart(parts: list[_Part]) -> None:
@@ -326,11 +317,6 @@ def _sine(text: str) -> tuple[float, float, float]:
     if values[0] == 0 or values[1] <= 0:
         raise UsageError(f"--input-model '{text}': amplitude must not be 0 and frequency must be above 0 Hz")
     return values[0], values[1], values[2] if len(values) == 3 else 0.0
-
-
-def _log(part: _Part, columns: Columns) -> log_format.Log:
-    required = (columns.output,) if columns.sine else (columns.source, columns.output)
-    return read_log(part.entry, part.folder, required=required)
 
 
 def _check_distinct(log: log_format.Log, columns: Columns) -> None:

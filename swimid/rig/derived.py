@@ -113,20 +113,17 @@ def _most_drag(experiment: Experiment, result: FitResult) -> Limit | None:
     sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
     if "drag_coefficient" not in result.labels or not sized:
         return None
-    reynolds = max(
-        theory.reynolds(_fastest(result, t), 2.0 * t.rig.area_factor / density, density) for t in sized
-    )
+    numbers_reached = []
+    for trial in sized:
+        speed = np.abs(result.model.simulate(result.values(trial.id), trial)["u_m_s"])
+        fastest = float(np.nanmax(speed, initial=0.0))
+        numbers_reached.append(theory.reynolds(fastest, 2.0 * trial.rig.area_factor / density, density))
+    reynolds = max(numbers_reached)
     most = theory.most_drag_coefficient(reynolds)
     if not math.isfinite(most):
         return None
     basis = f"a body of any shape at a Reynolds number of {numbers.number(reynolds, 2)}"
     return "drag_coefficient", most, basis, "forces, areas, lengths"
-
-
-def _fastest(result: FitResult, trial: Trial) -> float:
-    """Highest speed of a trial as it was fitted, m/s."""
-    speed = result.model.simulate(result.values(trial.id), trial)["u_m_s"]
-    return float(np.nanmax(np.abs(speed), initial=0.0))
 
 
 def _estimate_possible(result: FitResult, name: str, most: float, basis: str, inputs: str) -> ev.Check:
