@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
+    from swimid.files.yamlio import ResultFile
     from swimid.results.evidence import Figure
     from swimid.results.sections import Section
 
@@ -214,6 +215,21 @@ class Result:
             table = self.checks().to_html(index=False, border=0)
             shown += f"<details><summary>checks</summary>{table}</details>"
         return f"<div>{shown}</div>"
+
+
+@dataclass(frozen=True, eq=False)
+class FileResult(Result):
+    """A result that is a YAML file of a format of its own."""
+
+    file_type: ClassVar[type[ResultFile]]
+
+    @classmethod
+    def _read(cls, path: str | Path) -> Any:
+        return cls.file_type.read(path)
+
+    def _write(self, path: Path) -> list[Path]:
+        self.document.write(path)
+        return [path]
 
 
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""``sensitivity``: which coefficient each output hangs on, and how outputs change with the drive."""
+"""``sensitivity``: what each output is most sensitive to, and how outputs change with the drive."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,19 +16,21 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded, warn
+from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
+from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
 from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis import outputs as sensitivity_outputs
 from swimid.sensitivity_analysis.file import (
+    FORMAT,
     Axis,
     Effects,
     Index,
@@ -45,12 +47,13 @@ from swimid.sensitivity_analysis.file import (
 from swimid.sensitivity_analysis.indices import Morris, Sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.sensitivity_analysis.outputs import Run
-from swimid.sensitivity_analysis.studied import Sensitivity
-from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar.model import prepare
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Rows of the design, or trajectories, where nothing else is asked for.
 SAMPLES = {"sobol": 256, "morris": 32, "none": 0}
@@ -60,6 +63,41 @@ NEGLIGIBLE = 0.01
 CONSTANT = 1e-9
 #: Points of a sweep at most.
 MOST_POINTS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(FileResult):
+    """Sensitivity indices of coefficients, and outputs over a grid of drives."""
+
+    format = FORMAT
+    file_type = SensitivityFile
+
+    @property
+    def file(self) -> SensitivityFile:
+        """What :meth:`save` writes."""
+        assert isinstance(self.document, SensitivityFile)
+        return self.document
+
+    @property
+    def indices(self) -> pd.DataFrame:
+        """A row for each coefficient of each output: Sobol shares, or elementary effects (Morris)."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [
+                {"output": o.quantity, "trial": o.trial, "coefficient": name, **index.model_dump()}
+                for o in self.file.outputs
+                for name, index in {**o.shares, **o.effects}.items()
+            ]
+        )
+
+    @classmethod
+    def _told(cls, document: SensitivityFile, evidence: ev.Evidence | None) -> str:
+        return (
+            sensitivity_evidence.summary(document, evidence)
+            if evidence
+            else super()._told(document, evidence)
+        )
 
 
 @dataclass(frozen=True)
@@ -129,7 +167,6 @@ def sensitivity(
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
         experiment, applied = _loaded(trials, options)
-        model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
@@ -140,7 +177,7 @@ def sensitivity(
         workers = options.jobs or os.cpu_count() or 1
         file = SensitivityFile(
             verdict="caution",
-            model=model.name,
+            model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(params).name if params is not None else None,
@@ -153,22 +190,21 @@ def sensitivity(
         checks = []
         if method != "none":
             study = _study(experiment, applied, over)
-            common: dict[str, Any] = {
-                "samples": count,
-                "seed": options.seed,
-                "groups": list(study.groups.values()),
-                "names": list(over),
-                "jobs": workers,
-                "checkpoint": keep,
-                "progress": progress,
-            }
-            low, high = (np.array([getattr(r, end) for r in over.values()]) for end in ("low", "high"))
-            function = indices.sobol if method == "sobol" else indices.morris
-            found = function(_evaluation(study), low, high, **common)
+            found = (indices.sobol if method == "sobol" else indices.morris)(
+                _evaluation(study),
+                np.array([r.low for r in over.values()]),
+                np.array([r.high for r in over.values()]),
+                samples=count,
+                seed=options.seed,
+                groups=list(study.groups.values()),
+                names=list(over),
+                jobs=workers,
+                checkpoint=keep,
+                progress=progress,
+            )
             file.outputs = _outputs(study, found)
-            left_out = found.replaced if isinstance(found, Sobol) else found.dropped
             file.simulations = Simulations(
-                evaluated=found.evaluations, broken=found.broken, left_out=left_out
+                evaluated=found.evaluations, broken=found.broken, left_out=found.left_out
             )
             checks += sensitivity_evidence.index_checks(file, _step_change(study, found))
             checks += sensitivity_evidence.correlation_check(_correlated(applied, over))
@@ -192,36 +228,27 @@ def sensitivity(
     )
     summary = sensitivity_evidence.summary(file, evidence)
     made = Sensitivity("sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file)
-    made = made.saved(output)
+    saved = made.saved(output)
     keep.done()
-    return made
+    return saved
 
 
 def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
-    chosen, readings = dict(options.chosen), dict(options.readings)
     if options.params is None:
         if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(source, readings=readings, max_step=options.dt)
-        return experiment, Applied(experiment.model, chosen=chosen)
-    loaded = catalogue.load(
-        source,
-        options.params,
-        robot=options.robot,
-        chosen=chosen,
-        readings=readings,
-        max_step=options.dt,
-    )
-    model = loaded.experiment.model
-    if model.swimmer is None:
-        raise UsageError(f"a study needs a robot with links, not the model '{model.name}'")
-    return loaded.experiment, loaded.applied
+        experiment = swimmer.load(source, readings=dict(options.readings), max_step=options.dt)
+        return experiment, Applied(experiment.model, chosen=dict(options.chosen))
+    experiment, applied = catalogue.load(source, options)
+    if applied.model.swimmer is None:
+        raise UsageError(f"a study needs a robot with links, not the model '{applied.model.name}'")
+    return experiment, applied
 
 
-def _swimmer(model: Model) -> Swimmer:
+def _swimmer(applied: Applied) -> Swimmer:
     """The model as that of a robot with links, on which :func:`_loaded` insists."""
-    assert model.swimmer is not None
-    return model.swimmer
+    assert applied.model.swimmer is not None
+    return applied.model.swimmer
 
 
 # ------------------------------------------------------------ what is varied
@@ -235,58 +262,42 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
     UsageError
         For a range that cannot be read or is not known.
     """
-    model = applied.model
-    own: dict[str, tuple[float, float]] = {}
-    rule = "bounds"
-    rules = []
-    for text in texts:
-        name, equals, ends = text.partition("=")
-        if equals:
-            own[name.strip()] = _ends(name.strip(), ends)
-        else:
-            rules.append(text.strip())
+    parted = [text.partition("=") for text in texts]
+    own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parted if equals}
+    rules = [name.strip() for name, equals, _ in parted if not equals]
     if len(rules) > 1:
         raise UsageError(f"--range: {' and '.join(rules)} contradict each other")
     rule = rules[0] if rules else "bounds"
-    shared = {p.name: p for p in model.parameters if not p.per_trial}
+    shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
     for name in (*own, *coefficients):
         if name not in shared:
             raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
         if name in applied.chosen:
             raise UsageError(f"{name} is held by --set and cannot be varied")
-    wanted = [
-        p
-        for p in shared.values()
-        if (p.name in coefficients if coefficients else p.free or p.name in own)
-        and p.name not in applied.chosen
-    ]
-    values = applied.values()
-    errors = dict(zip(*_stderr(applied), strict=True))
-    found, without = {}, []
-    for p in wanted:
-        value = float(values[model.index(p.name)])
+    values = dict(zip([p.name for p in applied.model.parameters], applied.values().tolist(), strict=True))
+    names, covariance = applied.uncertain()
+    errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    found = {}
+    for p in shared.values():
+        wanted = p.name in coefficients if coefficients else p.free or p.name in own
+        if not wanted or p.name in applied.chosen:
+            continue
         if p.name in own:
             low, high, source = *own[p.name], "given"
         else:
-            low, high, source = _by_rule(p, value, rule, errors)
+            low, high, source = _by_rule(p, values[p.name], rule, errors)
         if math.isnan(low):
-            without.append(p.name)
+            if coefficients:
+                raise UsageError(f"{p.name} has no standard error to make a range of")
             continue
         if not (math.isfinite(low) and math.isfinite(high)):
             raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
         if not low < high:
             raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}")
-        found[p.name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
-    if coefficients and without:
-        raise UsageError(f"{without[0]} has no standard error to make a range of")
+        found[p.name] = Range(value=values[p.name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
     if not found:
         raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
     return found
-
-
-def _stderr(applied: Applied) -> tuple[list[str], list[float]]:
-    names, covariance = applied.uncertain()
-    return names, [float(v) for v in np.sqrt(np.diag(covariance))]
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
@@ -296,8 +307,7 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
     kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
     pairs = [
         (float(covariance[i, j] / (sd[i] * sd[j])), names[i], names[j])
-        for n, i in enumerate(kept)
-        for j in kept[n + 1 :]
+        for i, j in itertools.combinations(kept, 2)
     ]
     return max(pairs, key=lambda pair: abs(pair[0]), default=None)
 
@@ -345,7 +355,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     NoTrustworthyResult
         When a run breaks down with them.
     """
-    model = _swimmer(experiment.model)
+    model = _swimmer(applied)
     runs, starts, columns, centre = [], [], [], []
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
@@ -368,7 +378,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
     """From coefficients to the outputs, NaN where a simulation breaks down."""
-    known = model or _swimmer(study.applied.model)
+    known = model or _swimmer(study.applied)
     places = [known.index(name) for name in study.ranges]
 
     def evaluate(point: Array) -> Array:
@@ -386,7 +396,7 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
 
 def _step_change(study: Study, found: Sobol | Morris) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
-    finer = _swimmer(study.applied.model).refined()
+    finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given) - study.centre)
     vary = found.sd > CONSTANT * np.abs(found.mean)
@@ -394,55 +404,45 @@ def _step_change(study: Study, found: Sobol | Morris) -> float:
 
 
 def _outputs(study: Study, found: Sobol | Morris) -> list[Output]:
-    units = {quantity: unit for quantity, _, unit in study.columns}
-    heads: list[dict[str, Any]] = [
-        {
-            "quantity": quantity,
-            "trial": trial,
-            "unit": unit,
-            "value": float(study.centre[k]),
-            "mean": float(found.mean[k]),
-            "sd": float(found.sd[k]),
-        }
+    outputs = [
+        Output(
+            quantity=quantity,
+            trial=trial,
+            unit=unit,
+            value=float(study.centre[k]),
+            mean=float(found.mean[k]),
+            sd=float(found.sd[k]),
+        )
         for k, (quantity, trial, unit) in enumerate(study.columns)
     ]
     for quantity, members in study.groups.items():
         sd = float(np.sqrt(np.mean(found.sd[members] ** 2)))
-        heads.append({"quantity": quantity, "unit": units[quantity], "sd": sd})
-    names = list(study.ranges)
-    told = []
-    for row, head in enumerate(heads):
-        constant = head["sd"] <= CONSTANT * abs(head.get("mean", 0.0))
-        if isinstance(found, Sobol) and not constant:
-            head["shares"] = {name: _shares(found, row, k) for k, name in enumerate(names)}
+        outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
+    for row, one in enumerate(outputs):
+        assert one.sd is not None
         if isinstance(found, Morris):
-            head["effects"] = {name: _effects(found, row, k) for k, name in enumerate(names)}
-        told.append(Output(**head))
-    return told
+            one.effects = {name: _effects(found, row, k) for k, name in enumerate(study.ranges)}
+        elif one.sd > CONSTANT * abs(one.mean or 0.0):
+            one.shares = {name: _shares(found, row, k) for k, name in enumerate(study.ranges)}
+    return outputs
+
+
+def _ci95(ends: Array, row: int, k: int) -> tuple[float, float]:
+    return float(ends[0, row, k]), float(ends[1, row, k])
 
 
 def _shares(found: Sobol, row: int, k: int) -> Shares:
-    first = Index(
-        value=float(found.first[row, k]),
-        ci95=(float(found.first_ci[0, row, k]), float(found.first_ci[1, row, k])),
-    )
-    total = Index(
-        value=float(found.total[row, k]),
-        ci95=(float(found.total_ci[0, row, k]), float(found.total_ci[1, row, k])),
-    )
-    return Shares(
-        first=first,
-        total=total,
-        first_told=first.ci95[0] > 0,
-        negligible=total.ci95[1] < NEGLIGIBLE,
-    )
+    first = Index(value=float(found.first[row, k]), ci95=_ci95(found.first_ci, row, k))
+    total = Index(value=float(found.total[row, k]), ci95=_ci95(found.total_ci, row, k))
+    negligible = total.ci95[1] < NEGLIGIBLE
+    return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)
 
 
 def _effects(found: Morris, row: int, k: int) -> Effects:
     return Effects(
         mu=float(found.mu[row, k]),
         mu_star=float(found.mu_star[row, k]),
-        mu_star_ci95=(float(found.mu_star_ci[0, row, k]), float(found.mu_star_ci[1, row, k])),
+        mu_star_ci95=_ci95(found.mu_star_ci, row, k),
         sigma=float(found.sigma[row, k]),
     )
 
@@ -492,17 +492,13 @@ def _sweep(
     progress: Progress,
 ) -> Sweep:
     """Outputs over the grid with their deviations, by the delta method from the coefficients' covariance."""
-    model = _swimmer(applied.model)
+    model = _swimmer(applied)
     axes = [Axis(name=name, values=[float(v) for v in np.linspace(*axis)]) for name, axis in sweep.items()]
     grid = [dict(zip(sweep, point, strict=True)) for point in itertools.product(*(a.values for a in axes))]
     values = applied.values()
     known = bool(applied.uncertain()[0])
-    if known and (untold := applied.without_error()):
-        warn(
-            "SWM055",
-            f"{', '.join(untold)} {'has' if len(untold) == 1 else 'have'} no standard error in the parameter "
-            "file: what is not known of them is not in the deviations of the sweep",
-        )
+    if known:
+        applied.warn_without_error("the deviations of the sweep")
 
     def run(drive: Mapping[str, float]) -> Run:
         return sensitivity_outputs.run_of(model, sensitivity_outputs.driven_otherwise(trial, drive))
@@ -511,22 +507,21 @@ def _sweep(
     if not units:
         raise NoTrustworthyResult("the trial has no output: its base is held and nothing yields")
 
-    def one(k: int) -> Array:
-        kept = checkpoint.get(f"sweep {k}")
-        if kept is not None:
-            return kept
-        moved = run(grid[k])
-
+    def one(moved: Run) -> Array:
         def compute(point: Array) -> dict[str, Quantity]:
             return sensitivity_outputs.outputs(model, point, moved)
 
         told = applied.with_errors(values, compute)
-        row = np.array([[told[n].value, told[n].stderr or 0.0] for n in units]).ravel()
-        checkpoint.put(f"sweep {k}", row)
-        return row
+        return np.array([[told[n].value, told[n].stderr or 0.0] for n in units]).ravel()
+
+    def kept(k: int) -> Array:
+        return checkpoint.kept(f"sweep {k}", lambda: one(run(grid[k])))
 
     found = []
-    with progress("sweep", total=len(grid)) as step, in_threads(one, range(len(grid)), jobs) as rows:
+    with (
+        progress("sweep", total=len(grid)) as step,
+        indices.in_threads(kept, range(len(grid)), jobs) as rows,
+    ):
         for row in rows:
             found.append(row)
             step()
@@ -549,7 +544,7 @@ def _measured(
     experiment: Experiment, applied: Applied, sweep: Mapping[str, tuple[float, float, int]]
 ) -> list[Measured]:
     """The actual error of every trial that has the axes of the sweep."""
-    model = _swimmer(experiment.model)
+    model = _swimmer(applied)
     units = {c.name: c.unit for c in model.channels}
     found = []
     for trial in experiment.trials:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -14,16 +14,14 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import metrics, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.swimmer import Swimmer
-from swimid.logs.beat import find_beat
+from swimid.fitting.model import Array, Model, Trial
 from swimid.logs.derivative import slope
 from swimid.notices import warn
-from swimid.simulation import cases as simulate_cases
-from swimid.simulation import cycles, swim_quantities
+from swimid.simulation import cases, cycles, swim_quantities
 from swimid.simulation.applied import Applied
-from swimid.simulation.comparison_file import ChannelScore, CycleTable, PhaseTable, Speed, TrialComparison
+from swimid.simulation.comparison_file import ChannelScore, Speed, TrialComparison
 
+T = TypeVar("T")
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
 STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
@@ -79,9 +77,8 @@ class Compared:
 
     @property
     def drive(self) -> dict[str, Any]:
-        """What drove the trial, as a trials file says it."""
-        beat = self.trial.swim.beat
-        return simulate_cases.drive_block(beat) if beat is not None else {}
+        """The beat that drove the trial, as a trials file says it."""
+        return cases.drive_block(self.trial.swim) if self.trial.swim.beat is not None else {}
 
 
 def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool) -> Compared:
@@ -124,8 +121,10 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
             )
     frequency = None
     if model.swimmer is not None and model.body is not None:
-        frequency = _frequency(model.swimmer, model.body, trial, values, pairs)
-        pairs = _with_velocities(model, model.body, trial, pairs, frequency)
+        turning = (model.body.velocity[2], model.body.pose[2]) if model.body.free else ()
+        seen = [pairs[name].measured for name in turning if name in pairs]
+        frequency = cases.beat_frequency(model.swimmer, trial, values, seen)
+        pairs |= _velocity_pairs(model, model.body, trial, pairs, frequency)
     return Compared(trial, start, found, frequency, pairs, values)
 
 
@@ -134,7 +133,7 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     model = applied.model
     values = applied.values(trial.id)
     own = [p for p in model.parameters if p.per_trial]
-    if any(applied.knows(p.name, trial.id) for p in own):
+    if any(f"{p.name}[{trial.id}]" in applied.known for p in own):
         return values, "file", {}
     estimated = applied.fitted_per_trial()
     coefficients = model.swimmer.coefficients if model.swimmer is not None else []
@@ -147,47 +146,38 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     }
     if not refit or not names:
         return values, "neutral", {}
-    held = tuple(
-        replace(p, start=float(v), free=p.name in names)
-        for p, v in zip(model.parameters, values, strict=True)
-    )
     sd = _noise(applied, trial)
     found: dict[str, float] = {}
     least = math.inf
-    for begun in _begun(held):
+    # an unknown phase of the beat has a minimum on every side
+    begun = [{"drive_phase": k * math.pi / 2} for k in range(4)] if "drive_phase" in names else [{}]
+    for start in begun:
+        at = zip(model.parameters, _replaced(model, values, start), strict=True)
+        held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
         try:
-            tried = start_states.estimate(model, begun, trial, sd)
+            labelled = start_states.estimate(model, held, trial, sd)
         except (NoTrustworthyResult, np.linalg.LinAlgError):
             continue
-        cost = _cost(model, values, tried, trial, sd)
+        tried = {label.split("[")[0]: v for label, v in labelled.items()}
+        cost = _cost(model, _replaced(model, values, tried), trial, sd)
         if cost < least:
             found, least = tried, cost
     if not found or not np.isfinite(list(found.values())).all():
         warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
         return values, "neutral", {}
-    plain = {label.split("[")[0]: v for label, v in found.items()}
-    for name, value in plain.items():
-        values[model.index(name)] = value
-    return values, "estimated", plain
+    return _replaced(model, values, found), "estimated", found
 
 
-def _begun(parameters: tuple[Parameter, ...]) -> list[tuple[Parameter, ...]]:
-    """Where to start the search from: an unknown phase of the beat has a minimum on every side."""
-    if not any(p.name == "drive_phase" and p.free for p in parameters):
-        return [parameters]
-    return [
-        tuple(replace(p, start=k * math.pi / 2) if p.name == "drive_phase" else p for p in parameters)
-        for k in range(4)
-    ]
-
-
-def _cost(
-    model: Model, values: Array, start: Mapping[str, float], trial: Trial, sd: Mapping[str, float]
-) -> float:
-    """Squared residuals of a trial from a start state, over the noise; infinite where it breaks down."""
+def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
+    """The parameters with another start state."""
     values = values.copy()
-    for label, value in start.items():
-        values[model.index(label.split("[")[0])] = value
+    for name, value in start.items():
+        values[model.index(name)] = value
+    return values
+
+
+def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
+    """Squared residuals of a trial over the noise; infinite where the simulation breaks down."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         simulated = model.simulate(values, trial)
     total = 0.0
@@ -212,47 +202,22 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     return found
 
 
-def _frequency(
-    model: Swimmer, body: Body, trial: Trial, values: Array, pairs: dict[str, Pair]
-) -> float | None:
-    beat = trial.swim.beat
-    if beat is not None:
-        return float(beat.frequency_hz)
-    commands = simulate_cases.commands(model, trial, values)
-    series = [(trial.time_s, c) for c in commands.values()]
-    if body.free:
-        series += [
-            (p.time_s, p.measured)
-            for name in (body.velocity[2], body.pose[2])
-            if (p := pairs.get(name)) is not None
-        ]
-    for time, angle in series:
-        found = find_beat(time, angle)
-        if found is not None:
-            return found.frequency_hz
-    return None
-
-
-def _with_velocities(
-    model: Model, body: Body, trial: Trial, pairs: dict[str, Pair], frequency: float | None
+def _velocity_pairs(
+    model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency: float | None
 ) -> dict[str, Pair]:
     """Surge, sway and turning rate from the pose, where the log has no such columns."""
     if not body.free or not all(name in pairs for name in body.pose):
-        return pairs
+        return {}
     half = WINDOW_BEATS / frequency if frequency else WINDOW_S
-    made = {
-        side: _velocities([getattr(pairs[name], side) for name in body.pose], trial.time_s, half)
-        for side in ("measured", "simulated")
-    }
+    pose = [pairs[name] for name in body.pose]
+    measured = _velocities([p.measured for p in pose], trial.time_s, half)
+    simulated = _velocities([p.simulated for p in pose], trial.time_s, half)
     known = {c.name: c for c in model.channels}
-    found = dict(pairs)
-    for k, name in enumerate(body.velocity):
-        if name not in pairs and np.isfinite(made["measured"][k]).sum() > 8:
-            c = known[name]
-            found[name] = Pair(
-                name, c.unit, c.meaning, "pose", trial.time_s, made["measured"][k], made["simulated"][k]
-            )
-    return found
+    return {
+        name: Pair(name, known[name].unit, known[name].meaning, "pose", trial.time_s, y, z)
+        for name, y, z in zip(body.velocity, measured, simulated, strict=True)
+        if name not in pairs and np.isfinite(y).sum() > 8
+    }
 
 
 def _velocities(pose: list[Array], time: Array, half: float) -> list[Array]:
@@ -269,26 +234,26 @@ def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
     """Errors of a channel over one trial, or pooled over several."""
     measured = np.concatenate([p.measured for p in parts])
     simulated = np.concatenate([p.simulated for p in parts])
-    score = metrics.score(measured, simulated)
     peak, relative = metrics.peak_error(measured, simulated)
-    found = ChannelScore(
+    timing = _timing(parts[0], frequency) if frequency is not None and len(parts) == 1 else {}
+    return ChannelScore(
         unit=parts[0].unit,
         source=parts[0].source,
-        **vars(score),
+        **vars(metrics.score(measured, simulated)),
         peak_error=peak,
         peak_error_normalised=relative,
+        **timing,
     )
-    if frequency is None or len(parts) > 1:
-        return found
-    one = parts[0]
-    phase = metrics.phase_error(one.measured, one.simulated, one.time_s, frequency_hz=frequency)
-    keep = slice(None, None, max(1, -(-len(one.time_s) // WARPED)))
-    step = float(np.median(np.diff(one.time_s[keep])))
+
+
+def _timing(pair: Pair, frequency: float) -> dict[str, float]:
+    """Phase error at the beat, and the error left when time may be stretched."""
+    phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
+    keep = slice(None, None, max(1, -(-len(pair.time_s) // WARPED)))
+    step = float(np.median(np.diff(pair.time_s[keep])))
     band = max(1, round(0.25 / (frequency * step)))
-    distance = metrics.dtw_distance(one.measured[keep], one.simulated[keep], band=band)
-    return ChannelScore.model_validate(
-        {**found.model_dump(), "phase_error_rad": phase, "dtw_distance": distance}
-    )
+    distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)
+    return {"phase_error_rad": phase, "dtw_distance": distance}
 
 
 def mean_speed(done: Compared, body: Body) -> Speed | None:
@@ -333,25 +298,25 @@ def _beat_means(time: Array, values: Array, edges: Array) -> Array:
 
 def record(done: Compared, model: Model) -> TrialComparison:
     """A trial as the comparison file holds it."""
-    body = model.body
-    cycle_tables, phase_tables = {}, {}
-    if done.frequency_hz is not None:
-        for name, p in done.pairs.items():
-            if body is not None and body.free and name in body.pose:
-                continue  # a position has no mean of a stroke worth comparing
-            each = cycles.cycles(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
-            cycle_tables[name] = CycleTable(**vars(each))
-            bins = cycles.phases(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
-            phase_tables[name] = PhaseTable(**vars(bins))
+    body, frequency = model.body, done.frequency_hz
+    # a position has no mean of a stroke worth comparing
+    positions = body.pose if body is not None and body.free else ()
+    beating = {n: p for n, p in done.pairs.items() if n not in positions} if frequency is not None else {}
+
+    def by_stroke(table: Callable[..., T]) -> dict[str, T]:
+        return {
+            n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
+        }
+
     return TrialComparison(
         id=done.trial.id,
         role=done.trial.role,  # type: ignore[arg-type]
         start=done.start,
         start_values=done.start_values,
-        frequency_hz=done.frequency_hz,
+        frequency_hz=frequency,
         drive=done.drive,
-        channels={name: scored([p], done.frequency_hz) for name, p in done.pairs.items()},
-        cycles=cycle_tables,
-        phases=phase_tables,
+        channels={name: scored([p], frequency) for name, p in done.pairs.items()},
+        cycles=by_stroke(cycles.cycles),
+        phases=by_stroke(cycles.phases),
         mean_speed=None if body is None else mean_speed(done, body),
     )

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs.derivative import slope
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.comparison_file import CycleComparison, ProfileComparison
@@ -54,22 +54,18 @@ class Mean:
     band: tuple[Array, Array] | None = None
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Trials that repeat one motion, and their means.
+class Profile(NamedTuple):
+    """Trials that repeat one motion: means by channel, and what the comparison file says of them."""
 
-    Attributes
-    ----------
-    name : str
-    trials : list of Compared
-    means : dict of channel to Mean
-    record : ProfileComparison
-    """
-
-    name: str
-    trials: list[Compared]
     means: dict[str, Mean]
     record: ProfileComparison
+
+
+class _Sides(NamedTuple):
+    """A trial's columns as measured, as simulated, and as simulated with less and more buoyancy."""
+
+    done: Compared
+    columns: dict[str, dict[str, Array]]
 
 
 def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
@@ -83,51 +79,35 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
     model = experiment.model.swimmer
     if model is None or not model.in_space:
         return []
-    names = experiment.facts["profiles"]
-    factors = [1.0 + k * buoyancy for k in (-1, 1)] if buoyancy else []
-    others = [other for k in factors if (other := model.with_buoyancy(k)) is not None]
-    seen = {d.trial.id: _Seen.of(d, others) for d in done if d.pairs}
-    found = []
-    for name in dict.fromkeys(names[trial] for trial in seen):
-        members = [one for trial, one in seen.items() if names[trial] == name]
-        means = _means(members)
-        found.append(Profile(name, [m.done for m in members], means, _record(name, members, means)))
-    return found
+    factors = {"less": 1.0 - buoyancy, "more": 1.0 + buoyancy} if buoyancy else {}
+    others = {side: other for side, k in factors.items() if (other := model.with_buoyancy(k)) is not None}
+    repeats: dict[str, list[_Sides]] = {}
+    for one in (d for d in done if d.pairs):
+        columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
+        for side, other in others.items():
+            with np.errstate(over="ignore", invalid="ignore"):
+                simulated = other.simulate(one.values, one.trial)
+            columns[side] = {n: simulated[n] for n in one.pairs}
+        sides = _Sides(one, {side: _with_speeds(found, one) for side, found in columns.items()})
+        repeats.setdefault(experiment.facts["profiles"][one.trial.id], []).append(sides)
+    return [_profile(name, members) for name, members in repeats.items()]
+
+
+def _profile(name: str, members: Sequence[_Sides]) -> Profile:
+    means = _means(members)
+    record = ProfileComparison(
+        name=name,
+        trials=[m.done.trial.id for m in members],
+        cycles=_cycles(members),
+        position_rmse_m=_rmse(means, POSITION),
+        orientation_rmse_rad=_rmse(means, ORIENTATION),
+        surge_m=_way(means.get("x_m")),
+        heave_m=_way(means.get("z_m")),
+    )
+    return Profile(means, record)
 
 
 # ---------------------------------------------------------------- series
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """One trial's columns, speeds in the vertical plane and the pitch rate among them.
-
-    ``sides`` are those of :data:`SIDES`, ``band`` the simulations with less and with more buoyancy.
-    """
-
-    done: Compared
-    sides: dict[str, dict[str, Array]]
-    band: list[dict[str, Array]]
-
-    @classmethod
-    def of(cls, done: Compared, others: Sequence[Swimmer]) -> _Seen:
-        """As logged, or derived from the pose on every side alike."""
-        sides = {side: {n: getattr(p, side) for n, p in done.pairs.items()} for side in SIDES}
-        band = []
-        for other in others:
-            with np.errstate(over="ignore", invalid="ignore"):
-                simulated = other.simulate(done.values, done.trial)
-            band.append({n: simulated[n] for n in done.pairs})
-        return cls(
-            done,
-            {side: _with_speeds(columns, done) for side, columns in sides.items()},
-            [_with_speeds(columns, done) for columns in band],
-        )
-
-    def told(self, name: str) -> tuple[str, str]:
-        """Unit and meaning of a column."""
-        pair = self.done.pairs.get(name)
-        return DERIVED[name] if pair is None else (pair.unit, pair.meaning)
 
 
 def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
@@ -147,28 +127,28 @@ def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Arra
     return found
 
 
-def _means(members: Sequence[_Seen]) -> dict[str, Mean]:
+def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
     """Means of every channel all repeats have, on the first one's clock."""
     times = [m.done.trial.time_s for m in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
     found: dict[str, Mean] = {}
-    for name in members[0].sides["measured"]:
-        if any(name not in m.sides["measured"] for m in members) or not len(clock):
+    for name in members[0].columns["measured"] if len(clock) else ():
+        if any(name not in m.columns["measured"] for m in members):
             continue
-
-        def on_clock(columns: Sequence[Mapping[str, Array]], name: str = name) -> Array:
-            return np.array([_on(clock, t, c[name]) for t, c in zip(times, columns, strict=True)])
-
-        measured, simulated = (on_clock([m.sides[side] for m in members]) for side in SIDES)
+        series = {
+            side: np.array(
+                [_on(clock, t, m.columns[side][name]) for t, m in zip(times, members, strict=True)]
+            )
+            for side in members[0].columns
+        }
+        measured = series.pop("measured")
         spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
-        middle = simulated.mean(axis=0)
-        band = None
-        if members[0].band:
-            low, high = (on_clock([m.band[k] for m in members]).mean(axis=0) for k in (0, 1))
-            band = (np.min((low, middle, high), axis=0), np.max((low, middle, high), axis=0))
-        unit, meaning = members[0].told(name)
-        found[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, middle, band)
+        simulated = [repeated.mean(axis=0) for repeated in series.values()]
+        band = (np.min(simulated, axis=0), np.max(simulated, axis=0)) if len(simulated) > 1 else None
+        pair = members[0].done.pairs.get(name)
+        unit, meaning = DERIVED[name] if pair is None else (pair.unit, pair.meaning)
+        found[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, simulated[0], band)
     return found
 
 
@@ -181,18 +161,6 @@ def _on(clock: Array, time: Array, values: Array) -> Array:
 
 
 # ---------------------------------------------------------------- numbers
-
-
-def _record(name: str, members: Sequence[_Seen], means: Mapping[str, Mean]) -> ProfileComparison:
-    return ProfileComparison(
-        name=name,
-        trials=[m.done.trial.id for m in members],
-        cycles=_cycles(members),
-        position_rmse_m=_rmse(means, POSITION),
-        orientation_rmse_rad=_rmse(means, ORIENTATION),
-        surge_m=_way(means.get("x_m")),
-        heave_m=_way(means.get("z_m")),
-    )
 
 
 def _rmse(means: Mapping[str, Mean], names: Sequence[str]) -> float | None:
@@ -216,31 +184,32 @@ def _way(mean: Mean | None) -> dict[str, float]:
     return {side: float(values[-1] - values[0]) for side, values in ends.items()}
 
 
-def _cycles(members: Sequence[_Seen]) -> list[CycleComparison]:
+def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
     """Every whole stroke: each trial's quantities, then their means."""
     each = [_quantities(m) for m in members]
     found = []
-    for k in range(min(len(e) for e in each)):
-        measured, spread, simulated = {}, {}, {}
+    for k, repeats in enumerate(zip(*each, strict=False), 1):
+        comparison = CycleComparison(cycle=k, measured={}, simulated={})
         for name in stroke_cycles.QUANTITIES:
-            values = [[cycle[side].get(name) for side in SIDES] for cycle in (e[k] for e in each)]
+            values = [[stroke[side].get(name) for side in SIDES] for stroke in repeats]
             if any(None in pair for pair in values):
                 continue
-            seen, said = np.array(values, dtype=float).T
-            measured[name], simulated[name] = float(seen.mean()), float(said.mean())
-            if len(seen) > 1:
-                spread[name] = float(np.std(seen, ddof=1))
-        if measured:
-            found.append(CycleComparison(cycle=k + 1, measured=measured, spread=spread, simulated=simulated))
+            measured, simulated = np.array(values, dtype=float).T
+            comparison.measured[name] = float(measured.mean())
+            comparison.simulated[name] = float(simulated.mean())
+            if len(measured) > 1:
+                comparison.spread[name] = float(np.std(measured, ddof=1))
+        if comparison.measured:
+            found.append(comparison)
     return found
 
 
-def _quantities(seen: _Seen) -> list[dict[str, dict[str, float]]]:
-    trial = seen.done.trial
+def _quantities(sides: _Sides) -> list[dict[str, dict[str, float]]]:
+    trial = sides.done.trial
     stroke = trial.swim.stroke
     if stroke is None:
         return []
     return [
-        {side: stroke_cycles.quantities(trial.time_s, seen.sides[side], window) for side in SIDES}
+        {side: stroke_cycles.quantities(trial.time_s, sides.columns[side], window) for side in SIDES}
         for window in stroke_cycles.windows(trial.time_s, stroke.frequency_hz)
     ]

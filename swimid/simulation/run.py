@@ -1,4 +1,4 @@
-"""One simulated run: its channels, the check of its step, and what it comes to."""
+"""One simulated run: its channels, the check of its step, what it comes to; the result of ``simulate``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,12 +16,18 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.notices import warn
+from swimid.results.result import Result
 from swimid.simulation.applied import Applied, Quantity
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Endings of the logs that are written.
 LOG_ENDINGS = (".csv", *log_format.PARQUET_ENDINGS)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
+#: From a parameter vector to what a run comes to.
+Quantities = Callable[[Array], dict[str, Quantity]]
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class Case:
     trial: Trial
     extra: Mapping[str, Any] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    quantities: Callable[[Array], dict[str, Quantity]] | None = None
+    quantities: Quantities | None = None
     per_run: bool = False
 
 
@@ -168,12 +174,6 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
     return found
 
 
-def write(path: Path, done: Simulated) -> None:
-    """Write a simulated run as a log, with what it was made by in its comment lines."""
-    metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **done.case.metadata}
-    log_format.write(path, done.columns, metadata)
-
-
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
     """The file of each run: one log, or a folder of logs named after the trials."""
     if output is None:
@@ -192,3 +192,59 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
         raise UsageError(f"{output} is a file; several trials need a folder")
     stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
     return [output / f"{stem}.csv" for stem in stems]
+
+
+def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
+    """Write runs as logs, each with what it was made by in its comment lines."""
+    found = places(output, [one.case.id for one in done])
+    if output is not None and found != [output]:
+        output.mkdir(exist_ok=True)
+    for path, one in zip(found, done, strict=False):
+        metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
+        log_format.write(path, one.columns, metadata)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Result):
+    """Simulated runs, as ``simulate`` gives them: one, or one for each recorded trial."""
+
+    ending = ".csv"
+
+    @property
+    def runs(self) -> dict[str, Simulated]:
+        """Each run by its name: its channels, and what it comes to."""
+        done: Sequence[Simulated] = self.document
+        return {one.case.id: one for one in done}
+
+    @property
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """The log of each run by its name: SI units, named in the columns."""
+        import pandas as pd
+
+        return {name: pd.DataFrame(one.columns) for name, one in self.runs.items()}
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The log of the only run.
+
+        Raises
+        ------
+        UsageError
+            Of several runs: see :attr:`frames`.
+        """
+        return self._only("frames")
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """What the only run comes to: mean speed, stride, amplitudes, each with its standard error."""
+        return self._only("runs").quantities
+
+    def _only(self, several: str) -> Any:
+        found = getattr(self, several)
+        if len(found) > 1:
+            raise UsageError(f"there are {len(found)} runs", hint=f"take one of .{several}")
+        return next(iter(found.values()))
+
+    def _write(self, path: Path) -> list[Path]:
+        return write(path, self.document)
