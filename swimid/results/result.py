@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from swimid.files.yamlio import ResultFile
     from swimid.results.evidence import Figure
     from swimid.results.sections import Section
+
+File = TypeVar("File")
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +220,16 @@ class Result:
 
 
 @dataclass(frozen=True, eq=False)
-class FileResult(Result):
+class FileResult(Result, Generic[File]):
     """A result that is a YAML file of a format of its own."""
 
     file_type: ClassVar[type[ResultFile]]
+
+    @property
+    def file(self) -> File:
+        """What :meth:`save` writes."""
+        file: File = self.document
+        return file
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:

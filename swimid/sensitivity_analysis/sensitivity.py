@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -66,17 +66,11 @@ MOST_POINTS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity(FileResult):
+class Sensitivity(FileResult[SensitivityFile]):
     """Sensitivity indices of coefficients, and outputs over a grid of drives."""
 
     format = FORMAT
     file_type = SensitivityFile
-
-    @property
-    def file(self) -> SensitivityFile:
-        """What :meth:`save` writes."""
-        assert isinstance(self.document, SensitivityFile)
-        return self.document
 
     @property
     def indices(self) -> pd.DataFrame:
@@ -100,17 +94,13 @@ class Sensitivity(FileResult):
         )
 
 
-@dataclass(frozen=True)
-class Study:
+class Study(NamedTuple):
     """What is varied, and what is looked at.
 
     Attributes
     ----------
-    applied : Applied
-    ranges : dict of str to Range
-    runs : list of Run
-    starts : list of ndarray
-        Parameter vector of each run, its start state in it.
+    runs : list of (Run, ndarray)
+        With the parameter vector of each, its start state in it.
     columns : list of (quantity, trial, unit)
         Outputs in order.
     centre : ndarray, shape (s,)
@@ -119,8 +109,7 @@ class Study:
 
     applied: Applied
     ranges: Mapping[str, Range]
-    runs: Sequence[Run]
-    starts: Sequence[Array]
+    runs: Sequence[tuple[Run, Array]]
     columns: Sequence[tuple[str, str, str]]
     centre: Array
 
@@ -255,13 +244,7 @@ def _swimmer(applied: Applied) -> Swimmer:
 
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
-    """The range of every coefficient that is varied.
-
-    Raises
-    ------
-    UsageError
-        For a range that cannot be read or is not known.
-    """
+    """The range of every coefficient that is varied."""
     parted = [text.partition("=") for text in texts]
     own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parted if equals}
     rules = [name.strip() for name, equals, _ in parted if not equals]
@@ -348,15 +331,9 @@ def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float])
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """The runs with their start states, and what they come to with the given coefficients.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        When a run breaks down with them.
-    """
+    """The runs with their start states, and what they come to with the given coefficients."""
     model = _swimmer(applied)
-    runs, starts, columns, centre = [], [], [], []
+    runs, columns, centre = [], [], []
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
         run = sensitivity_outputs.run_of(model, trial, applied.noise())
@@ -367,13 +344,12 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
                 f"the simulation of '{trial.id}' breaks down with the given coefficients",
                 hint="check the parameters and the drive, or take a smaller --dt",
             )
-        runs.append(run)
-        starts.append(values)
+        runs.append((run, values))
         columns += [(name, trial.id, q.unit) for name, q in told.items()]
         centre += [q.value for q in told.values()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is held and nothing yields")
-    return Study(applied, over, runs, starts, columns, np.array(centre))
+    return Study(applied, over, runs, columns, np.array(centre))
 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
@@ -383,7 +359,7 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
 
     def evaluate(point: Array) -> Array:
         found: list[float] = []
-        for run, start in zip(study.runs, study.starts, strict=True):
+        for run, start in study.runs:
             values = start.copy()
             values[places] = point
             if not sensitivity_outputs.possible(known, values):
@@ -453,12 +429,7 @@ def _effects(found: Morris, row: int, k: int) -> Effects:
 def _swept(
     experiment: Experiment, sweep: Mapping[str, tuple[float, float, int]], name: str | None
 ) -> Trial | None:
-    """The trial whose drive is swept.
-
-    Raises
-    ------
-    UsageError
-    """
+    """The trial whose drive is swept."""
     if not sweep:
         if name is not None:
             raise UsageError("--trial belongs to --sweep")
@@ -470,7 +441,12 @@ def _swept(
         raise UsageError(f"there is no trial '{name}'", hint=suggestion(name, list(known)))
     driven = [t for t in experiment.trials if sensitivity_outputs.drive_of(t)]
     trial = known[name] if name is not None else (driven or experiment.trials)[0]
-    sensitivity_outputs.check_axes(list(sweep), trial)
+    allowed = list(sensitivity_outputs.drive_of(trial))
+    if not allowed:
+        raise UsageError(f"the trial '{trial.id}' has no drive to sweep: measured joints move it")
+    for axis in sweep:
+        if axis not in allowed:
+            raise UsageError(f"--sweep: the drive has no '{axis}'", hint=suggestion(axis, allowed))
     for axis, (low, high, count) in sweep.items():
         if not low < high or count < 2:
             raise UsageError(f"--sweep {axis}: needs LOW below HIGH and two points or more")

@@ -364,8 +364,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
     told = beat is not None and bool(beat.bias_rad or beat.asymmetry)
 
     def compute(values: Array) -> dict[str, Quantity]:
-        with np.errstate(over="ignore", invalid="ignore"):
-            columns = model.simulate(values, fine)
+        columns = model.attempt(values, fine)
         last = {name: v[len(lead) :] for name, v in columns.items()}
         return swim_quantities.quantities(body, values, last, window, told_to_turn=told)
 
@@ -377,8 +376,7 @@ def _stroke_quantities(model: Swimmer, trial: Trial, frequency: float) -> Quanti
     windows = stroke_cycles.windows(trial.time_s, frequency)
 
     def compute(values: Array) -> dict[str, Quantity]:
-        with np.errstate(over="ignore", invalid="ignore"):
-            columns = model.simulate(values, trial)
+        columns = model.attempt(values, trial)
         return {
             f"cycle_{k}_{name}": Quantity(value, stroke_cycles.QUANTITIES[name])
             for k, window in enumerate(windows, 1)

@@ -35,17 +35,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(FileResult):
+class Comparison(FileResult[ComparisonFile]):
     """Measured trials against their simulation."""
 
     format = FORMAT
     file_type = ComparisonFile
-
-    @property
-    def file(self) -> ComparisonFile:
-        """What :meth:`save` writes."""
-        assert isinstance(self.document, ComparisonFile)
-        return self.document
 
     @property
     def scores(self) -> pd.DataFrame:

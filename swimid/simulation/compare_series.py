@@ -37,7 +37,6 @@ class Pair:
 
     Attributes
     ----------
-    channel, unit, meaning : str
     source : {"logged", "pose"}
         ``pose``: both series derived from positions by the same smoothing derivative.
     time_s, measured, simulated : ndarray, shape (n,)
@@ -58,12 +57,10 @@ class Compared:
 
     Attributes
     ----------
-    trial : Trial
-    start : {"file", "estimated", "neutral"}
     start_values : dict of str to float
         Those that were estimated here.
     frequency_hz : float or None
-    pairs : dict of str to Pair
+        Of the beat.
     values : ndarray, shape (p,)
         Parameters of the simulation.
     """
@@ -101,8 +98,7 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
         model, level = model.at_own_level(values, trial)
         if level:
             start, found = "estimated", level
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(values, trial)
+    simulated = model.attempt(values, trial)
     logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
     for channel in model.given(trial):
         logged.pop(channel, None)
@@ -178,8 +174,7 @@ def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
 
 def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
     """Squared residuals of a trial over the noise; infinite where the simulation breaks down."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(values, trial)
+    simulated = model.attempt(values, trial)
     total = 0.0
     for channel, size in sd.items():
         there = np.isfinite(trial.measured[channel])

@@ -85,8 +85,7 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
     for one in (d for d in done if d.pairs):
         columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
         for side, other in others.items():
-            with np.errstate(over="ignore", invalid="ignore"):
-                simulated = other.simulate(one.values, one.trial)
+            simulated = other.attempt(one.values, one.trial)
             columns[side] = {n: simulated[n] for n in one.pairs}
         sides = _Sides(one, {side: _with_speeds(found, one) for side, found in columns.items()})
         repeats.setdefault(experiment.facts["profiles"][one.trial.id], []).append(sides)

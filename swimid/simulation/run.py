@@ -36,9 +36,6 @@ class Case:
 
     Attributes
     ----------
-    id : str
-    applied : Applied
-        Model and parameters.
     values : ndarray, shape (len(applied.model.parameters),)
     trial : Trial
         Sample times, drive and start of the run.
@@ -46,8 +43,6 @@ class Case:
         Columns to write beside the simulated ones: commands, forces, measured inputs.
     metadata : dict
         For the log's comment lines.
-    quantities : callable, optional
-        From a parameter vector to what the run comes to.
     per_run : bool
         Samples are runs of a table, not instants: there is no time column.
     """
@@ -64,15 +59,7 @@ class Case:
 
 @dataclass(frozen=True)
 class StepChange:
-    """What halving the integration step does to one channel.
-
-    Attributes
-    ----------
-    largest : float
-        Largest change of a sample, in the channel's unit.
-    share : float
-        The same over the channel's range.
-    """
+    """What halving the integration step does to one channel, as ``share`` of its range too."""
 
     largest: float
     share: float
@@ -84,10 +71,8 @@ class Simulated:
 
     Attributes
     ----------
-    case : Case
     columns : dict of str to ndarray
         Of the log, ``t_s`` first.
-    quantities : dict of str to Quantity
     step : dict of str to StepChange
         By channel; empty where nothing is integrated.
     """
@@ -112,8 +97,7 @@ def run(case: Case) -> Simulated:
         When halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
     """
     model = case.applied.model
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(case.values, case.trial)
+    simulated = model.attempt(case.values, case.trial)
     _insist_whole(case, simulated)
     _warn_folded(case, simulated)
     step = _step_changes(case, simulated)
@@ -154,8 +138,7 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
     finer = case.applied.model.refined()
     if finer is None:
         return {}
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        fine = finer.simulate(case.values, case.trial)
+    fine = finer.attempt(case.values, case.trial)
     found = {}
     for name, values in simulated.items():
         both = np.isfinite(values) & np.isfinite(fine[name])
