@@ -25,11 +25,11 @@ MOST_PANELS = 8
 
 def headline(file: SensitivityFile) -> list[Output]:
     """One output for each quantity: of all trials together, or of the only trial that has it."""
-    found: dict[str, Output] = {}
+    outputs: dict[str, Output] = {}
     for one in file.outputs:
-        if one.trial is None or one.quantity not in found:
-            found[one.quantity] = one
-    return list(found.values())
+        if one.trial is None or one.quantity not in outputs:
+            outputs[one.quantity] = one
+    return list(outputs.values())
 
 
 # ------------------------------------------------------------ checks
@@ -41,7 +41,7 @@ def index_checks(file: SensitivityFile, step_change: float) -> list[ev.Check]:
     runs = file.simulations
     width, where = _widest(file)
     what = "rows of the design replaced" if file.method == "sobol" else "trajectories dropped"
-    found = [
+    checks = [
         ev.check(
             "simulations that broke down",
             f"{runs.broken} of {runs.evaluated}",
@@ -62,8 +62,8 @@ def index_checks(file: SensitivityFile, step_change: float) -> list[ev.Check]:
         least = min(alone, key=lambda name: alone[name])
         value = f"together at least {numbers.percent(alone[least], 2)}"
         text = f"the rest are interactions; most of them in {least}"
-        found.append(ev.check("shares of single coefficients", value, None, text=text))
-    found.append(
+        checks.append(ev.check("shares of single coefficients", value, None, text=text))
+    checks.append(
         ev.check(
             "integration step",
             f"{numbers.number(step_change, 2)} sd",
@@ -72,7 +72,7 @@ def index_checks(file: SensitivityFile, step_change: float) -> list[ev.Check]:
             "largest change of an output when the step is halved, over its deviation in the ranges",
         )
     )
-    return found
+    return checks
 
 
 def sweep_checks(sweep: Sweep, uncertain: bool) -> list[ev.Check]:
@@ -125,9 +125,9 @@ def _widest(file: SensitivityFile) -> tuple[float, str]:
 
 def ranked(output: Output) -> list[tuple[str, float, tuple[float, float]]]:
     """Coefficients by total index or mu*, the largest first, with intervals."""
-    found = [(n, s.total.value, s.total.ci95) for n, s in output.shares.items()]
-    found += [(n, e.mu_star, e.mu_star_ci95) for n, e in output.effects.items()]
-    return sorted(found, key=lambda item: -item[1])
+    entries = [(n, s.total.value, s.total.ci95) for n, s in output.shares.items()]
+    entries += [(n, e.mu_star, e.mu_star_ci95) for n, e in output.effects.items()]
+    return sorted(entries, key=lambda item: -item[1])
 
 
 def answer(file: SensitivityFile) -> str:
@@ -155,16 +155,16 @@ def summary(file: SensitivityFile, evidence: ev.Evidence) -> str:
             f"({file.simulations.evaluated} points)"
         )
         lines += ["", "  total index, 95 %" if file.method == "sobol" else "  mu*, 95 %"]
-        told = headline(file)
-        width = max(len(o.quantity) for o in told)
-        for o in told:
+        outputs = headline(file)
+        width = max(len(o.quantity) for o in outputs)
+        for o in outputs:
             items = [
                 f"{name} {numbers.number(value, 2)} ({numbers.number(low, 2)} … {numbers.number(high, 2)})"
                 for name, value, (low, high) in ranked(o)[:NAMED]
             ]
             unit = f" {numbers.unit_text(o.unit)}" if o.effects and numbers.unit_text(o.unit) else ""
             lines.append(f"  {o.quantity:<{width}}  {', '.join(items) + unit if items else 'does not vary'}")
-        shares = [o.shares for o in told if o.shares]
+        shares = [o.shares for o in outputs if o.shares]
         nothing = [n for n in shares[0] if all(s[n].negligible for s in shares)] if shares else []
         if nothing:
             lines += ["", f"  negligible in every output: {', '.join(nothing)}"]
@@ -272,22 +272,22 @@ def _swept_table(sweep: Sweep) -> ev.Table:
 
 def figures(file: SensitivityFile) -> list[ev.Figure]:
     """Maps of the indices, the indices with their intervals, and the sweep."""
-    told = [o for o in headline(file) if o.shares or o.effects]
+    outputs = [o for o in headline(file) if o.shares or o.effects]
     names = list(file.ranges)
-    found = []
-    if told and file.method == "sobol":
-        found = [_shares_map(names, told), _intervals(names, told)]
-    elif told:
-        found = [_effects_map(names, told), _effects_plane(told)]
+    figures = []
+    if outputs and file.method == "sobol":
+        figures = [_shares_map(names, outputs), _intervals(names, outputs)]
+    elif outputs:
+        figures = [_effects_map(names, outputs), _effects_plane(outputs)]
     if file.sweep is not None:
-        found.append(_swept_figure(file.sweep))
-    return found
+        figures.append(_swept_figure(file.sweep))
+    return figures
 
 
-def _shares_map(names: list[str], told: Sequence[Output]) -> ev.Figure:
-    quantities = [o.quantity for o in told]
-    total = [[round(o.shares[n].total.value, 3) for n in names] for o in told]
-    first = [[round(o.shares[n].first.value, 3) for n in names] for o in told]
+def _shares_map(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
+    quantities = [o.quantity for o in outputs]
+    total = [[round(o.shares[n].total.value, 3) for n in names] for o in outputs]
+    first = [[round(o.shares[n].first.value, 3) for n in names] for o in outputs]
     return ev.Figure(
         id="indices",
         title="What each output is most sensitive to",
@@ -307,10 +307,10 @@ def _map(
     return ev.Panel(title=title, x_label=x_label, y_label=y_label, heat=heat)
 
 
-def _intervals(names: list[str], told: Sequence[Output]) -> ev.Figure:
+def _intervals(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
     places = np.arange(len(names), dtype=float)
     panels = []
-    for o in told[:MOST_PANELS]:
+    for o in outputs[:MOST_PANELS]:
         traces = []
         for kind, label, shift in (("first", "first order", -0.12), ("total", "total", 0.12)):
             index = [getattr(o.shares[n], kind) for n in names]
@@ -338,22 +338,22 @@ def _intervals(names: list[str], told: Sequence[Output]) -> ev.Figure:
     )
 
 
-def _effects_map(names: list[str], told: Sequence[Output]) -> ev.Figure:
+def _effects_map(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
     values = []
-    for o in told:
+    for o in outputs:
         largest = max(e.mu_star for e in o.effects.values()) or 1.0
         values.append([round(o.effects[n].mu_star / largest, 3) for n in names])
     return ev.Figure(
         id="effects",
         title="What each output is most sensitive to",
         caption="Mean magnitude of the elementary effects, over the largest of the output.",
-        panels=[_map("", [o.quantity for o in told], names, values)],
+        panels=[_map("", [o.quantity for o in outputs], names, values)],
     )
 
 
-def _effects_plane(told: Sequence[Output]) -> ev.Figure:
+def _effects_plane(outputs: Sequence[Output]) -> ev.Figure:
     panels = []
-    for o in told[:MOST_PANELS]:
+    for o in outputs[:MOST_PANELS]:
         unit = numbers.unit_text(o.unit)
         text = f" ({unit})" if unit else ""
         traces = [
@@ -425,14 +425,14 @@ def _source(file: SensitivityFile, source: str) -> str:
 
 def methods(file: SensitivityFile) -> list[str]:
     """Sentences for a paper."""
-    said = []
+    sentences = []
     if file.simulations is not None:
         used = list(dict.fromkeys(_source(file, r.source) for r in file.ranges.values()))
         over = f"{', '.join(file.ranges)}, independent and uniform over {' or '.join(used)}"
         runs = file.simulations
         trials = f"{len(file.trials)} {file.experiment} trials"
         if file.method == "sobol":
-            said.append(
+            sentences.append(
                 f"First-order and total Sobol indices of the outputs of {trials} to {over}, were estimated "
                 f"from {file.samples} rows of a scrambled Sobol sequence ({runs.evaluated} points) by the "
                 "estimators of Saltelli et al. (2010) as implemented in SciPy (sobol_indices). Intervals are "
@@ -440,7 +440,7 @@ def methods(file: SensitivityFile) -> list[str]:
                 "of the trials' summed variance (Gamboa et al. 2014)."
             )
         else:
-            said.append(
+            sentences.append(
                 f"Elementary effects (Morris 1991) on the outputs of {trials} of {over}, were taken along "
                 f"{file.samples} trajectories on four levels ({runs.evaluated} points) as implemented in "
                 "SALib; mu* is the mean of their magnitudes (Campolongo et al. 2007), with 1.96 standard "
@@ -452,18 +452,18 @@ def methods(file: SensitivityFile) -> list[str]:
                 if file.method == "sobol"
                 else f"{runs.left_out} trajectories with such a point were dropped"
             )
-            said.append(
+            sentences.append(
                 f"{runs.broken} of {runs.evaluated} simulations broke down; {what}, so that the indices hold "
                 "for the part of the ranges in which the model can be simulated."
             )
         if any("misfit_" in o.quantity for o in file.outputs):
-            said.append(
+            sentences.append(
                 "The misfit of a channel is the root-mean-square difference of the trial's samples from the "
                 "simulation, start states held, over the noise of that channel where it is known."
             )
     if file.sweep is not None:
         axes = " and ".join(f"{a.name} ({len(a.values)} values)" for a in file.sweep.axes)
-        said.append(
+        sentences.append(
             f"The drive of trial {file.sweep.trial} was varied over {axes}, each run from rest"
             + (
                 "; standard deviations of the outputs follow from the coefficients' covariance by the delta "
@@ -472,7 +472,7 @@ def methods(file: SensitivityFile) -> list[str]:
                 else "."
             )
         )
-    return said
+    return sentences
 
 
 def references(file: SensitivityFile) -> list[str]:

@@ -153,7 +153,7 @@ def sobol(
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    found = sobol_indices(func={"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}, n=samples)
+    estimated = sobol_indices(func={"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}, n=samples)
     shape = (outputs.shape[1], d)
     rng = np.random.default_rng([seed, 1])
     drawn = [_resampled(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
@@ -163,8 +163,8 @@ def sobol(
         runs.done,
         len(runs.broken),
         left_out=unused - samples,
-        first=_pooled(found.first_order.reshape(shape), sd**2, groups),
-        total=_pooled(found.total_order.reshape(shape), sd**2, groups),
+        first=_pooled(estimated.first_order.reshape(shape), sd**2, groups),
+        total=_pooled(estimated.total_order.reshape(shape), sd**2, groups),
         first_ci=np.percentile([first for first, _ in drawn], ENDS, axis=0),
         total_ci=np.percentile([total for _, total in drawn], ENDS, axis=0),
     )
@@ -292,7 +292,7 @@ class Runs:
 
     def of(self, labels: Sequence[str], points: Array) -> Array:
         """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
-        found = []
+        rows = []
         work = list(zip(labels, points, strict=True))
         with (
             self.progress("sensitivity", total=len(points)) as step,
@@ -301,12 +301,12 @@ class Runs:
             for outputs, point in zip(results, points, strict=True):
                 whole = bool(np.isfinite(outputs).all())
                 (self._fine if whole else self.broken).append(point)
-                found.append(outputs if whole else np.full(len(outputs), np.nan))
+                rows.append(outputs if whole else np.full(len(outputs), np.nan))
                 self.done += 1
                 if len(self.broken) > BROKEN * self.planned:
                     self.refuse()
                 step()
-        return np.array(found)
+        return np.array(rows)
 
     def _one(self, work: tuple[str, Array]) -> Array:
         label, point = work

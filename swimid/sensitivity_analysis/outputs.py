@@ -96,19 +96,20 @@ def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
     cycles: largest speed and pitch rate, mean speed and pitch rate, last pitch, way ahead and up in all.
     """
     columns = model.attempt(values, run.trial)
-    found: dict[str, Quantity] = {}
+    quantities: dict[str, Quantity] = {}
     if model.free_base:
-        found |= (_in_space if model.in_space else _in_plane)(model, columns, run)
+        quantities |= (_in_space if model.in_space else _in_plane)(model, columns, run)
     for axis in model.passive:
         angle = columns[axis.column][run.last]
-        found[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(angle)), "rad")
-    for name, (times, seen, scale, unit) in run.measured.items():
+        quantities[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(angle)), "rad")
+    for name, (times, measured, scale, unit) in run.measured.items():
         simulated = columns[name]
         error = math.nan
         if np.isfinite(simulated).all():
-            error = math.sqrt(float(np.mean((seen - CubicSpline(run.trial.time_s, simulated)(times)) ** 2)))
-        found[f"misfit_{name}"] = Quantity(error / scale, unit)
-    return found
+            there = CubicSpline(run.trial.time_s, simulated)(times)
+            error = math.sqrt(float(np.mean((measured - there) ** 2)))
+        quantities[f"misfit_{name}"] = Quantity(error / scale, unit)
+    return quantities
 
 
 def _in_plane(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
@@ -118,15 +119,15 @@ def _in_plane(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[st
     duration = float(time[-1] - time[0])
     rate = float(heading[-1] - heading[0]) / duration
     course = heading - rate * (time - time[0])
-    found = {
+    quantities = {
         "mean_surge_m_s": Quantity(float(np.trapezoid(surge, time)) / duration, "m/s"),
         "surge_amplitude_m_s": Quantity(0.5 * float(np.ptp(surge)), "m/s"),
         f"{turn}_amplitude_rad": Quantity(0.5 * float(np.ptp(course)), "rad"),
     }
     beat = run.trial.swim.beat
     if beat is None or beat.bias_rad or beat.asymmetry:
-        found[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
-    return found
+        quantities[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
+    return quantities
 
 
 def _in_space(_model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
@@ -185,13 +186,13 @@ def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
 def errors(model: Swimmer, values: Array, trial: Trial) -> dict[str, tuple[float, float]]:
     """Root-mean-square error of each measured channel, and the same over its measured range."""
     simulated = model.attempt(values, trial)
-    found = {}
-    for name, seen in trial.measured.items():
-        there = np.isfinite(seen)
+    errors = {}
+    for name, measured in trial.measured.items():
+        there = np.isfinite(measured)
         if there.sum() > 1 and np.isfinite(simulated[name][there]).all():
-            score = metrics.score(seen, simulated[name])
-            found[name] = (score.rmse, score.nrmse)
-    return found
+            score = metrics.score(measured, simulated[name])
+            errors[name] = (score.rmse, score.nrmse)
+    return errors
 
 
 def possible(model: Swimmer, values: Array) -> bool:

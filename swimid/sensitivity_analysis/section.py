@@ -20,8 +20,8 @@ def section(path: Path, file: SensitivityFile, evidence: Evidence | None) -> Sec
     blocks: list[Block] = []
     if file.outputs:
         pooled = [o for o in file.outputs if o.trial is None]
-        told = pooled or file.outputs
-        blocks += [_ranges(file), _shares(told) if file.method == "sobol" else _effects(told)]
+        outputs = pooled or file.outputs
+        blocks += [_ranges(file), _shares(outputs) if file.method == "sobol" else _effects(outputs)]
     return Section(
         path=path,
         kind="Sensitivity",
@@ -84,10 +84,10 @@ def _shares(outputs: list[Output]) -> Grid:
     rows = []
     for o, name in _ranked(outputs):
         s = o.shares[name]
-        said = "negligible" if s.negligible else "told" if s.first_told else "first not told from zero"
+        verdict = "negligible" if s.negligible else "told" if s.first_told else "first not told from zero"
         tone: Tone = "muted" if s.negligible else "good" if s.first_told else "caution"
         names = [Cell(o.quantity, "code"), Cell(name, "code")]
-        rows.append([*names, _index(s.first), _index(s.total), Cell(said, tone)])
+        rows.append([*names, _index(s.first), _index(s.total), Cell(verdict, tone)])
     caption = (
         "Shares of an output's variance, with 95 % intervals: by the coefficient alone, and with every "
         "interaction it takes part in. Good: narrow intervals. Negligible: the total's whole interval lies "

@@ -116,10 +116,10 @@ class Study(NamedTuple):
     @property
     def groups(self) -> dict[str, list[int]]:
         """The outputs of each quantity that more than one trial has."""
-        found: dict[str, list[int]] = {}
+        groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
-            found.setdefault(quantity, []).append(k)
-        return {quantity: members for quantity, members in found.items() if len(members) > 1}
+            groups.setdefault(quantity, []).append(k)
+        return {quantity: members for quantity, members in groups.items() if len(members) > 1}
 
 
 @takes(SensitivityOptions)
@@ -179,7 +179,7 @@ def sensitivity(
         checks = []
         if method != "none":
             study = _study(experiment, applied, over)
-            found = (indices.sobol if method == "sobol" else indices.morris)(
+            estimates = (indices.sobol if method == "sobol" else indices.morris)(
                 _evaluation(study),
                 np.array([r.low for r in over.values()]),
                 np.array([r.high for r in over.values()]),
@@ -191,11 +191,11 @@ def sensitivity(
                 checkpoint=keep,
                 progress=progress,
             )
-            file.outputs = _outputs(study, found)
+            file.outputs = _outputs(study, estimates)
             file.simulations = Simulations(
-                evaluated=found.evaluations, broken=found.broken, left_out=found.left_out
+                evaluated=estimates.evaluations, broken=estimates.broken, left_out=estimates.left_out
             )
-            checks += sensitivity_evidence.index_checks(file, _step_change(study, found))
+            checks += sensitivity_evidence.index_checks(file, _step_change(study, estimates))
             checks += sensitivity_evidence.correlation_check(_correlated(applied, over))
         if swept is not None:
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
@@ -216,8 +216,10 @@ def sensitivity(
         provenance=origin,
     )
     summary = sensitivity_evidence.summary(file, evidence)
-    made = Sensitivity("sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file)
-    saved = made.saved(output)
+    result = Sensitivity(
+        "sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file
+    )
+    saved = result.saved(output)
     keep.done()
     return saved
 
@@ -260,7 +262,7 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
     values = dict(zip([p.name for p in applied.model.parameters], applied.values().tolist(), strict=True))
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    found = {}
+    ranges = {}
     for p in shared.values():
         wanted = p.name in coefficients if coefficients else p.free or p.name in own
         if not wanted or p.name in applied.chosen:
@@ -277,10 +279,10 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
             raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
         if not low < high:
             raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}")
-        found[p.name] = Range(value=values[p.name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
-    if not found:
+        ranges[p.name] = Range(value=values[p.name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+    if not ranges:
         raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
-    return found
+    return ranges
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
@@ -337,16 +339,16 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
         run = sensitivity_outputs.run_of(model, trial, applied.noise())
-        told = sensitivity_outputs.outputs(model, values, run)
-        broken = [name for name, q in told.items() if not math.isfinite(q.value)]
+        quantities = sensitivity_outputs.outputs(model, values, run)
+        broken = [name for name, q in quantities.items() if not math.isfinite(q.value)]
         if broken or not sensitivity_outputs.possible(model, values):
             raise NoTrustworthyResult(
                 f"the simulation of '{trial.id}' breaks down with the given coefficients",
                 hint="check the parameters and the drive, or take a smaller --dt",
             )
         runs.append((run, values))
-        columns += [(name, trial.id, q.unit) for name, q in told.items()]
-        centre += [q.value for q in told.values()]
+        columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
+        centre += [q.value for q in quantities.values()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is held and nothing yields")
     return Study(applied, over, runs, columns, np.array(centre))
@@ -358,48 +360,48 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
     places = [known.index(name) for name in study.ranges]
 
     def evaluate(point: Array) -> Array:
-        found: list[float] = []
+        results: list[float] = []
         for run, start in study.runs:
             values = start.copy()
             values[places] = point
             if not sensitivity_outputs.possible(known, values):
                 return np.full(len(study.columns), np.nan)
-            found += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
-        return np.array(found)
+            results += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
+        return np.array(results)
 
     return evaluate
 
 
-def _step_change(study: Study, found: Sobol | Morris) -> float:
+def _step_change(study: Study, estimates: Sobol | Morris) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
     finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given) - study.centre)
-    vary = found.sd > CONSTANT * np.abs(found.mean)
-    return float(np.max(change[vary] / found.sd[vary], initial=0.0))
+    vary = estimates.sd > CONSTANT * np.abs(estimates.mean)
+    return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 
 
-def _outputs(study: Study, found: Sobol | Morris) -> list[Output]:
+def _outputs(study: Study, estimates: Sobol | Morris) -> list[Output]:
     outputs = [
         Output(
             quantity=quantity,
             trial=trial,
             unit=unit,
             value=float(study.centre[k]),
-            mean=float(found.mean[k]),
-            sd=float(found.sd[k]),
+            mean=float(estimates.mean[k]),
+            sd=float(estimates.sd[k]),
         )
         for k, (quantity, trial, unit) in enumerate(study.columns)
     ]
     for quantity, members in study.groups.items():
-        sd = float(np.sqrt(np.mean(found.sd[members] ** 2)))
+        sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
         outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
     for row, one in enumerate(outputs):
         assert one.sd is not None
-        if isinstance(found, Morris):
-            one.effects = {name: _effects(found, row, k) for k, name in enumerate(study.ranges)}
+        if isinstance(estimates, Morris):
+            one.effects = {name: _effects(estimates, row, k) for k, name in enumerate(study.ranges)}
         elif one.sd > CONSTANT * abs(one.mean or 0.0):
-            one.shares = {name: _shares(found, row, k) for k, name in enumerate(study.ranges)}
+            one.shares = {name: _shares(estimates, row, k) for k, name in enumerate(study.ranges)}
     return outputs
 
 
@@ -407,19 +409,19 @@ def _ci95(ends: Array, row: int, k: int) -> tuple[float, float]:
     return float(ends[0, row, k]), float(ends[1, row, k])
 
 
-def _shares(found: Sobol, row: int, k: int) -> Shares:
-    first = Index(value=float(found.first[row, k]), ci95=_ci95(found.first_ci, row, k))
-    total = Index(value=float(found.total[row, k]), ci95=_ci95(found.total_ci, row, k))
+def _shares(sobol: Sobol, row: int, k: int) -> Shares:
+    first = Index(value=float(sobol.first[row, k]), ci95=_ci95(sobol.first_ci, row, k))
+    total = Index(value=float(sobol.total[row, k]), ci95=_ci95(sobol.total_ci, row, k))
     negligible = total.ci95[1] < NEGLIGIBLE
     return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)
 
 
-def _effects(found: Morris, row: int, k: int) -> Effects:
+def _effects(morris: Morris, row: int, k: int) -> Effects:
     return Effects(
-        mu=float(found.mu[row, k]),
-        mu_star=float(found.mu_star[row, k]),
-        mu_star_ci95=_ci95(found.mu_star_ci, row, k),
-        sigma=float(found.sigma[row, k]),
+        mu=float(morris.mu[row, k]),
+        mu_star=float(morris.mu_star[row, k]),
+        mu_star_ci95=_ci95(morris.mu_star_ci, row, k),
+        sigma=float(morris.sigma[row, k]),
     )
 
 
@@ -487,21 +489,21 @@ def _sweep(
         def compute(point: Array) -> dict[str, Quantity]:
             return sensitivity_outputs.outputs(model, point, moved)
 
-        told = applied.with_errors(values, compute)
-        return np.array([[told[n].value, told[n].stderr or 0.0] for n in units]).ravel()
+        quantities = applied.with_errors(values, compute)
+        return np.array([[quantities[n].value, quantities[n].stderr or 0.0] for n in units]).ravel()
 
     def kept(k: int) -> Array:
         return checkpoint.kept(f"sweep {k}", lambda: one(run(grid[k])))
 
-    found = []
+    computed = []
     with (
         progress("sweep", total=len(grid)) as step,
         indices.in_threads(kept, range(len(grid)), jobs) as rows,
     ):
         for row in rows:
-            found.append(row)
+            computed.append(row)
             step()
-    table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
+    table = np.array(computed).reshape(len(axes[0].values), -1, len(units), 2)
     lost = ~np.isfinite(table[..., 0]).all(axis=-1)
     table[lost] = np.nan
     outputs = [
@@ -522,14 +524,14 @@ def _measured(
     """The actual error of every trial that has the axes of the sweep."""
     model = _swimmer(applied)
     units = {c.name: c.unit for c in model.channels}
-    found = []
+    trials = []
     for trial in experiment.trials:
         drive = sensitivity_outputs.drive_of(trial)
         if not trial.measured or not set(sweep) <= set(drive):
             continue
         values, _, _ = compare_series.start_of(applied, trial, refit=True)
         errors = sensitivity_outputs.errors(model, values, trial)
-        found.append(
+        trials.append(
             Measured(
                 trial=trial.id,
                 role=trial.role,  # type: ignore[arg-type]
@@ -541,4 +543,4 @@ def _measured(
                 },
             )
         )
-    return found
+    return trials

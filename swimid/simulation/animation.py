@@ -187,8 +187,8 @@ class _Camera:
     def pixels(self, points: Array) -> NDArray[np.int32]:
         x = (points[:, 0] - self.left) * self.scale
         y = self.height - (points[:, 1] - self.bottom) * self.scale
-        found: NDArray[np.int32] = np.round(np.column_stack((x, y)) * 2**_SHIFT).astype(np.int32)
-        return found
+        pixels: NDArray[np.int32] = np.round(np.column_stack((x, y)) * 2**_SHIFT).astype(np.int32)
+        return pixels
 
 
 def round_length(wanted: float) -> float:

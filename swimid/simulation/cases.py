@@ -61,8 +61,8 @@ def _case(
     per_run: bool = False,
     **metadata: Any,
 ) -> Case:
-    said = _metadata(options, robot, **metadata)
-    return Case(trial.id, applied, applied.values(), trial, extra or {}, said, quantities, per_run)
+    comments = _metadata(options, robot, **metadata)
+    return Case(trial.id, applied, applied.values(), trial, extra or {}, comments, quantities, per_run)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
@@ -338,9 +338,9 @@ def beat_frequency(
     if trial.swim.drive is not None:
         return float(trial.swim.drive.frequency_hz)
     for angle in (*commands(model, trial, values).values(), *measured):
-        found = find_beat(trial.time_s, angle)
-        if found is not None:
-            return found.frequency_hz
+        beat = find_beat(trial.time_s, angle)
+        if beat is not None:
+            return beat.frequency_hz
     return None
 
 
@@ -361,12 +361,12 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
     # the run itself begins where the trial does
     lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
     fine = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
-    told = beat is not None and bool(beat.bias_rad or beat.asymmetry)
+    turning = beat is not None and bool(beat.bias_rad or beat.asymmetry)
 
     def compute(values: Array) -> dict[str, Quantity]:
         columns = model.attempt(values, fine)
         last = {name: v[len(lead) :] for name, v in columns.items()}
-        return swim_quantities.quantities(body, values, last, window, told_to_turn=told)
+        return swim_quantities.quantities(body, values, last, window, told_to_turn=turning)
 
     return compute
 
@@ -417,19 +417,19 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path) -
     def compute(values: Array) -> dict[str, Quantity]:
         c = model.coefficients(values, on_rig)
         net = force - c["dry"]
-        found = {}
+        quantities = {}
         if net > 0 and (c["quadratic"] > 0 or c["linear"] > 0):
             # q v^2 + l v = F
             top = 2 * net / (c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * net))
-            found["terminal_speed_m_s"] = Quantity(top, "m/s")
+            quantities["terminal_speed_m_s"] = Quantity(top, "m/s")
         simulated = model.simulate(values, trial)
-        found["last_speed_m_s"] = Quantity(float(simulated[model.speed][-1]), "m/s")
-        found["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
-        return found
+        quantities["last_speed_m_s"] = Quantity(float(simulated[model.speed][-1]), "m/s")
+        quantities["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
+        return quantities
 
     applied = Applied(model, file, path, options.chosen)
-    said: dict[str, Any] = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
-    return _case(options, applied, trial, robot.name, quantities=compute, **said)
+    metadata: dict[str, Any] = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
+    return _case(options, applied, trial, robot.name, quantities=compute, **metadata)
 
 
 def _towed(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -445,8 +445,8 @@ def _towed(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     on_rig = RigInput(mass, area_factor=factor, release_s=float(log.time_s[0]))
     trial = Trial("run", "fit", log.time_s, {}, inputs={"force_N": force}, rig=on_rig)
     applied = Applied(model, file, path, options.chosen)
-    said: dict[str, Any] = {"experiment": "towed", "input": source.name}
-    return _case(options, applied, trial, robot.name, extra=trial.inputs, **said)
+    metadata: dict[str, Any] = {"experiment": "towed", "input": source.name}
+    return _case(options, applied, trial, robot.name, extra=trial.inputs, **metadata)
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -465,8 +465,8 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     log = log_format.read(options.input, required=wanted, optional=(model.output,))
     measured = {model.output: log[model.output]} if model.output in log else {}
     trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
-    said: dict[str, Any] = {"experiment": "arma", "input": options.input.name}
-    return _case(options, applied, trial, robot, extra=trial.inputs, **said)
+    metadata: dict[str, Any] = {"experiment": "arma", "input": options.input.name}
+    return _case(options, applied, trial, robot, extra=trial.inputs, **metadata)
 
 
 def _cruise(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -497,11 +497,11 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     def compute(values: Array) -> dict[str, Quantity]:
         mean = float(model.simulate(values, trial)[SPEED][0])
         terminal = mean / float(velocity_ratio(model.b1, 0.0, distance or FAR_M))
-        found = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
+        quantities = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
         if distance is not None:
-            found[SPEED] = Quantity(mean, "m/s")
-        found["propulsive_force_N"] = Quantity(area * terminal**2, "N")
-        return found
+            quantities[SPEED] = Quantity(mean, "m/s")
+        quantities["propulsive_force_N"] = Quantity(area * terminal**2, "N")
+        return quantities
 
     extra = {
         "fin": [fin],

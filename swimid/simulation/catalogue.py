@@ -176,15 +176,15 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
     # as the fit named it, relative to where it ran; else beside the parameter file
     places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
-    found = next((p for p in places if p.is_file()), None)
-    if found is None:
+    place = next((p for p in places if p.is_file()), None)
+    if place is None:
         raise InputError(
             f"the drag file {named} it was made with is not there",
             file=path,
             column="settings.drag_file",
             hint="put it beside this file",
         )
-    return found
+    return place
 
 
 def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:

@@ -143,8 +143,8 @@ def compare(
         provenance=origin,
     )
     text = compare_evidence.summary(file, evidence)
-    made = Comparison("compare", text, file.model_dump(mode="json"), evidence=evidence, document=file)
-    return made.saved(output)
+    result = Comparison("compare", text, file.model_dump(mode="json"), evidence=evidence, document=file)
+    return result.saved(output)
 
 
 def _restricted(done: Compared, channels: Sequence[str]) -> Compared:

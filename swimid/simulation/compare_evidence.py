@@ -43,14 +43,14 @@ T = TypeVar("T")
 def checks(file: ComparisonFile) -> list[ev.Check]:
     """Errors against their limits, and which start states were estimated."""
     what = "root-mean-square error over all trials, over the measured range"
-    found = [
+    graded = [
         _graded(f"error of {name}", score.nrmse, GOOD, USABLE, "measured range", what)
         for name, score in file.channels.items()
     ]
     share = _speed_share(file)
     if share is not None:
         what = "root-mean-square difference over the trials, over the root mean square measured"
-        found.append(_graded("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what))
+        graded.append(_graded("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what))
     fitted = [t.id for t in file.trials if t.start == "estimated"]
     if fitted:
         what = (
@@ -58,8 +58,8 @@ def checks(file: ComparisonFile) -> list[ev.Check]:
             "count as errors (--no-refit-start)"
         )
         value = f"estimated for {len(fitted)} of {len(file.trials)} trials"
-        found.append(ev.check("start states", value, None, text=what))
-    return found
+        graded.append(ev.check("start states", value, None, text=what))
+    return graded
 
 
 def _graded(name: str, share: float | None, good: float, usable: float, of: str, text: str) -> ev.Check:
@@ -104,23 +104,23 @@ def _rates(names: Iterable[str]) -> list[str]:
 
 def methods(file: ComparisonFile, done: Sequence[Compared]) -> list[str]:
     """Sentences for a paper."""
-    said = [
+    sentences = [
         f"{len(done)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
         "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
     ]
     if any(p.source == "pose" for d in done for p in d.pairs.values()):
-        said.append(
+        sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from "
             "the simulated one, by a cubic fitted over "
             f"{2 * compare_series.WINDOW_BEATS:g} beats around each sample."
         )
     if any(d.start == "estimated" for d in done):
-        said.append(
+        sentences.append(
             "Where the parameter file held no start state of a trial it was estimated from the whole trial "
             "with all shared parameters held."
         )
-    return said
+    return sentences
 
 
 # ------------------------------------------------------------ tables
@@ -226,11 +226,11 @@ def figures(experiment: Experiment, done: Sequence[Compared], file: ComparisonFi
     shown = _spread(done)
     missing = "" if len(shown) == len(done) else f" {len(shown)} of {len(done)} trials are shown."
     draw = _runs if experiment.model.timed_runs else _overlay
-    found = [*_speed_figure(file), *(draw(experiment, d, missing) for d in shown if d.pairs)]
+    figures = [*_speed_figure(file), *(draw(experiment, d, missing) for d in shown if d.pairs)]
     body = experiment.model.body
     if body is not None:
-        found += [*_paths(body, shown, missing), *_stroke_figures(file, missing)]
-    return found
+        figures += [*_paths(body, shown, missing), *_stroke_figures(file, missing)]
+    return figures
 
 
 def _spread(members: Sequence[T]) -> list[T]:
@@ -274,11 +274,11 @@ def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
         label = f"{p.meaning or p.channel}{note} ({numbers.unit_text(unit) or '1'})"
         traces = [measured, simulated]
         panels.append(ev.Panel(x_label=experiment.model.abscissa, y_label=label, traces=traces))
-    said = ", ".join(_setting(k, v) for k, v in done.drive.items() if k in AXES and v)
+    drive = ", ".join(_setting(k, v) for k, v in done.drive.items() if k in AXES and v)
     return ev.Figure(
         id=f"overlay-{done.trial.id}",
         title=f"{done.trial.id}: measured and simulated",
-        caption=f"{said + '. ' if said else ''}Good: the line runs through the points, from the start "
+        caption=f"{drive + '. ' if drive else ''}Good: the line runs through the points, from the start "
         f"on.{missing}",
         panels=panels,
     )

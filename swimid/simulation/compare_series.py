@@ -93,11 +93,11 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
         When the simulation breaks down.
     """
     model: Model = experiment.model
-    values, start, found = start_of(applied, trial, refit)
+    values, start, start_values = start_of(applied, trial, refit)
     if refit:
         model, level = model.at_own_level(values, trial)
         if level:
-            start, found = "estimated", level
+            start, start_values = "estimated", level
     simulated = model.attempt(values, trial)
     logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
     for channel in model.given(trial):
@@ -118,10 +118,10 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     frequency = None
     if model.swimmer is not None and model.body is not None:
         turning = (model.body.velocity[2], model.body.pose[2]) if model.body.free else ()
-        seen = [pairs[name].measured for name in turning if name in pairs]
-        frequency = cases.beat_frequency(model.swimmer, trial, values, seen)
+        series = [pairs[name].measured for name in turning if name in pairs]
+        frequency = cases.beat_frequency(model.swimmer, trial, values, series)
         pairs |= _velocity_pairs(model, model.body, trial, pairs, frequency)
-    return Compared(trial, start, found, frequency, pairs, values)
+    return Compared(trial, start, start_values, frequency, pairs, values)
 
 
 def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
@@ -143,7 +143,7 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     if not refit or not names:
         return values, "neutral", {}
     sd = _noise(applied, trial)
-    found: dict[str, float] = {}
+    best: dict[str, float] = {}
     least = math.inf
     # an unknown phase of the beat has a minimum on every side
     begun = [{"drive_phase": k * math.pi / 2} for k in range(4)] if "drive_phase" in names else [{}]
@@ -157,11 +157,11 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
         tried = {label.split("[")[0]: v for label, v in labelled.items()}
         cost = _cost(model, _replaced(model, values, tried), trial, sd)
         if cost < least:
-            found, least = tried, cost
-    if not found or not np.isfinite(list(found.values())).all():
+            best, least = tried, cost
+    if not best or not np.isfinite(list(best.values())).all():
         warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
         return values, "neutral", {}
-    return _replaced(model, values, found), "estimated", found
+    return _replaced(model, values, best), "estimated", best
 
 
 def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
@@ -188,13 +188,13 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     Where none of them was, every measured channel, each with a hundredth of its range.
     """
     known = applied.noise()
-    found = {name: known[name] for name in trial.measured if name in known}
-    if found:
-        return found
+    noise = {name: known[name] for name in trial.measured if name in known}
+    if noise:
+        return noise
     for name, values in trial.measured.items():
         there = values[np.isfinite(values)]
-        found[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
-    return found
+        noise[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
+    return noise
 
 
 def _velocity_pairs(
@@ -270,25 +270,25 @@ def mean_speed(done: Compared, body: Body) -> Speed | None:
     if window is None:
         return None
     edges = np.linspace(window.begin_s, window.end_s, window.beats + 1)
-    found = []
+    speeds = []
     for side in ("measured", "simulated"):
         means = [_beat_means(time, getattr(p, side)[there], edges) for p in series]
         if len(means) == 1:
-            found.append(float(means[0].mean()))
+            speeds.append(float(means[0].mean()))
         elif window.beats > 1:
             path = float(np.hypot(*(np.diff(m) for m in means)).sum())
-            found.append(path / (edges[-1] - edges[1]))
+            speeds.append(path / (edges[-1] - edges[1]))
         else:
             ends = [np.diff(np.interp(edges, time, getattr(p, side)[there])) for p in series]
-            found.append(float(np.hypot(*ends)[0]) / (edges[1] - edges[0]))
-    return Speed(measured=found[0], simulated=found[1], beats=window.beats)
+            speeds.append(float(np.hypot(*ends)[0]) / (edges[1] - edges[0]))
+    return Speed(measured=speeds[0], simulated=speeds[1], beats=window.beats)
 
 
 def _beat_means(time: Array, values: Array, edges: Array) -> Array:
     """Mean between successive edges, of the series joined by straight lines."""
     integral = cumulative_trapezoid(values, time, initial=0.0)
-    found: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
-    return found
+    means: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
+    return means
 
 
 def record(done: Compared, model: Model) -> TrialComparison:

@@ -87,7 +87,7 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
         for side, other in others.items():
             simulated = other.attempt(one.values, one.trial)
             columns[side] = {n: simulated[n] for n in one.pairs}
-        sides = _Sides(one, {side: _with_speeds(found, one) for side, found in columns.items()})
+        sides = _Sides(one, {side: _with_speeds(series, one) for side, series in columns.items()})
         repeats.setdefault(experiment.facts["profiles"][one.trial.id], []).append(sides)
     return [_profile(name, members) for name, members in repeats.items()]
 
@@ -113,17 +113,17 @@ def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Arra
     """With the speed in the vertical plane and the pitch rate."""
     stroke, time = done.trial.swim.stroke, done.trial.time_s
     half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
-    found = dict(columns)
+    extended = dict(columns)
     if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
-        found["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
+        extended["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
     if "x_m" in columns and "z_m" in columns:
         own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
         moving = stroke_cycles.velocity(time, columns) if own else None
         if moving is None:
             moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
-        found["vx_m_s"], found["vz_m_s"] = moving
-        found["speed_m_s"] = np.hypot(*moving)
-    return found
+        extended["vx_m_s"], extended["vz_m_s"] = moving
+        extended["speed_m_s"] = np.hypot(*moving)
+    return extended
 
 
 def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
@@ -131,7 +131,7 @@ def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
     times = [m.done.trial.time_s for m in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
-    found: dict[str, Mean] = {}
+    means: dict[str, Mean] = {}
     for name in members[0].columns["measured"] if len(clock) else ():
         if any(name not in m.columns["measured"] for m in members):
             continue
@@ -147,16 +147,16 @@ def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
         band = (np.min(simulated, axis=0), np.max(simulated, axis=0)) if len(simulated) > 1 else None
         pair = members[0].done.pairs.get(name)
         unit, meaning = DERIVED[name] if pair is None else (pair.unit, pair.meaning)
-        found[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, simulated[0], band)
-    return found
+        means[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, simulated[0], band)
+    return means
 
 
 def _on(clock: Array, time: Array, values: Array) -> Array:
     there = np.isfinite(values)
     if there.sum() < 2:
         return np.full(len(clock), math.nan)
-    found: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
-    return found
+    resampled: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
+    return resampled
 
 
 # ---------------------------------------------------------------- numbers
@@ -186,7 +186,7 @@ def _way(mean: Mean | None) -> dict[str, float]:
 def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
     """Every whole stroke: each trial's quantities, then their means."""
     each = [_quantities(m) for m in members]
-    found = []
+    comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         comparison = CycleComparison(cycle=k, measured={}, simulated={})
         for name in stroke_cycles.QUANTITIES:
@@ -199,8 +199,8 @@ def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
             if len(measured) > 1:
                 comparison.spread[name] = float(np.std(measured, ddof=1))
         if comparison.measured:
-            found.append(comparison)
-    return found
+            comparisons.append(comparison)
+    return comparisons
 
 
 def _quantities(sides: _Sides) -> list[dict[str, dict[str, float]]]:

@@ -37,11 +37,11 @@ POINTS = 150
 
 def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
     """Distances and errors of every profile, then speeds, angles and ways of every stroke."""
-    found = [_errors(profiles)] if profiles else []
+    tables = [_errors(profiles)] if profiles else []
     stroked = [p for p in profiles if p.cycles]
     if stroked:
-        found += [_by_stroke(id, title, ends, source, stroked) for id, title, ends, source in BY_STROKE]
-    return found
+        tables += [_by_stroke(id, title, ends, source, stroked) for id, title, ends, source in BY_STROKE]
+    return tables
 
 
 def _degrees(value: float | None) -> str:
@@ -103,8 +103,8 @@ def _by_stroke(
 def figures(profiles: Sequence[Profile], buoyancy: float) -> list[ev.Figure]:
     """The tables as a figure, then position, speed, pitch and pitch rate of every profile."""
     stroked = [p.record for p in profiles if p.record.cycles]
-    found = [_stroke_figure(stroked)] if stroked else []
-    return [*found, *(f for p in profiles for f in _profile_figure(p, buoyancy))]
+    figures = [_stroke_figure(stroked)] if stroked else []
+    return [*figures, *(f for p in profiles for f in _profile_figure(p, buoyancy))]
 
 
 def _profile_figure(profile: Profile, buoyancy: float) -> list[ev.Figure]:
@@ -113,14 +113,14 @@ def _profile_figure(profile: Profile, buoyancy: float) -> list[ev.Figure]:
     if not panels:
         return []
     repeats = len(record.trials)
-    said = f"Points: mean of {repeats} trials with their standard deviation." if repeats > 1 else ""
+    legend = f"Points: mean of {repeats} trials with their standard deviation." if repeats > 1 else ""
     if any(m.band is not None for m in means.values()):
-        said += f" Shaded: simulated with {100 * buoyancy:g} % less to {100 * buoyancy:g} % more buoyancy."
+        legend += f" Shaded: simulated with {100 * buoyancy:g} % less to {100 * buoyancy:g} % more buoyancy."
     return [
         ev.Figure(
             id=f"profile-{record.name}",
             title=f"{record.name}: mean measured and simulated motion",
-            caption=f"{said} Good: the line runs through the points; a gap wider than the shade is not "
+            caption=f"{legend} Good: the line runs through the points; a gap wider than the shade is not "
             "explained by trim.".strip(),
             columns=2,
             panels=panels,
@@ -181,15 +181,17 @@ def _stroke_figure(profiles: Sequence[ProfileComparison]) -> ev.Figure:
 
 def methods(profiles: Sequence[Profile], buoyancy: float) -> list[str]:
     """How the means and the band were made."""
-    said = []
+    sentences = []
     if any(len(p.record.trials) > 1 for p in profiles):
-        said.append("Trials that repeat a motion were averaged on one clock, and so were their simulations.")
+        sentences.append(
+            "Trials that repeat a motion were averaged on one clock, and so were their simulations."
+        )
     if any(m.band is not None for p in profiles for m in p.means.values()):
-        said.append(
+        sentences.append(
             f"The band of the simulations is that of {100 * buoyancy:g} % less and more displaced volume, "
             "all else held (sea lion, section III)."
         )
-    return said
+    return sentences
 
 
 def summary(profiles: Sequence[ProfileComparison]) -> list[str]:

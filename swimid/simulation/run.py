@@ -101,12 +101,12 @@ def run(case: Case) -> Simulated:
     _insist_whole(case, simulated)
     _warn_folded(case, simulated)
     step = _step_changes(case, simulated)
-    found = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
+    quantities = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
     columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
     columns |= {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
     columns = {**added, **columns} if case.per_run else {**columns, **added}
-    return Simulated(case, columns, found, step)
+    return Simulated(case, columns, quantities, step)
 
 
 def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
@@ -139,22 +139,22 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
     if finer is None:
         return {}
     fine = finer.attempt(case.values, case.trial)
-    found = {}
+    changes = {}
     for name, values in simulated.items():
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
         largest = float(np.max(np.abs(fine[name] - values)[both]))
         span = float(np.ptp(values[both]))
-        found[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
-    worst = max(found, key=lambda name: found[name].share, default=None)
-    if worst is not None and found[worst].share > STEP_LIMIT:
+        changes[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
+    worst = max(changes, key=lambda name: changes[name].share, default=None)
+    if worst is not None and changes[worst].share > STEP_LIMIT:
         warn(
             "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * found[worst].share:.2g} % of "
-            "its range; take a smaller step with --dt",
+            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst].share:.2g} % "
+            "of its range; take a smaller step with --dt",
         )
-    return found
+    return changes
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
@@ -179,13 +179,13 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
 
 def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
     """Write runs as logs, each with what it was made by in its comment lines."""
-    found = places(output, [one.case.id for one in done])
-    if output is not None and found != [output]:
+    paths = places(output, [one.case.id for one in done])
+    if output is not None and paths != [output]:
         output.mkdir(exist_ok=True)
-    for path, one in zip(found, done, strict=False):
+    for path, one in zip(paths, done, strict=False):
         metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
         log_format.write(path, one.columns, metadata)
-    return found
+    return paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +224,10 @@ class Simulation(Result):
         return self._only("runs").quantities
 
     def _only(self, several: str) -> Any:
-        found = getattr(self, several)
-        if len(found) > 1:
-            raise UsageError(f"there are {len(found)} runs", hint=f"take one of .{several}")
-        return next(iter(found.values()))
+        runs = getattr(self, several)
+        if len(runs) > 1:
+            raise UsageError(f"there are {len(runs)} runs", hint=f"take one of .{several}")
+        return next(iter(runs.values()))
 
     def _write(self, path: Path) -> list[Path]:
         return write(path, self.document)
