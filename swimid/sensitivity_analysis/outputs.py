@@ -29,8 +29,8 @@ OVER_CYCLES: dict[str, Callable[[list[float]], Any]] = {
     "surge_m": np.sum,
     "heave_m": np.sum,
 }
-#: Samples of a run without a beat.
-SAMPLES = 1000
+#: Steps between the samples of a run without a beat.
+STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
             measured[name] = (trial.time_s[there], values[there], scale, unit)
     drive = trial.swim.drive
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
-    times, last, anchor = np.linspace(begin, end, SAMPLES + 1), slice(None), begin
+    times, last, anchor = np.linspace(begin, end, STEPS + 1), slice(None), begin
     if drive is not None:
         ramp = max(begin, drive.ramp_s)
         anchor = 0.0 if begin <= 0 else ramp

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -26,7 +25,6 @@ from swimid.simulation import (
     compare_strokes,
     compare_strokes_evidence,
 )
-from swimid.simulation.compare_series import Compared
 from swimid.simulation.comparison_file import FORMAT, ComparisonFile
 from swimid.simulation.options import CompareOptions
 
@@ -94,8 +92,10 @@ def compare(
         done = []
         with progress("comparing", total=len(experiment.trials)) as step:
             for trial in experiment.trials:
-                one = compare_series.compared(experiment, applied, trial, refit=options.refit_start)
-                done.append(_restricted(one, options.channels))
+                one = compare_series.compared(
+                    experiment, applied, trial, refit=options.refit_start, channels=options.channels
+                )
+                done.append(one)
                 step()
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
@@ -114,7 +114,7 @@ def compare(
                 for name in channels
                 if (parts := [d.pairs[name] for d in done if name in d.pairs])
             },
-            trials=[compare_series.record(d, experiment.model) for d in done],
+            trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
             provenance=origin,
         )
@@ -136,7 +136,7 @@ def compare(
         ],
         notices=blocks.notices(notices),
         methods=[
-            *compare_evidence.methods(file, done),
+            *compare_evidence.methods(file),
             *compare_strokes_evidence.methods(profiles, buoyancy),
         ],
         references=list(experiment.robot.sources),
@@ -145,14 +145,3 @@ def compare(
     text = compare_evidence.summary(file, evidence)
     result = Comparison("compare", text, file.model_dump(mode="json"), evidence=evidence, document=file)
     return result.saved(output)
-
-
-def _restricted(done: Compared, channels: Sequence[str]) -> Compared:
-    if not channels:
-        return done
-    for name in channels:
-        if name not in done.pairs:
-            hint = suggestion(name, list(done.pairs))
-            raise UsageError(f"the trial '{done.trial.id}' has no channel '{name}' to compare", hint=hint)
-    pairs = {name: p for name, p in done.pairs.items() if name in channels}
-    return replace(done, pairs=pairs)

@@ -102,20 +102,20 @@ def _rates(names: Iterable[str]) -> list[str]:
     return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
 
 
-def methods(file: ComparisonFile, done: Sequence[Compared]) -> list[str]:
+def methods(file: ComparisonFile) -> list[str]:
     """Sentences for a paper."""
     sentences = [
-        f"{len(done)} {file.experiment} trials were compared with simulations under the parameters of "
+        f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
         "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
     ]
-    if any(p.source == "pose" for d in done for p in d.pairs.values()):
+    if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from "
             "the simulated one, by a cubic fitted over "
             f"{2 * compare_series.WINDOW_BEATS:g} beats around each sample."
         )
-    if any(d.start == "estimated" for d in done):
+    if any(t.start == "estimated" for t in file.trials):
         sentences.append(
             "Where the parameter file held no start state of a trial it was estimated from the whole trial "
             "with all shared parameters held."
@@ -274,7 +274,7 @@ def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
         label = f"{p.meaning or p.channel}{note} ({numbers.unit_text(unit) or '1'})"
         traces = [measured, simulated]
         panels.append(ev.Panel(x_label=experiment.model.abscissa, y_label=label, traces=traces))
-    drive = ", ".join(_setting(k, v) for k, v in done.drive.items() if k in AXES and v)
+    drive = ", ".join(_setting(k, v) for k, v in done.record.drive.items() if k in AXES and v)
     return ev.Figure(
         id=f"overlay-{done.trial.id}",
         title=f"{done.trial.id}: measured and simulated",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from swimid.errors import NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting import metrics, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
@@ -51,34 +51,18 @@ class Pair:
     simulated: Array
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One trial.
-
-    Attributes
-    ----------
-    start_values : dict of str to float
-        Those that were estimated here.
-    frequency_hz : float or None
-        Of the beat.
-    values : ndarray, shape (p,)
-        Parameters of the simulation.
-    """
+class Compared(NamedTuple):
+    """One trial: its channels, the parameters of its simulation, and what the comparison file says of it."""
 
     trial: Trial
-    start: Start
-    start_values: dict[str, float]
-    frequency_hz: float | None
     pairs: dict[str, Pair]
     values: Array
-
-    @property
-    def drive(self) -> dict[str, Any]:
-        """The beat that drove the trial, as a trials file says it."""
-        return cases.drive_block(self.trial.swim) if self.trial.swim.beat is not None else {}
+    record: TrialComparison
 
 
-def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool) -> Compared:
+def compared(
+    experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()
+) -> Compared:
     """Simulate a trial and set its channels beside the measured ones.
 
     Parameters
@@ -86,9 +70,13 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     refit : bool
         Estimate the start state of a trial that the parameter file does not know, all shared
         parameters held.
+    channels : sequence of str
+        Compare these only.
 
     Raises
     ------
+    UsageError
+        For a channel the trial has not.
     NoTrustworthyResult
         When the simulation breaks down.
     """
@@ -115,13 +103,39 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
                 f"the simulation of '{trial.id}' breaks down at t = {where:.4g} s",
                 hint="check the parameters' signs and units and the drive, or take a smaller --dt",
             )
-    frequency = None
-    if model.swimmer is not None and model.body is not None:
-        turning = (model.body.velocity[2], model.body.pose[2]) if model.body.free else ()
+    frequency, body = None, model.body
+    if model.swimmer is not None and body is not None:
+        turning = (body.velocity[2], body.pose[2]) if body.free else ()
         series = [pairs[name].measured for name in turning if name in pairs]
         frequency = cases.beat_frequency(model.swimmer, trial, values, series)
-        pairs |= _velocity_pairs(model, model.body, trial, pairs, frequency)
-    return Compared(trial, start, start_values, frequency, pairs, values)
+        pairs |= _velocity_pairs(model, body, trial, pairs, frequency)
+    for name in channels:
+        if name not in pairs:
+            hint = suggestion(name, list(pairs))
+            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
+    pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
+    # a position has no mean of a stroke worth comparing
+    positions = body.pose if body is not None and body.free else ()
+    beating = {n: p for n, p in pairs.items() if n not in positions} if frequency is not None else {}
+
+    def by_stroke(table: Callable[..., T]) -> dict[str, T]:
+        return {
+            n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
+        }
+
+    record = TrialComparison(
+        id=trial.id,
+        role=trial.role,  # type: ignore[arg-type]
+        start=start,
+        start_values=start_values,
+        frequency_hz=frequency,
+        drive=cases.drive_block(trial.swim) if trial.swim.beat is not None else {},
+        channels={name: scored([p], frequency) for name, p in pairs.items()},
+        cycles=by_stroke(cycles.cycles),
+        phases=by_stroke(cycles.phases),
+        mean_speed=mean_speed(trial, pairs, body, frequency) if body is not None and frequency else None,
+    )
+    return Compared(trial, pairs, values, record)
 
 
 def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
@@ -251,22 +265,22 @@ def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     return {"phase_error_rad": phase, "dtw_distance": distance}
 
 
-def mean_speed(done: Compared, body: Body) -> Speed | None:
+def mean_speed(trial: Trial, pairs: Mapping[str, Pair], body: Body, frequency: float) -> Speed | None:
     """Mean speed over the last whole beats, measured and simulated by the same rule."""
-    if done.frequency_hz is None or not body.free:
+    if not body.free:
         return None
-    beat = done.trial.swim.beat
-    begin = max(float(done.trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
-    pose = [done.pairs.get(name) for name in body.pose[:2]]
-    surge = done.pairs.get(body.velocity[0])
+    beat = trial.swim.beat
+    begin = max(float(trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
+    pose = [pairs.get(name) for name in body.pose[:2]]
+    surge = pairs.get(body.velocity[0])
     series = [p for p in pose if p is not None] if None not in pose else [surge] if surge else []
     if not series:
         return None
     there = np.all([np.isfinite(p.measured) & np.isfinite(p.simulated) for p in series], axis=0)
     if there.sum() < 3:
         return None
-    time = done.trial.time_s[there]
-    window = swim_quantities.last_beats(max(begin, float(time[0])), float(time[-1]), done.frequency_hz)
+    time = trial.time_s[there]
+    window = swim_quantities.last_beats(max(begin, float(time[0])), float(time[-1]), frequency)
     if window is None:
         return None
     edges = np.linspace(window.begin_s, window.end_s, window.beats + 1)
@@ -289,29 +303,3 @@ def _beat_means(time: Array, values: Array, edges: Array) -> Array:
     integral = cumulative_trapezoid(values, time, initial=0.0)
     means: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
     return means
-
-
-def record(done: Compared, model: Model) -> TrialComparison:
-    """A trial as the comparison file holds it."""
-    body, frequency = model.body, done.frequency_hz
-    # a position has no mean of a stroke worth comparing
-    positions = body.pose if body is not None and body.free else ()
-    beating = {n: p for n, p in done.pairs.items() if n not in positions} if frequency is not None else {}
-
-    def by_stroke(table: Callable[..., T]) -> dict[str, T]:
-        return {
-            n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
-        }
-
-    return TrialComparison(
-        id=done.trial.id,
-        role=done.trial.role,  # type: ignore[arg-type]
-        start=done.start,
-        start_values=done.start_values,
-        frequency_hz=frequency,
-        drive=done.drive,
-        channels={name: scored([p], frequency) for name, p in done.pairs.items()},
-        cycles=by_stroke(cycles.cycles),
-        phases=by_stroke(cycles.phases),
-        mean_speed=None if body is None else mean_speed(done, body),
-    )

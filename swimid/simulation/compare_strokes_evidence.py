@@ -31,8 +31,8 @@ BY_STROKE = (
 )
 #: Channels of a profile's figure, in the paper's order.
 DRAWN = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
-#: Points of a channel in it.
-POINTS = 150
+#: Samples of a channel in it.
+MAX_SAMPLES = 150
 
 
 def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
@@ -136,7 +136,7 @@ def _moves(mean: Mean) -> bool:
 
 def _panel(mean: Mean) -> ev.Panel:
     scale, unit = numbers.in_degrees(mean.unit)
-    step = max(len(mean.time_s) // POINTS, 1)
+    step = max(len(mean.time_s) // MAX_SAMPLES, 1)
 
     def at(values: Array) -> Array:
         return scale * values[::step]

@@ -133,7 +133,7 @@ def _film(done: Simulated) -> animation.Film:
 # ------------------------------------------------------------ telling
 
 
-def label(name: str) -> str:
+def _label(name: str) -> str:
     """A quantity's name in words, without its unit."""
     if name == "mean_speed_BL_s":
         return "in body lengths"
@@ -141,7 +141,7 @@ def label(name: str) -> str:
     return bare.replace("_", " ")
 
 
-def text(value: float, stderr: float | None, unit: str) -> str:
+def _text(value: float, stderr: float | None, unit: str) -> str:
     """A quantity as people read it: angles in degrees."""
     factor, shown = numbers.in_degrees(unit)
     if not stderr:
@@ -150,7 +150,7 @@ def text(value: float, stderr: float | None, unit: str) -> str:
 
 
 def _told(name: str, quantity: Quantity) -> str:
-    return f"{label(name)} {text(quantity.value, quantity.stderr, quantity.unit)}"
+    return f"{_label(name)} {_text(quantity.value, quantity.stderr, quantity.unit)}"
 
 
 def _summary(done: Sequence[Simulated], options: SimulateOptions, remark: str) -> str:
@@ -164,7 +164,7 @@ def _summary(done: Sequence[Simulated], options: SimulateOptions, remark: str) -
     for name, change in ((name, change) for d in done for name, change in d.step.items()):
         worst[name] = max(worst.get(name, 0.0), change.largest)
     changes = [
-        f"{label(name)} {numbers.number(largest, 2, numbers.split_unit(name)[1])}"
+        f"{_label(name)} {numbers.number(largest, 2, numbers.split_unit(name)[1])}"
         for name, largest in worst.items()
         if largest > 0
     ]
@@ -184,7 +184,7 @@ def _brief(done: Simulated) -> list[str]:
     if done.case.per_run:
         name, v = channels[0].name, done.columns[channels[0].name]
         low, high = numbers.number(float(np.min(v)), 4), numbers.number(float(np.max(v)), 4, channels[0].unit)
-        return [f"{len(v)} runs, {label(name)} {low} to {high}"]
+        return [f"{len(v)} runs, {_label(name)} {low} to {high}"]
     ends = [_told(c.name, Quantity(float(done.columns[c.name][-1]), c.unit)) for c in channels]
     return [f"after {_duration(done):.4g} s", *ends]
 
@@ -210,8 +210,8 @@ def _one(done: Simulated, options: SimulateOptions) -> list[str]:
     if parts:
         lines.append(f"  {', '.join(parts)}, {_duration(done):g} s")
     shown = {n: q for n, q in done.quantities.items() if n != "speed_change_per_beat_m_s"}
-    width = max((len(label(n)) for n in shown), default=0)
-    lines += [f"  {label(name):<{width}}  {text(q.value, q.stderr, q.unit)}" for name, q in shown.items()]
+    width = max((len(_label(n)) for n in shown), default=0)
+    lines += [f"  {_label(name):<{width}}  {_text(q.value, q.stderr, q.unit)}" for name, q in shown.items()]
     if not shown:
         lines.append(f"  {', '.join(_brief(done))}")
     speed, change = (done.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
