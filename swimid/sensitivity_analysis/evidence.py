@@ -288,14 +288,15 @@ def _shares_map(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
     quantities = [o.quantity for o in outputs]
     total = [[round(o.shares[n].total.value, 3) for n in names] for o in outputs]
     first = [[round(o.shares[n].first.value, 3) for n in names] for o in outputs]
-    return ev.Figure(
-        id="indices",
-        title="What each output is most sensitive to",
-        caption="Sobol indices: the share of an output's variance over the ranges that goes with a "
+    return blocks.panels(
+        "indices",
+        "What each output is most sensitive to",
+        "Sobol indices: the share of an output's variance over the ranges that goes with a "
         "coefficient, alone (first order) and with all interactions it takes part in (total). Of several "
         "trials, the share of their summed variance. A column that is pale throughout belongs to a "
         "coefficient these trials cannot tell.",
-        panels=[_map("Total", quantities, names, total), _map("First order", quantities, names, first)],
+        [_map("Total", quantities, names, total), _map("First order", quantities, names, first)],
+        columns=1,
     )
 
 
@@ -304,7 +305,7 @@ def _map(
 ) -> ev.Panel:
     heat = ev.Heat(rows=rows, columns=columns, values=list(values), scale="linear")  # type: ignore[arg-type]
     x_label, y_label = labels or ("", "")
-    return ev.Panel(title=title, x_label=x_label, y_label=y_label, heat=heat)
+    return blocks.panel(x_label, y_label, [], title=title, heat=heat)
 
 
 def _intervals(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
@@ -318,23 +319,15 @@ def _intervals(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
             values, half = [i.value for i in index], 0.5 * (high - low)
             traces.append(ev.Trace(x=places + shift, y=values, y_error=half, style="points", label=label))
         panels.append(
-            ev.Panel(
-                title=o.quantity,
-                x_label="",
-                y_label="index",
-                traces=traces,
-                marks=[ev.Mark(at=0.0)],
-                x_categories=names,
-            )
+            blocks.panel("", "index", traces, title=o.quantity, marks=[ev.Mark(at=0.0)], x_categories=names)
         )
-    return ev.Figure(
-        id="intervals",
-        title="Sobol indices with 95 % intervals",
-        caption="Bars are half the width of the bootstrap interval. A first-order index whose bar reaches "
+    return blocks.panels(
+        "intervals",
+        "Sobol indices with 95 % intervals",
+        "Bars are half the width of the bootstrap interval. A first-order index whose bar reaches "
         "zero is not told from zero; a total index above it means that the coefficient acts through "
         "interactions.",
-        panels=panels,
-        columns=2,
+        panels,
     )
 
 
@@ -343,11 +336,12 @@ def _effects_map(names: list[str], outputs: Sequence[Output]) -> ev.Figure:
     for o in outputs:
         largest = max(e.mu_star for e in o.effects.values()) or 1.0
         values.append([round(o.effects[n].mu_star / largest, 3) for n in names])
-    return ev.Figure(
-        id="effects",
-        title="What each output is most sensitive to",
-        caption="Mean magnitude of the elementary effects, over the largest of the output.",
-        panels=[_map("", [o.quantity for o in outputs], names, values)],
+    return blocks.panels(
+        "effects",
+        "What each output is most sensitive to",
+        "Mean magnitude of the elementary effects, over the largest of the output.",
+        [_map("", [o.quantity for o in outputs], names, values)],
+        columns=1,
     )
 
 
@@ -361,18 +355,13 @@ def _effects_plane(outputs: Sequence[Output]) -> ev.Figure:
             for k, (name, e) in enumerate(o.effects.items())
         ]
         marks = [ev.Mark(at=0.0, axis="x"), ev.Mark(at=0.0)]
-        panels.append(
-            ev.Panel(
-                title=o.quantity, x_label=f"mu*{text}", y_label=f"sigma{text}", traces=traces, marks=marks
-            )
-        )
-    return ev.Figure(
-        id="plane",
-        title="Elementary effects",
-        caption="Far right: the output is sensitive to the coefficient. High up: its effect depends on where "
+        panels.append(blocks.panel(f"mu*{text}", f"sigma{text}", traces, title=o.quantity, marks=marks))
+    return blocks.panels(
+        "plane",
+        "Elementary effects",
+        "Far right: the output is sensitive to the coefficient. High up: its effect depends on where "
         "it and the others are, by curvature or interaction.",
-        panels=panels,
-        columns=2,
+        panels,
     )
 
 
@@ -384,9 +373,7 @@ def _swept_figure(sweep: Sweep) -> ev.Figure:
         which = "Beside each map its standard deviation" if flat else "Bands: two standard deviations,"
         caption += f" {which} from the coefficients' covariance."
     columns = 2 if flat else 1
-    return ev.Figure(
-        id="sweep", title="Outputs over the drive", caption=caption, panels=panels, columns=columns
-    )
+    return blocks.panels("sweep", "Outputs over the drive", caption, panels, columns=columns)
 
 
 def _swept_maps(sweep: Sweep, output: SweptOutput) -> list[ev.Panel]:
@@ -406,7 +393,7 @@ def _swept_curve(sweep: Sweep, output: SweptOutput) -> list[ev.Panel]:
     if output.stderr is not None:
         trace = blocks.band(x, y, 2 * np.array(output.stderr, dtype=float)[:, 0])
     x_label, y_label = numbers.column_title(sweep.axes[0].name), numbers.column_title(output.quantity)
-    return [ev.Panel(x_label=x_label, y_label=y_label, traces=[trace])]
+    return [blocks.panel(x_label, y_label, [trace])]
 
 
 # ------------------------------------------------------------ methods

@@ -273,14 +273,14 @@ def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
         note = ", from the pose" if p.source == "pose" else ""
         label = f"{p.meaning or p.channel}{note} ({numbers.unit_text(unit) or '1'})"
         traces = [measured, simulated]
-        panels.append(ev.Panel(x_label=experiment.model.abscissa, y_label=label, traces=traces))
+        panels.append(blocks.panel(experiment.model.abscissa, label, traces))
     drive = ", ".join(_setting(k, v) for k, v in done.record.drive.items() if k in AXES and v)
-    return ev.Figure(
-        id=f"overlay-{done.trial.id}",
-        title=f"{done.trial.id}: measured and simulated",
-        caption=f"{drive + '. ' if drive else ''}Good: the line runs through the points, from the start "
-        f"on.{missing}",
-        panels=panels,
+    return blocks.panels(
+        f"overlay-{done.trial.id}",
+        f"{done.trial.id}: measured and simulated",
+        f"{drive + '. ' if drive else ''}Good: the line runs through the points, from the start on.{missing}",
+        panels,
+        columns=1,
     )
 
 
@@ -349,19 +349,13 @@ def _paths(body: Body, shown: Sequence[Compared], missing: str) -> list[ev.Figur
         )
         simulated = ev.Trace(x=x.simulated[::step], y=y.simulated[::step], label="simulated", group=1)
         panels.append(
-            ev.Panel(
-                title=d.trial.id,
-                x_label=x_label,
-                y_label=y_label,
-                equal_aspect=True,
-                traces=[measured, simulated],
-            )
+            blocks.panel(x_label, y_label, [measured, simulated], title=d.trial.id, equal_aspect=True)
         )
     if not panels:
         return []
     caption = f"The reference point's path, to scale. Good: one curve on the other.{missing}"
     columns = 2 if len(panels) > 1 else 1
-    return [ev.Figure(id="paths", title="Paths", caption=caption, panels=panels, columns=columns)]
+    return [blocks.panels("paths", "Paths", caption, panels, columns=columns)]
 
 
 def _stroke_figures(file: ComparisonFile, missing: str) -> list[ev.Figure]:
@@ -371,20 +365,22 @@ def _stroke_figures(file: ComparisonFile, missing: str) -> list[ev.Figure]:
         return []
     panels = [_stroke_panels(name, [t for t in members if name in t.cycles]) for name in names]
     return [
-        ev.Figure(
-            id="cycles",
-            title="Stroke by stroke",
-            caption="Means over each whole stroke: points measured, lines simulated. Good: the same "
+        blocks.panels(
+            "cycles",
+            "Stroke by stroke",
+            "Means over each whole stroke: points measured, lines simulated. Good: the same "
             f"start-up and the same steady level.{missing}",
-            panels=[means for means, _ in panels],
+            [means for means, _ in panels],
+            columns=1,
         ),
-        ev.Figure(
-            id="phases",
-            title="Over the phase of the beat",
-            caption="Mean of measured minus simulated in twelve parts of the beat, with twice its standard "
+        blocks.panels(
+            "phases",
+            "Over the phase of the beat",
+            "Mean of measured minus simulated in twelve parts of the beat, with twice its standard "
             "error between strokes; zero is where the command starts. Good: flat about zero. A wave says in "
             f"which part of the stroke the model lacks something.{missing}",
-            panels=[phases for _, phases in panels],
+            [phases for _, phases in panels],
+            columns=1,
         ),
     ]
 
@@ -405,13 +401,8 @@ def _stroke_panels(name: str, members: Sequence[TrialComparison]) -> tuple[ev.Pa
         phase = np.degrees(np.array(p.phase_rad, dtype=float))
         residuals.append(blocks.band(phase, scaled(p.residual), 2 * scaled(p.stderr), label=t.id, group=k))
     return (
-        ev.Panel(x_label="time (s)", y_label=f"mean {label}", traces=means),
-        ev.Panel(
-            x_label="phase of the beat (°)",
-            y_label=f"residual, {label}",
-            traces=residuals,
-            marks=[ev.Mark(at=0.0)],
-        ),
+        blocks.panel("time (s)", f"mean {label}", means),
+        blocks.panel("phase of the beat (°)", f"residual, {label}", residuals, marks=[ev.Mark(at=0.0)]),
     )
 
 

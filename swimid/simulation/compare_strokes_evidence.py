@@ -117,13 +117,12 @@ def _profile_figure(profile: Profile, buoyancy: float) -> list[ev.Figure]:
     if any(m.band is not None for m in means.values()):
         legend += f" Shaded: simulated with {100 * buoyancy:g} % less to {100 * buoyancy:g} % more buoyancy."
     return [
-        ev.Figure(
-            id=f"profile-{record.name}",
-            title=f"{record.name}: mean measured and simulated motion",
-            caption=f"{legend} Good: the line runs through the points; a gap wider than the shade is not "
+        blocks.panels(
+            f"profile-{record.name}",
+            f"{record.name}: mean measured and simulated motion",
+            f"{legend} Good: the line runs through the points; a gap wider than the shade is not "
             "explained by trim.".strip(),
-            columns=2,
-            panels=panels,
+            panels,
         )
     ]
 
@@ -147,7 +146,7 @@ def _panel(mean: Mean) -> ev.Panel:
     points = ev.Trace(x=time, y=at(mean.measured), style="points", label="measured", group=0, y_error=error)
     line = ev.Trace(x=time, y=at(mean.simulated), label="simulated", group=1, lower=low, upper=high)
     y_label = f"{mean.meaning} ({numbers.unit_text(unit)})"
-    return ev.Panel(x_label="time (s)", y_label=y_label, traces=[points, line])
+    return blocks.panel("time (s)", y_label, [points, line])
 
 
 def _stroke_figure(profiles: Sequence[ProfileComparison]) -> ev.Figure:
@@ -168,14 +167,13 @@ def _stroke_figure(profiles: Sequence[ProfileComparison]) -> ev.Figure:
             traces.append(ev.Trace(x=x, y=measured, style="points", label=label, group=group, y_error=error))
             traces.append(ev.Trace(x=x, y=simulated, label=f"{p.name}, simulated", group=group))
         y_label = f"{heading} ({numbers.unit_text(unit)})"
-        panels.append(ev.Panel(x_label="stroke", y_label=y_label, traces=traces, x_categories=strokes))
-    return ev.Figure(
-        id="cycles",
-        title="Stroke by stroke",
-        caption="Points: mean of the trials with their standard deviation; lines: simulated. Good: the lines "
+        panels.append(blocks.panel("stroke", y_label, traces, x_categories=strokes))
+    return blocks.panels(
+        "cycles",
+        "Stroke by stroke",
+        "Points: mean of the trials with their standard deviation; lines: simulated. Good: the lines "
         "pass through the points within their bars.",
-        columns=2,
-        panels=panels,
+        panels,
     )
 
 
