@@ -257,7 +257,7 @@ def _runs(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
         f"{done.trial.id}: measured and simulated",
         f"Points are measured, lines simulated. Good: the lines run through the points.{missing}",
         "frequency (Hz)",
-        f"{p.meaning} (m/s)",
+        f"{p.channel.meaning} (m/s)",
         traces,
     )
 
@@ -265,13 +265,13 @@ def _runs(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
 def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
     panels = []
     for p in _most_telling(done):
-        factor, unit = numbers.in_degrees(p.unit)
+        factor, unit = numbers.in_degrees(p.channel.unit)
         x, y = ev.thinned(p.time_s, factor * p.measured, MAX_SAMPLES)
         measured = ev.Trace(x=x, y=y, style="points", label="measured", group=0)
         x, y = ev.thinned(p.time_s, factor * p.simulated, MAX_SAMPLES)
         simulated = ev.Trace(x=x, y=y, label="simulated", group=1)
         note = ", from the pose" if p.source == "pose" else ""
-        label = f"{p.meaning or p.channel}{note} ({numbers.unit_text(unit) or '1'})"
+        label = f"{p.channel.meaning or p.channel.name}{note} ({numbers.unit_text(unit) or '1'})"
         traces = [measured, simulated]
         panels.append(blocks.panel(experiment.model.abscissa, label, traces))
     drive = ", ".join(_setting(k, v) for k, v in done.record.drive.items() if k in AXES and v)

@@ -14,7 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting import metrics, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
 from swimid.notices import warn
 from swimid.simulation import cases, cycles, swim_quantities
@@ -42,9 +42,7 @@ class Pair:
     time_s, measured, simulated : ndarray, shape (n,)
     """
 
-    channel: str
-    unit: str
-    meaning: str
+    channel: Channel
     source: Literal["logged", "pose"]
     time_s: Array
     measured: Array
@@ -91,7 +89,7 @@ def compared(
     for channel in model.given(trial):
         logged.pop(channel, None)
     pairs = {
-        c.name: Pair(c.name, c.unit, c.meaning, "logged", trial.time_s, logged[c.name], simulated[c.name])
+        c.name: Pair(c, "logged", trial.time_s, logged[c.name], simulated[c.name])
         for c in model.channels
         if c.name in logged and np.isfinite(logged[c.name]).sum() > 1
     }
@@ -223,7 +221,7 @@ def _velocity_pairs(
     simulated = _velocities([p.simulated for p in pose], trial.time_s, half)
     known = {c.name: c for c in model.channels}
     return {
-        name: Pair(name, known[name].unit, known[name].meaning, "pose", trial.time_s, y, z)
+        name: Pair(known[name], "pose", trial.time_s, y, z)
         for name, y, z in zip(body.velocity, measured, simulated, strict=True)
         if name not in pairs and np.isfinite(y).sum() > 8
     }
@@ -246,7 +244,7 @@ def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
     peak, relative = metrics.peak_error(measured, simulated)
     timing = _timing(parts[0], frequency) if frequency is not None and len(parts) == 1 else {}
     return ChannelScore(
-        unit=parts[0].unit,
+        unit=parts[0].channel.unit,
         source=parts[0].source,
         **vars(metrics.score(measured, simulated)),
         peak_error=peak,

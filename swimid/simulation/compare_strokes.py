@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, Channel
 from swimid.logs.derivative import slope
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.comparison_file import CycleComparison, ProfileComparison
@@ -20,13 +20,13 @@ from swimid.swimmer import stroke_cycles
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
 SIDES = ("measured", "simulated")
 POSITION = ("x_m", "y_m", "z_m")
-#: What is derived where it is not logged: unit and meaning.
-DERIVED = {
-    "pitch_rate_rad_s": ("rad/s", "pitch rate"),
-    "vx_m_s": ("m/s", "speed along x"),
-    "vz_m_s": ("m/s", "speed along z"),
-    "speed_m_s": ("m/s", "speed in the vertical plane"),
-}
+#: What is derived where it is not logged.
+DERIVED = (
+    Channel("pitch_rate_rad_s", "rad/s", "pitch rate"),
+    Channel("vx_m_s", "m/s", "speed along x"),
+    Channel("vz_m_s", "m/s", "speed along z"),
+    Channel("speed_m_s", "m/s", "speed in the vertical plane"),
+)
 ORIENTATION = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -36,7 +36,6 @@ class Mean:
 
     Attributes
     ----------
-    unit, meaning : str
     time_s, measured, simulated : ndarray, shape (n,)
         On the clock of the profile's first trial, as far as all repeats reach.
     spread : ndarray, shape (n,)
@@ -45,8 +44,7 @@ class Mean:
         Least and most of the simulations with less, as much and more buoyancy.
     """
 
-    unit: str
-    meaning: str
+    channel: Channel
     time_s: Array
     measured: Array
     spread: Array
@@ -131,6 +129,7 @@ def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
     times = [m.done.trial.time_s for m in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
+    channels = {c.name: c for c in (*DERIVED, *(p.channel for p in members[0].done.pairs.values()))}
     means: dict[str, Mean] = {}
     for name in members[0].columns["measured"] if len(clock) else ():
         if any(name not in m.columns["measured"] for m in members):
@@ -145,9 +144,7 @@ def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
         spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
         simulated = [repeated.mean(axis=0) for repeated in series.values()]
         band = (np.min(simulated, axis=0), np.max(simulated, axis=0)) if len(simulated) > 1 else None
-        pair = members[0].done.pairs.get(name)
-        unit, meaning = DERIVED[name] if pair is None else (pair.unit, pair.meaning)
-        means[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, simulated[0], band)
+        means[name] = Mean(channels[name], clock, measured.mean(axis=0), spread, simulated[0], band)
     return means
 
 

@@ -134,7 +134,7 @@ def _moves(mean: Mean) -> bool:
 
 
 def _panel(mean: Mean) -> ev.Panel:
-    scale, unit = numbers.in_degrees(mean.unit)
+    scale, unit = numbers.in_degrees(mean.channel.unit)
     step = max(len(mean.time_s) // MAX_SAMPLES, 1)
 
     def at(values: Array) -> Array:
@@ -145,7 +145,7 @@ def _panel(mean: Mean) -> ev.Panel:
     low, high = (None, None) if mean.band is None else (at(end) for end in mean.band)
     points = ev.Trace(x=time, y=at(mean.measured), style="points", label="measured", group=0, y_error=error)
     line = ev.Trace(x=time, y=at(mean.simulated), label="simulated", group=1, lower=low, upper=high)
-    y_label = f"{mean.meaning} ({numbers.unit_text(unit)})"
+    y_label = f"{mean.channel.meaning} ({numbers.unit_text(unit)})"
     return blocks.panel("time (s)", y_label, [points, line])
 
 
