@@ -21,6 +21,25 @@ CORRELATED = 0.5
 NAMED, ANSWERED = 3, 3
 #: Panels of a figure.
 MOST_PANELS = 8
+#: Sources of each method.
+REFERENCES = {
+    "sobol": [
+        "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity "
+        "analysis of model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
+        "Gamboa, Janon, Klein, Lagnoux (2014): Sensitivity analysis for multidimensional and functional "
+        "outputs. Electronic Journal of Statistics 8, doi:10.1214/14-EJS895",
+        "Virtanen et al. (2020): SciPy 1.0. Nature Methods 17, doi:10.1038/s41592-019-0686-2",
+    ],
+    "morris": [
+        "Morris (1991): Factorial sampling plans for preliminary computational experiments. "
+        "Technometrics 33, doi:10.2307/1269043",
+        "Campolongo, Cariboni, Saltelli (2007): An effective screening design for sensitivity analysis "
+        "of large models. Environmental Modelling & Software 22, doi:10.1016/j.envsoft.2006.10.004",
+        "Herman, Usher (2017): SALib: an open-source Python library for sensitivity analysis. Journal of "
+        "Open Source Software 2, doi:10.21105/joss.00097",
+    ],
+    "none": [],
+}
 
 
 def headline(file: SensitivityFile) -> list[Output]:
@@ -460,25 +479,3 @@ def methods(file: SensitivityFile) -> list[str]:
             )
         )
     return sentences
-
-
-def references(file: SensitivityFile) -> list[str]:
-    """Sources of the method."""
-    if file.method == "sobol":
-        return [
-            "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity "
-            "analysis of model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
-            "Gamboa, Janon, Klein, Lagnoux (2014): Sensitivity analysis for multidimensional and functional "
-            "outputs. Electronic Journal of Statistics 8, doi:10.1214/14-EJS895",
-            "Virtanen et al. (2020): SciPy 1.0. Nature Methods 17, doi:10.1038/s41592-019-0686-2",
-        ]
-    if file.method == "morris":
-        return [
-            "Morris (1991): Factorial sampling plans for preliminary computational experiments. "
-            "Technometrics 33, doi:10.2307/1269043",
-            "Campolongo, Cariboni, Saltelli (2007): An effective screening design for sensitivity analysis "
-            "of large models. Environmental Modelling & Software 22, doi:10.1016/j.envsoft.2006.10.004",
-            "Herman, Usher (2017): SALib: an open-source Python library for sensitivity analysis. Journal of "
-            "Open Source Software 2, doi:10.21105/joss.00097",
-        ]
-    return []

@@ -212,7 +212,7 @@ def sensitivity(
         figures=sensitivity_evidence.figures(file),
         notices=blocks.notices(notices),
         methods=sensitivity_evidence.methods(file),
-        references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
+        references=[*sensitivity_evidence.REFERENCES[method], *experiment.robot.sources],
         provenance=origin,
     )
     summary = sensitivity_evidence.summary(file, evidence)

@@ -16,8 +16,9 @@ from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
+from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
-from swimid.logs.trials import StrokeDrive
+from swimid.logs.trials import StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
@@ -131,7 +132,7 @@ def of_options(options: SimulateOptions) -> Case:
     return makers[file.model](options, file, path)
 
 
-def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[Case]:
+def of_trials(trials: str | Path | TrialSet, options: SimulateOptions, only: str | None) -> list[Case]:
     """Recorded trials with their own drives and start states.
 
     Raises
@@ -147,7 +148,8 @@ def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[
     names = [t.id for t in experiment.trials]
     if only is not None and only not in names:
         hint = suggestion(only, names)
-        raise UsageError(f"there is no trial '{only}' in {trials.name}", hint=hint)
+        name = trials_format.place(trials).name
+        raise UsageError(f"there is no trial '{only}' in {name}", hint=hint)
     model = experiment.model
     cases = []
     for trial in experiment.trials:
