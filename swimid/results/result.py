@@ -219,6 +219,12 @@ class Result:
         return f"<div>{shown}</div>"
 
 
+def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame([list(row) for row in rows], columns=list(columns))
+
+
 @dataclass(frozen=True, eq=False)
 class FileResult(Result, Generic[File]):
     """A result that is a YAML file of a format of its own."""
@@ -238,9 +244,3 @@ class FileResult(Result, Generic[File]):
     def _write(self, path: Path) -> list[Path]:
         self.document.write(path)
         return [path]
-
-
-def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame([list(row) for row in rows], columns=list(columns))
