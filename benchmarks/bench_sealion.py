@@ -178,7 +178,7 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
             self.name = name
 
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=genetic.BROKEN)
+            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=genetic.BROKEN_OBJECTIVE)
 
     def peer(count: int) -> float:
         begin = time.perf_counter()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import Arma
+from swimid.blackbox.model import ArxModel
 from swimid.effects.affected import Affected
 from swimid.effects.sensing import (
     camera_rotation,
@@ -44,7 +44,7 @@ def swimmer(name, *columns):
     model = MultilinkModel(robot_format.read(name))
     time = np.arange(0.0, 1.61, 0.04)
     beat = drives.Beat("sine", 1.5, 0.35, bias_rad=0.1)
-    measured = {n: np.zeros(len(time)) for n in columns or model.plane.pose}
+    measured = {n: np.zeros(len(time)) for n in columns or model.pose}
     return model, Trial("f", "fit", time, measured, swim=SwimInput(beat, pose=POSE))
 
 
@@ -89,7 +89,7 @@ def surge():
 
 
 def black_box(output):
-    model = Arma(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
+    model = ArxModel(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
     time = np.arange(60) * 0.1
     return model, Trial("a", "fit", time, {output: np.zeros(60)}, inputs={"cmd1_rad": np.sin(3 * time)})
 
@@ -184,7 +184,7 @@ class TestCamera:
     @pytest.mark.parametrize("case", ["fish", "dolphin"])
     def test_rotation_turns_positions_alone(self, case, request):
         case = request.getfixturevalue(case)
-        first, second, heading = case[0].plane.pose
+        first, second, heading = case[0].pose
         plain, found = seen(case, TURN, 0.4)
         before, after = ((c[first] - POSE[0]) + 1j * (c[second] - POSE[1]) for c in (plain, found))
         np.testing.assert_allclose(after, np.exp(0.4j) * before, atol=1e-14)

@@ -51,26 +51,18 @@ def _ramped(time_s: Array, ramp_s: float, motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Beat:
-    """A commanded tail beat, in SI.
+    """A commanded tail beat, in SI."""
 
-    Attributes
-    ----------
-    waveform : {"sine", "hopf", "a-cpg"}
-    frequency_hz, amplitude_rad, bias_rad : float
-    asymmetry : float
-        h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
-    ramp_s : float
-        The whole command is eased in by a quintic smoothstep over this time.
-    phase_rad : float
-        Phase at time zero.
-    """
-
+    #: ``sine``, ``hopf`` or ``a-cpg``.
     waveform: str
     frequency_hz: float
     amplitude_rad: float
     bias_rad: float = 0.0
+    #: h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
     asymmetry: float = 0.0
+    #: The whole command is eased in by a quintic smoothstep over this time.
     ramp_s: float = 1.0
+    #: Phase at time zero.
     phase_rad: float = 0.0
 
     def motion(
@@ -82,7 +74,7 @@ class Beat:
         phase_rad: float = 0.0,
         cell_s: Array | None = None,
     ) -> Motion:
-        """Angle, rate and acceleration of a joint.
+        """Angle, rate and acceleration of a joint, rad, rad/s and rad/s2, shape (n,) each.
 
         Parameters
         ----------
@@ -95,11 +87,6 @@ class Beat:
         cell_s : ndarray, shape (n,), optional
             Where the acceleration jumps (a-cpg), give its mean over such a stretch around each time
             (:func:`cells`).
-
-        Returns
-        -------
-        tuple of ndarray, each shape (n,)
-            rad, rad/s, rad/s2.
         """
         phase = self.phase_rad + phase_rad
         value, rate, bend = self._wave(time_s, phase)
@@ -122,16 +109,8 @@ class Beat:
 def cells(time_s: Array) -> Array:
     """Stretches around the times of a half-step grid that Runge-Kutta's weights tile the time with.
 
-    An acceleration averaged over them adds up to the right rate, wherever it jumps.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,), n >= 2
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        A third of a step at its ends, two thirds in its middle.
+    A third of a step at its ends, two thirds in its middle: an acceleration averaged over them adds up to
+    the right rate, wherever it jumps.
     """
     half = float(time_s[1] - time_s[0])
     return np.where(np.arange(len(time_s)) % 2 == 0, 2.0 / 3.0 * half, 4.0 / 3.0 * half)
@@ -142,17 +121,10 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
     Parameters
     ----------
-    time_s : ndarray, shape (n,)
-    frequency_hz : float
     asymmetry : float
         h_a, between -1 and 1.
     phase_rad : float
         Phase of the beat at time zero; with asymmetry it stands for the share of the period.
-
-    Returns
-    -------
-    tuple of ndarray
-        alpha and its first two derivatives.
 
     Notes
     -----
@@ -182,45 +154,26 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A stroke as it is commanded in a trial.
-
-    Attributes
-    ----------
-    name : str
-    law : Stroke
-        Of the robot file.
-    frequency_hz : float
-        Cycles a second.
-    scale : float
-        What the angles are multiplied with, about those at the start of the cycle.
-    ramp_s : float
-        The motion is eased in over this time.
-    cycles : float
-        After so many the hinges stay where the cycle begins; infinite: they go on.
-    phase_rad : float
-        Phase at time zero.
-    """
+    """A stroke as it is commanded in a trial."""
 
     name: str
+    #: Of the robot file.
     law: Stroke
+    #: Cycles a second.
     frequency_hz: float
+    #: What the angles are multiplied with, about those at the start of the cycle.
     scale: float = 1.0
+    #: The motion is eased in over this time.
     ramp_s: float = 0.0
+    #: After so many the hinges stay where the cycle begins; infinite: they go on.
     cycles: float = math.inf
+    #: Phase at time zero.
     phase_rad: float = 0.0
 
     def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
         """Angle, rate and acceleration of a hinge; those the stroke does not name stay straight.
 
-        Parameters
-        ----------
-        time_s : ndarray, shape (n,)
-            Zero is where the stroke begins; before, the hinge holds its first angle.
-
-        Returns
-        -------
-        tuple of ndarray, each shape (n,)
-            rad, rad/s, rad/s2.
+        The stroke begins at time zero; before, the hinge holds its first angle.
         """
         from scipy import interpolate
 

@@ -35,43 +35,28 @@ SIGNIFICANCE = 0.01
 
 @dataclass(frozen=True)
 class Correlation:
-    """A correlation function with its band under the null hypothesis; fields of shape (m,).
+    """A correlation function with its band under the null hypothesis; fields of shape (m,)."""
 
-    Attributes
-    ----------
-    lags : ndarray of int
-        In samples.
-    values : ndarray
-        Correlation coefficients, NaN where no pair of samples exists.
-    bound : ndarray
-        Half-width of the 95 % band around zero.
-    pairs : ndarray of int
-        Number of sample pairs behind each value.
-    """
-
+    #: In samples.
     lags: np.ndarray
+    #: Correlation coefficients, NaN where no pair of samples exists.
     values: np.ndarray
+    #: Half-width of the 95 % band around zero.
     bound: np.ndarray
+    #: Number of sample pairs behind each value.
     pairs: np.ndarray
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """A chi-square test.
-
-    Attributes
-    ----------
-    statistic : float
-    degrees : int
-        Degrees of freedom.
-    p_value : float
-        Probability of a statistic at least this large when the hypothesis holds.
-    """
+    """A chi-square test."""
 
     __test__ = False  # not a pytest class
 
     statistic: float
+    #: Degrees of freedom.
     degrees: int
+    #: Probability of a statistic at least this large when the hypothesis holds.
     p_value: float
 
     @property
@@ -82,17 +67,11 @@ class TestResult:
 
 @dataclass(frozen=True)
 class AutoregressiveFit:
-    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``.
+    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (p,)
-        a1 .. ap; empty for a white series.
-    variance : float
-        Variance of e.
-    """
-
+    #: Shape (p,): a1 .. ap; empty for a white series.
     coefficients: np.ndarray
+    #: Variance of e.
     variance: float
 
     @property

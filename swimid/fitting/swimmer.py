@@ -5,38 +5,27 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 
-from swimid.fitting.body import Moving
+from swimid.fitting.body import Axis
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
 
 
 class Swimmer(Model):
-    """A robot with links: driven and passive joints, on a base that moves or is held.
-
-    Attributes
-    ----------
-    robot : Robot
-    max_step : float
-        Longest step of the integration, s.
-    pose, velocity : tuple of str
-        Channels of the reference point.
-    driven, passive : sequence of Moving
-    free_base : bool
-    coefficients : list of str
-        Those of the robot file, the first of the parameters.
-    starts : tuple of str
-        Per-trial offsets of the start pose.
-    """
+    """A robot with links: driven and passive joints, on a base that moves or is held."""
 
     robot: Robot
+    #: Longest step of the integration, s.
     max_step: float
+    #: Channels of the reference point.
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
-    driven: Sequence[Moving]
-    passive: Sequence[Moving]
+    driven: Sequence[Axis]
+    passive: Sequence[Axis]
     free_base: bool
+    #: Those of the robot file, the first of the parameters.
     coefficients: list[str]
+    #: Per-trial offsets of the start pose.
     starts: tuple[str, ...]
 
     @property

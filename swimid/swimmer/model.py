@@ -8,11 +8,12 @@ from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from swimid.fitting import drives
+from swimid.fitting.body import Axis
 from swimid.fitting.drives import Motion
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import SwimInput
@@ -25,29 +26,13 @@ from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Axis, coefficients
+from swimid.swimmer.tree import Tree, coefficients
 
+Kept = TypeVar("Kept")
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
 KEPT = 4
 #: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
 TABLES = 12
-
-
-class Links(Protocol):
-    """What the model asks of a robot's tables (:class:`swimid.swimmer.tree.Tree`)."""
-
-    names: list[str]
-    driven: list[Axis]
-    passive: list[Axis]
-    free_base: bool
-
-    def tables(self, values: Array) -> dict[str, Any]:
-        """The arguments of the engine from ``topology`` on, by their names."""
-        ...
-
-    def check(self, values: Array) -> None:
-        """Refuse masses and inertias that no body has."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -69,18 +54,11 @@ class Drive:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A simulated run on its own grid.
-
-    Attributes
-    ----------
-    begin_s, step_s : float
-    states, rates : ndarray, shape (steps + 1, k)
-        As the engine's ``integrate`` gives them.
-    drive : Drive
-    """
+    """A simulated run on its own grid."""
 
     begin_s: float
     step_s: float
+    #: Shape (steps + 1, k) each: as the engine's ``integrate`` gives them.
     states: Array
     rates: Array
     drive: Drive
@@ -127,9 +105,7 @@ class LinkedModel(Swimmer):
     #: Per-trial parameters, beside the clock, that only change how a run of a free base is seen.
     camera: tuple[Parameter, ...] = ()
     engine: Engine
-    tree: Links
-    driven: list[Axis]
-    passive: list[Axis]
+    tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
         self.robot, self.max_step = robot, max_step
@@ -158,7 +134,7 @@ class LinkedModel(Swimmer):
     # -------------------------------------------------------- what it offers
 
     @abstractmethod
-    def _tree(self) -> Links:
+    def _tree(self) -> Tree:
         """The robot's links with their tables."""
 
     @abstractmethod
@@ -197,7 +173,7 @@ class LinkedModel(Swimmer):
         for axis in sorted([*self.passive, *self.driven], key=lambda a: (len(a.column), a.column)):
             found.append(Channel(axis.column, "rad", f"angle of {axis.name}"))
         for axis in self.passive:
-            found.append(Channel(_rate(axis), "rad/s", f"rate of {axis.name}"))
+            found.append(Channel(axis.rate, "rad/s", f"rate of {axis.name}"))
         return tuple(found)
 
     @abstractmethod
@@ -305,7 +281,7 @@ class LinkedModel(Swimmer):
         rates = self.coordinates + len(self.passive) + self.speeds
         for k, axis in enumerate(self.passive):
             found[axis.column] = states[:, self.coordinates + k]
-            found[_rate(axis)] = states[:, rates + k]
+            found[axis.rate] = states[:, rates + k]
         if self.driven:
             driven, _ = sampled(time, run.begin_s, run.step_s, run.drive.angles, run.drive.rates)
             for k, axis in enumerate(self.driven):
@@ -313,14 +289,7 @@ class LinkedModel(Swimmer):
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
-        """The run on its own step grid, from the world's origin; relative to the water where that flows.
-
-        Parameters
-        ----------
-        values : ndarray, shape (len(self.parameters),)
-        trial : Trial
-        hooks : Hooks
-        """
+        """The run on its own step grid, from the world's origin; relative to the water where that flows."""
         return self._trajectories([self._asked(values, trial, hooks)])[0]
 
     def _asked(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
@@ -412,9 +381,13 @@ class LinkedModel(Swimmer):
         named = dict(zip(self.tree.names, values, strict=False))
         servos = tuple(s and tuple(q.at(named) for q in s) for s in self._servos)
         key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
-        kept = self._drives.get(key)
-        if kept is not None:
-            return kept
+        return self._cached(
+            self._drives, TABLES, key, lambda: self._moved(trial, begin, step, steps, phase, servos, hooks)
+        )
+
+    def _moved(
+        self, trial: Trial, begin: float, step: float, steps: int, phase: float, servos: Any, hooks: Hooks
+    ) -> Drive:
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
         told = self._told(trial, begin, step, steps, phase)
         motions = []
@@ -431,10 +404,7 @@ class LinkedModel(Swimmer):
             motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
         table = drive.table(len(half), motions, self._mounts())
         angles, rates = (np.ascontiguousarray(table[::2, :, k]) for k in range(2))
-        found = Drive(table, angles, rates)
-        with self._lock:
-            _keep(self._drives, key, found, TABLES)
-        return found
+        return Drive(table, angles, rates)
 
     def _mounts(self) -> list[float]:
         """Angles between links where a driven joint's own is zero, rad, as the engine's table counts them."""
@@ -442,35 +412,34 @@ class LinkedModel(Swimmer):
 
     def _told(self, trial: Trial, begin: float, step: float, steps: int, phase: float) -> list[Motion]:
         """What each driven joint is told to do, at every half step; where a servo follows, every quarter."""
-        key = (trial.id, begin, step, steps, phase)
-        kept = self._motions.get(key)
-        if kept is not None:
-            return kept
-        found = []
-        for k, (axis, servo) in enumerate(zip(self.driven, self._servos, strict=True)):
-            part = 0.5 if servo is None else 0.25
-            time = begin + part * step * np.arange(steps / part + 1.0)
-            found.append(joint_motion(axis, k, trial.swim, time, phase))
-        with self._lock:
-            _keep(self._motions, key, found, KEPT)
-        return found
+
+        def motions() -> list[Motion]:
+            found = []
+            for k, (axis, servo) in enumerate(zip(self.driven, self._servos, strict=True)):
+                part = 0.5 if servo is None else 0.25
+                time = begin + part * step * np.arange(steps / part + 1.0)
+                found.append(joint_motion(axis, k, trial.swim, time, phase))
+            return found
+
+        return self._cached(self._motions, KEPT, (trial.id, begin, step, steps, phase), motions)
+
+    def _cached(
+        self, kept: dict[tuple[Any, ...], Kept], most: int, key: tuple[Any, ...], make: Callable[[], Kept]
+    ) -> Kept:
+        """Something of a trial, whose id begins the key, kept with the latest others of that trial."""
+        known = kept.get(key)
+        if known is None:
+            known = make()
+            with self._lock:
+                for old in [k for k in kept if k[0] == key[0]][: 1 - most or None]:
+                    kept.pop(old, None)
+                kept[key] = known
+        return known
 
 
 def of_trial(name: str, unit: str, scale: float, meaning: str) -> Parameter:
     """A number of each trial, zero unless it is freed."""
     return Parameter(name, unit, -math.inf, math.inf, 0.0, scale, False, True, meaning)
-
-
-def _rate(axis: Axis) -> str:
-    """The column of a joint's rate."""
-    return axis.column.replace("_rad", "_rate_rad_s")
-
-
-def _keep(kept: dict[tuple[Any, ...], Any], key: tuple[Any, ...], found: Any, most: int) -> None:
-    """Keep something of a trial, whose id begins the key, and the latest others of that trial."""
-    for old in [k for k in kept if k[0] == key[0]][: 1 - most or None]:
-        kept.pop(old, None)
-    kept[key] = found
 
 
 def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:

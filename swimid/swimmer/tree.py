@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError, suggestion
+from swimid.fitting.body import Axis
 from swimid.fitting.model import Array, Parameter
-from swimid.robots.planar import Coefficient, Driven, Joint
+from swimid.robots.planar import Coefficient, Joint
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
@@ -34,19 +34,7 @@ WORDS = {
 
 
 def check_names(body: Any, part: str) -> None:
-    """Refuse names that stand twice or are not there.
-
-    Parameters
-    ----------
-    body : document with links, joints, elements and coefficients
-    part : str
-        Its place in the robot file.
-
-    Raises
-    ------
-    InputError
-        With the dotted path of what is wrong.
-    """
+    """Refuse names that stand twice or are not there, with their dotted path in a part of the robot file."""
     links = [link.name for link in body.links]
     for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
         for n, own in enumerate(given):
@@ -67,7 +55,7 @@ def check_names(body: Any, part: str) -> None:
                     raise InputError(
                         f"there is no coefficient '{factor}'",
                         column=path,
-                        hint=suggestion(factor, known or ["none"]),
+                        hint=suggestion(factor, known),
                     )
 
 
@@ -96,13 +84,7 @@ def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
 
 
 def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
-    """Links with parents before children, and the joint that holds each (None for the base).
-
-    Raises
-    ------
-    InputError
-        A link without or with two joints, or a cycle.
-    """
+    """Links with parents before children, and the joint that holds each (None for the base)."""
     joint_of: dict[str, Any] = {}
     for joint in body.joints:
         where = f"{part}.joints.{joint.name}"
@@ -161,26 +143,6 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
             )
         )
     return found
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
-
-    joint: Any
-    column: str
-    link: int
-
-    @property
-    def name(self) -> str:
-        """Of the joint."""
-        return str(self.joint.name)
-
-    @property
-    def driven(self) -> Driven | None:
-        """How it follows the drive."""
-        law: Driven | None = self.joint.driven
-        return law
 
 
 class Tree(ABC):
@@ -244,13 +206,7 @@ class Tree(ABC):
     def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
         """Collect the rows of links and elements, and check them at the file's coefficients.
 
-        Parameters
-        ----------
-        rows : Tables
-            Of the elements, with an empty row of inertia for each link.
-        adders : mapping of kind of element to callable
-        engine : module
-            Names the columns of the tables.
+        ``rows`` has an empty row of inertia for each link; the engine names the columns of its tables.
         """
         for link in self.links:
             self._add_rigid(link, rows)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, UsageError, nearest, suggestion
+from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
@@ -114,17 +114,20 @@ def load(
     entries = trials_format.read(source, FreeSwim, Multibody, uses=USES)
     assert isinstance(entries, FreeSwim | Multibody)
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
-    _check_channels(model, channels)
-    trials, read, moving = [], [], []
-    found: dict[str, Any] = {}
-    for entry in entries.trials:
-        trial, log = _trial(entry, path, model, channels)
-        trials.append(trial)
-        read.append(log)
-        found[entry.id] = _beat(entry, log, model)
-        if _moving(trial, log, model):
-            moving.append(entry.id)
-    free = set(_start_parameters(model, trials))
+    known = [c.name for c in model.channels]
+    for name in channels:
+        if name not in known:
+            raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
+    pairs = [_trial(entry, path, model, channels) for entry in entries.trials]
+    trials, read = [t for t, _ in pairs], [log for _, log in pairs]
+    found = {e.id: _beat(e, log, model) for e, log in zip(entries.trials, read, strict=True)}
+    moving = [t.id for t, log in pairs if _moving(t, log, model)]
+    # offsets of the start pose, for each measured coordinate
+    free = {
+        name
+        for name, column in zip(model.starts, model.pose, strict=True)
+        if model.free_base and any(column in t.measured for t in trials)
+    }
     if start_state == "estimate" or (start_state == "auto" and moving):
         free |= set(model.initial([c for t in trials for c in t.measured]))
     held = {
@@ -132,10 +135,7 @@ def load(
         for t in trials
         if start_state == "auto" and t.id not in moving
     }
-    trials = [
-        replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model))
-        for t, log in zip(trials, read, strict=True)
-    ]
+    trials = [replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model)) for t, log in pairs]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
     _check_course(path, model, read, [getattr(e.drive, "frequency_hz", None) for e in entries.trials])
     facts = {
@@ -215,22 +215,16 @@ def beat_of(command: Drive) -> drives.Beat:
 def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None) -> Cycle:
     """A stroke as the robot file has it.
 
-    Parameters
-    ----------
-    path : Path, optional
-        The trials file that asks for it; without one the user does.
-
     Raises
     ------
     InputError, UsageError
-        When the robot has no such stroke.
+        When the robot has no such stroke as the trials file at the path, or without one the user, asks for.
     """
     body = model.robot.multibody
     known = {} if body is None else body.strokes
     if command.stroke not in known:
-        close = nearest(command.stroke, list(known))
         text = f"the robot '{model.robot.name}' has no stroke '{command.stroke}'"
-        hint = f"did you mean '{close}'?" if close else f"it has: {', '.join(known) or 'none'}"
+        hint = suggestion(command.stroke, list(known), "it has")
         if path is None:
             raise UsageError(text, hint=hint)
         raise InputError(text, file=path, column="drive.stroke", hint=hint)
@@ -244,14 +238,6 @@ def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None)
         math.inf if command.cycles is None else command.cycles,
         math.radians(command.phase_deg),
     )
-
-
-def _check_channels(model: LinkedModel, channels: Sequence[str]) -> None:
-    known = [c.name for c in model.channels]
-    for name in channels:
-        if name not in known:
-            hint = suggestion(name, known)
-            raise UsageError(f"the robot has no channel '{name}'", hint=hint)
 
 
 def _trial(
@@ -283,12 +269,11 @@ def _own_coefficients(entry: FreeSwimTrial, path: Path, model: LinkedModel) -> d
     """The coefficients a trial sets for itself."""
     for name in entry.coefficients:
         if name not in model.coefficients:
-            close = nearest(name, model.coefficients)
             raise InputError(
                 f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
                 file=path,
                 column="coefficients",
-                hint=f"did you mean '{close}'?" if close else f"it has: {', '.join(model.coefficients)}",
+                hint=suggestion(name, model.coefficients, "it has"),
             )
     return dict(entry.coefficients)
 
@@ -444,12 +429,3 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
     squares = float(left @ left)
     spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
     return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
-
-
-def _start_parameters(model: LinkedModel, trials: Sequence[Trial]) -> list[str]:
-    """Offsets of the start pose, for each measured coordinate."""
-    return [
-        name
-        for name, column in zip(model.starts, model.pose, strict=True)
-        if model.free_base and any(column in t.measured for t in trials)
-    ]

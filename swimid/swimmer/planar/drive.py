@@ -15,17 +15,9 @@ from swimid.fitting.drives import Array, Motion
 
 
 def measured(time_s: Array, angle_rad: Array) -> BSpline:
-    """One smoothing spline through a measured joint angle, for angle, rate and acceleration alike.
+    """One cubic smoothing spline through a measured joint angle, for angle, rate and acceleration alike.
 
-    Parameters
-    ----------
-    time_s, angle_rad : ndarray, shape (n,)
-        NaN where missing.
-
-    Returns
-    -------
-    BSpline
-        Cubic; the smoothing is chosen by generalised cross-validation.
+    The angles are NaN where missing; generalised cross-validation chooses the smoothing.
 
     Raises
     ------
@@ -53,22 +45,8 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cross_validation(smoothing, spacing, values):  # type: ignore[no-untyped-def]
-    """Generalised cross-validation score of a natural cubic smoothing spline.
+    """Generalised cross-validation score ``n |residuals|^2 / trace(I - A)^2`` of a natural cubic spline.
 
-    Parameters
-    ----------
-    smoothing : float
-        Weight of the integrated squared curvature.
-    spacing : ndarray, shape (n - 1,)
-    values : ndarray, shape (n,)
-
-    Returns
-    -------
-    float
-        ``n |residuals|^2 / trace(I - A)^2``.
-
-    Notes
-    -----
     Reinsch's banded system for the curvatures; the trace from the bands of its inverse
     (Hutchinson and de Hoog, Numerische Mathematik 47, 1985).
     """
@@ -131,18 +109,8 @@ def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
 def servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
     """Angle, rate and acceleration of a second-order servo that starts at its command, at rest.
 
-    Parameters
-    ----------
-    command : ndarray, shape (2 m + 1,)
-        On half the grid of the result.
-    step : float, s
-        Step of the result's grid.
-    omega : float, rad/s
-    damping : float
-
-    Returns
-    -------
-    ndarray, shape (m + 1, 3)
+    Shape (m + 1, 3), on a grid of this step (s); the command, shape (2 m + 1,), is on half that grid, omega
+    in rad/s.
     """
     count = (len(command) - 1) // 2
     result = np.empty((count + 1, 3))
@@ -172,22 +140,10 @@ SMOOTH_S = 0.015
 
 
 def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
-    """A commanded motion as the actuator really does it.
+    """A commanded motion on an even grid as the actuator really does it; its actual angle may have corners.
 
-    Parameters
-    ----------
-    motion : Motion
-        Command, on an even grid.
-    actual : ndarray, shape (m,)
-        What becomes of the angle; it may have corners.
-    step_s : float
-        Of the grid.
-
-    Returns
-    -------
-    Motion
-        The command plus the deviation, that smoothed by a cubic B-spline bell so that rate and
-        acceleration belong to the angle. Without deviation it is the command.
+    The command plus the deviation, that smoothed by a cubic B-spline bell so that rate and
+    acceleration belong to the angle. Without deviation it is the command.
     """
     deviation = actual - motion[0]
     if not deviation.any():
@@ -216,20 +172,9 @@ def _bells(step_s: float) -> list[Array]:
 
 
 def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
-    """Joint motions as the engine reads them.
+    """Joint motions as the engine reads them, shape (count, joints, 5).
 
-    Parameters
-    ----------
-    count : int
-        m, times in the table.
-    motions : sequence of motions, each of shape (m,)
-    mounts_rad : sequence of float
-        Mounting angle of each joint.
-
-    Returns
-    -------
-    ndarray, shape (m, joints, 5)
-        Angle, rate, acceleration, and cosine and sine of the angle with its mounting angle.
+    Angle, rate, acceleration, and cosine and sine of the angle with the joint's mounting angle.
     """
     found = np.empty((count, len(motions), 5))
     for k, (motion, mount) in enumerate(zip(motions, mounts_rad, strict=True)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,30 +24,8 @@ from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
 READ_S = 0.0025
 
 
-@dataclass(frozen=True)
-class Plane:
-    """Names of the pose and velocity in a plane of motion, in logs and in words."""
-
-    pose: tuple[str, str, str]
-    velocity: tuple[str, str, str]
-    places: tuple[str, str, str]
-    rates: tuple[str, str, str]
-
-
-PLANES = {
-    "horizontal": Plane(
-        ("x_m", "y_m", "yaw_rad"),
-        ("u_m_s", "v_m_s", "yaw_rate_rad_s"),
-        ("x", "y", "yaw"),
-        ("surge", "sway", "yaw_rate"),
-    ),
-    "vertical": Plane(
-        ("x_m", "z_m", "pitch_rad"),
-        ("u_m_s", "w_m_s", "pitch_rate_rad_s"),
-        ("x", "z", "pitch"),
-        ("surge", "heave", "pitch_rate"),
-    ),
-}
+#: By plane of motion: its second axis, the velocity along that in the body's axes and in words, and the turn.
+PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
 class MultilinkModel(LinkedModel):
@@ -76,13 +53,10 @@ class MultilinkModel(LinkedModel):
     tree: Assembly
 
     def _tree(self) -> Assembly:
-        plane = self.plane = PLANES[self.links.plane]
-        self.pose, self.velocity, self.places, self.rates = (
-            plane.pose,
-            plane.velocity,
-            plane.places,
-            plane.rates,
-        )
+        second, v, sideways, turn = PLANES[self.links.plane]
+        self.pose = ("x_m", f"{second}_m", f"{turn}_rad")
+        self.velocity = ("u_m_s", f"{v}_m_s", f"{turn}_rate_rad_s")
+        self.places, self.rates = ("x", second, turn), ("surge", sideways, f"{turn}_rate")
         return Assembly(self.links, self.robot.fluid)
 
     def _offsets(self) -> tuple[str, ...]:

@@ -112,14 +112,8 @@ def _check_moments(row: Array, mass: float, where: str) -> None:
 def hinge_row(at: Sequence[Polynomial | float], axis: Array, mount: Rotation) -> Row:
     """A row of the engine's ``JOINT`` table.
 
-    Parameters
-    ----------
-    at : 3
-        Place on the parent, m.
-    axis : ndarray, shape (3,)
-        In the child's axes, of any length.
-    mount : Rotation
-        Child to parent at zero angle.
+    The place on the parent (m), the axis in the child's axes, of any length, and the turn from child to
+    parent at zero angle.
     """
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     x, y, z = unit
