@@ -26,7 +26,7 @@ class Effect(ABC):
     name : str
         In the gap file, with hyphens.
     stage : str
-        Where in the chain it acts; the module lies in the folder of that name.
+        Where in the chain it acts; of an effect that lies in the folder of a stage, that.
     meaning : str
         One sentence for the report.
     sources : tuple of str
@@ -47,6 +47,12 @@ class Effect(ABC):
     needs: ClassVar[frozenset[str]]
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        *package, folder, _ = f"..{cls.__module__}".split(".")
+        if package[-2:] == ["swimid", "effects"] and folder in STAGES:
+            cls.stage = folder
 
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from abc import ABC
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from swimid.effects.base import Effect
-from swimid.fitting.hooks import Command, Hooks
+from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Array, Model, Trial
 
 #: Where no command says how large: an angle a servo turns, rad.
@@ -17,23 +18,40 @@ USUAL_ANGLE = 0.3
 
 
 class Actuation(Effect, ABC):
-    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model."""
+    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model.
 
-    stage = "actuation"
+    Of one parameter, the same for every driven joint, an effect says what it makes of a command and, where it
+    ``needs`` the stroke, of a steady beat's amplitude.
+    """
+
+    needs = frozenset({"command", "stroke"})
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """The effect itself where some trial is driven by a command."""
         return [self] if self.needs & model.offers and any(model.commanded(t) for t in trials) else []
 
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """What a joint does on a command, shape (n,), without missing samples."""
+        raise NotImplementedError
 
-def hooks(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
-    """The hooks of ``change(time_s, angle)``, the same for every driven joint."""
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """What is left of the amplitude of a steady beat, rad."""
+        raise NotImplementedError
 
-    def command(time_s: Array, angle: Array, joint: int) -> Array:
-        return bridged(change, time_s, angle)
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """What becomes of the commands, and of a steady beat."""
+        value = float(values[0])
 
-    found: Command = command
-    return Hooks(command=(found,)) if model.commanded(trial) else Hooks()
+        def command(time_s: Array, angle: Array, joint: int) -> Array:
+            return bridged(lambda time, whole: self.followed(value, time, whole), time_s, angle)
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
+
+        return Hooks(
+            command=(command,) if model.commanded(trial) else (),
+            stroke=(beaten,) if "stroke" in self.needs else (),
+        )
 
 
 def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
@@ -56,11 +74,8 @@ def _signals(model: Model, trials: Sequence[Trial]) -> Iterator[tuple[Array, Arr
 
 def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
     """Frequency (Hz) and amplitude (rad) of every steady beat."""
-    found: list[list[Array]] = [[], []]
-    for trial in trials:
-        for values, part in zip(found, trial.steady, strict=True):
-            values.append(part)
-    frequency, amplitude = (np.concatenate(v).astype(float) if v else np.zeros(0) for v in found)
+    beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
+    frequency, amplitude = np.concatenate(beats, axis=1)
     there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
     return frequency[there], amplitude[there]
 

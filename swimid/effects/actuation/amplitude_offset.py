@@ -9,6 +9,7 @@ import numpy as np
 
 from swimid.effects.actuation import _commands
 from swimid.effects.base import Effect
+from swimid.effects.common import parameter
 from swimid.fitting.easing import eased
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -26,7 +27,6 @@ class AmplitudeOffset(_commands.Actuation):
     name = "amplitude-offset"
     meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
     sources = ("boxfish, section 4.3 and Eq 27",)
-    needs = frozenset({"command", "stroke"})
     smooth = True
     scatters = True
 
@@ -37,11 +37,8 @@ class AmplitudeOffset(_commands.Actuation):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The angle, of each driven joint, in the unit of its command."""
         size = _commands.amplitude(model, trials)
-        return (
-            Parameter(
-                "offset_rad", "rad", -0.9 * size, 0.9 * size, 0.0, 0.05 * size, meaning="constant angle off"
-            ),
-        )
+        most, words = 0.9 * size, "constant angle off"
+        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The command with the trim; less amplitude of a steady beat."""
@@ -58,5 +55,4 @@ class AmplitudeOffset(_commands.Actuation):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        found = Hooks(stroke=(beaten,))
-        return found + Hooks(command=(command,)) if model.commanded(trial) else found
+        return Hooks(command=(command,) if model.commanded(trial) else (), stroke=(beaten,))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.fitting.hooks import Hooks, Stroke
+from swimid.effects.common import parameter
+from swimid.fitting.hooks import Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
@@ -23,29 +23,22 @@ class ServoLag(_commands.Actuation):
         "robotic dolphin, section 4.2.1 (the water slows the actual beat)",
         "sea lion, section II (motion profiles taken as the motion of the joints)",
     )
-    needs = frozenset({"command", "stroke"})
     smooth = True
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The time constant, s."""
         beat = _commands.period(model, trials)
-        return (
-            Parameter(
-                "time_constant_s", "s", 0.0, beat, 0.0, 0.04 * beat, meaning="time constant of the servos"
-            ),
-        )
+        words = "time constant of the servos"
+        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
 
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Lag of the command; less amplitude of a steady beat."""
-        tau = float(values[0])
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The command with a lag."""
+        return np.asarray(lagged(time_s, angle, value))
 
-        def beaten(stroke: Stroke) -> Stroke:
-            gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * tau) ** 2)
-            return replace(stroke, amplitude_rad=stroke.amplitude_rad * gain)
-
-        return _commands.hooks(model, trial, lambda time, angle: lagged(time, angle, tau)) + Hooks(
-            stroke=(beaten,)
-        )
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """The gain of the lag at the beat's frequency."""
+        gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
+        return np.asarray(stroke.amplitude_rad * gain)
 
 
 @numba.njit(cache=True, nogil=True)

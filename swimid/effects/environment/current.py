@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swimid.effects.base import Effect
+from swimid.effects.common import parameter
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -18,7 +19,6 @@ class Current(Effect):
     """Water that moves evenly and steadily in the world; along the track where the model has one axis."""
 
     name = "current"
-    stage = "environment"
     meaning = "steady current of the water"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 8.3",)
     needs = frozenset({"flow"})
@@ -31,16 +31,9 @@ class Current(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Its components in the world, m/s."""
         size = model.scales(trials).speed
+        most, words = MOST * size, "velocity of the water along"
         return tuple(
-            Parameter(
-                f"c{axis}_m_s",
-                "m/s",
-                -MOST * size,
-                MOST * size,
-                0.0,
-                0.1 * size,
-                meaning=f"velocity of the water along {axis}",
-            )
+            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", lower=-most, upper=most)
             for axis in model.axes
         )
 

@@ -10,7 +10,7 @@ from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.hooks import FORCE_SIGNATURE, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Height over which the force sets in, m.
@@ -37,7 +37,6 @@ class SurfaceBreach(Effect):
     """
 
     name = "surface-breach"
-    stage = "environment"
     meaning = "buoyancy lost above the surface"
     sources = ("dolphin paper, section 4.1",)
     needs = frozenset({"force"})
@@ -58,25 +57,11 @@ class SurfaceBreach(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force per height, N/m, and level of the reference point, m."""
         size = 0.2 * model.scales([_heights(t) for t in trials]).span
+        slope = 0.1 * model.scales(trials).force / size
+        words = "height of the reference point above which buoyancy is lost"
         return (
-            Parameter(
-                "force_N_m",
-                "N/m",
-                0.0,
-                math.inf,
-                0.0,
-                0.1 * model.scales(trials).force / size,
-                meaning="buoyancy lost per height",
-            ),
-            Parameter(
-                "level_m",
-                "m",
-                -math.inf,
-                math.inf,
-                self.levels_m[0],
-                size,
-                meaning="height of the reference point above which buoyancy is lost",
-            ),
+            common.parameter("force_N_m", "N/m", slope, "buoyancy lost per height", lower=0.0),
+            Parameter("level_m", "m", -math.inf, math.inf, self.levels_m[0], size, meaning=words),
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
@@ -91,7 +76,7 @@ class SurfaceBreach(Effect):
         a, b = body.reference_m if hull == 0 else (x, y)
         quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(Force(sink, constants, hull, x, y),))
+        return Hooks(force=(common.at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:

@@ -38,7 +38,6 @@ class Tether(Effect):
     """
 
     name = "tether"
-    stage = "environment"
     meaning = "cable that pulls the robot back the more the farther it is"
     sources = ("dolphin paper, section 1",)
     needs = frozenset({"force", "coefficients"})
@@ -52,30 +51,20 @@ class Tether(Effect):
         distance of the anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
+        stiffness = 0.3 * scales.force / size
         pull = (
-            Parameter(
-                "stiffness_N_m",
-                "N/m",
-                0.0,
-                math.inf,
-                0.0,
-                0.3 * scales.force / size,
-                meaning="pull of the tether per length",
-            ),
-            Parameter("slack_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="length before it pulls"),
+            common.parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
+            common.parameter("slack_m", "m", 0.2 * size, "length before it pulls", lower=0.0, upper=size),
         )
         if model.timed_runs:
             return pull
         drag = 0.3 * scales.force / (size * scales.speed**2)
-        line = Parameter(
-            "line_drag_N_s2_m3", "N s^2/m^3", 0.0, math.inf, 0.0, drag, meaning="drag of the line per length"
-        )
+        words = "drag of the line per length"
+        line = common.parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, words, lower=0.0)
         if model.body is None:
             return (*pull, line)
-        behind = Parameter(
-            "behind_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="distance of the anchor behind the start"
-        )
-        return (*pull, line, behind)
+        words = "distance of the anchor behind the start"
+        return (*pull, line, common.parameter("behind_m", "m", 0.2 * size, words, lower=0.0, upper=size))
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """A stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
@@ -90,11 +79,7 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-
-            def change(c: dict[str, float]) -> None:
-                c["dry"] += mean
-
-            return Hooks(coefficients=(change,))
+            return common.more("dry", mean)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()

@@ -55,7 +55,6 @@ class Wall(Effect):
     """
 
     name = "wall"
-    stage = "environment"
     meaning = "wall near the tracks"
     sources = ("tendon fish paper, section V", "dolphin paper, section 4.2.1")
     needs = frozenset({"force"})
@@ -84,28 +83,18 @@ class Wall(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
-        inf = math.inf
         if model.body is not None:
             length = sum(model.body.lengths_m)
             size = 0.05 * model.scales(trials).force
-            first = Parameter(
-                f"{self.side}_force_N", "N", -inf, inf, 0.0, size, meaning="push of the wall at the extreme"
-            )
+            words = "push of the wall at the extreme"
+            first = common.parameter(f"{self.side}_force_N", "N", size, words)
         else:
             length = 0.4 * model.scales(trials).span
-            first = Parameter(
-                f"{self.side}_gain", "1", 0.0, inf, 0.0, 1.0, meaning="relative growth of drag at the extreme"
-            )
-        decay = Parameter(
-            f"{self.side}_decay_m",
-            "m",
-            0.1 * length,
-            3.0 * length,
-            0.5 * length,
-            0.2 * length,
-            meaning="length over which it decays",
-        )
-        return first, decay
+            words = "relative growth of drag at the extreme"
+            first = common.parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
+        lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
+        words = "length over which it decays"
+        return first, Parameter(f"{self.side}_decay_m", "m", lower, upper, start, size, meaning=words)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """The force, in which the change is nearly linear, at two decay lengths."""
@@ -118,9 +107,7 @@ class Wall(Effect):
         if body is not None:
             axis, end = self.side.split("_")
             place = [0.0 if axis == "x" else 1.0, 1.0 if end == "max" else -1.0, self.extreme_m]
-            hull = body.hull
-            x, y = body.centre(hull)
-            return Hooks(force=(Force(push_off, np.array([*values, *place]), hull, x, y),))
+            return Hooks(force=(common.at_hull(body, push_off, np.array([*values, *place])),))
         constants = np.array([0.0, *values, self.extreme_m])
 
         def take(c: dict[str, float]) -> None:

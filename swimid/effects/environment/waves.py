@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from swimid.effects.base import Effect
+from swimid.effects.common import parameter
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -35,7 +37,6 @@ class Waves(Effect):
     """
 
     name = "waves"
-    stage = "environment"
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
@@ -52,31 +53,15 @@ class Waves(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
-        size = 0.1 * model.scales(trials).speed
-        inf = math.inf
+        size, width = 0.1 * model.scales(trials).speed, 0.2 / model.scales(trials).duration
+        bounds, words = (0.5 * LOWEST, 2.0 * HIGHEST), "frequency of the waves"
+        along = f"amplitude of the water's velocity along {self.axis}"
+        parts = [
+            parameter(f"{part}_{self.axis}_m_s", "m/s", size, f"{part} {along}") for part in ("cos", "sin")
+        ]
         return (
-            Parameter(
-                "frequency_hz",
-                "Hz",
-                0.5 * LOWEST,
-                2.0 * HIGHEST,
-                self.frequency_hz,
-                0.2 / model.scales(trials).duration,
-                meaning="frequency of the waves",
-            ),
-            *(
-                Parameter(
-                    f"{part}_{self.axis}_m_s",
-                    "m/s",
-                    -inf,
-                    inf,
-                    0.0,
-                    size,
-                    per_trial=True,
-                    meaning=f"{part} amplitude of the water's velocity along {self.axis}",
-                )
-                for part in ("cos", "sin")
-            ),
+            Parameter("frequency_hz", "Hz", *bounds, self.frequency_hz, width, meaning=words),
+            *(replace(part, per_trial=True) for part in parts),
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:

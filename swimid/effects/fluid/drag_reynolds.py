@@ -37,7 +37,6 @@ class DragReynolds(Effect):
     """
 
     name = "drag-reynolds"
-    stage = "fluid"
     meaning = "drag coefficient that falls with speed"
     sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
     needs = frozenset({"force"})
@@ -63,7 +62,8 @@ class DragReynolds(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The exponent n."""
         name = "trial_exponent" if self.whole else "exponent"
-        return (Parameter(name, "1", -1.5, 1.5, 0.0, 0.2, meaning="the drag coefficient falls as speed^-n"),)
+        words = "the drag coefficient falls as speed^-n"
+        return (common.parameter(name, "1", 0.2, words, lower=-1.5, upper=1.5),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds the difference to the model's own quadratic drag, or changes its coefficients."""
@@ -71,20 +71,14 @@ class DragReynolds(Effect):
         if self.whole:
             whole = common.links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
-
-            def change(tables: dict[str, Any]) -> None:
-                whole.drag_times(tables, factor)
-
-            return Hooks(tables=(change,))
+            return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
         if body is not None:
-            hull = body.hull
-            x, y = body.centre(hull)
 
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(Force(changed_drag, constants, hull, x, y),))
+            return Hooks(tables=(read,), force=(common.at_hull(body, changed_drag, constants),))
 
         def take(c: dict[str, float]) -> None:
             constants[0] = c["quadratic"]

@@ -66,25 +66,22 @@ class StringStretch(Effect):
     """
 
     name = "string-stretch"
-    stage = "rig"
     meaning = "stretch of the string between the body and the counted pulley"
     sources = ("boxfish paper, section 3.3",)
     needs = frozenset({"coefficients"})
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
         """Falling weights on a pulley."""
-        pulley = any(t.rig.pulley for t in trials)
-        return [self] if common.pulled(model) and pulley else []
+        return [self] if common.pulled(model) and common.with_pulley(trials) else []
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
+        string = "compliance of the string"
         return (
-            Parameter(
-                "compliance_m_N", "m/N", 0.0, 100 * scale, 0.0, scale, meaning="compliance of the string"
-            ),
+            common.parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
             Parameter("unloaded", "1", 0.0, 1.0, 1.0, 0.5, meaning=words),
             Parameter("damping", "1", 0.02, 0.95, 0.2, 0.2, meaning="damping ratio of the weight on it"),
         )

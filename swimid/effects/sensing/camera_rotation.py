@@ -16,7 +16,6 @@ class CameraRotation(Effect):
     """Positions turned about where the trial starts, the heading as it is."""
 
     name = "camera-rotation"
-    stage = "sensing"
     meaning = "The axes of the measured positions are turned against those of the measured heading."
     sources = ("sea lion, section II (a camera on a wall of the tank)",)
     needs = frozenset({"output"})
@@ -31,17 +30,8 @@ class CameraRotation(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The angle, rad."""
-        return (
-            Parameter(
-                "angle_rad",
-                "rad",
-                -math.pi,
-                math.pi,
-                0.0,
-                0.03,
-                meaning="axes of the positions against those of the heading",
-            ),
-        )
+        words = "axes of the positions against those of the heading"
+        return (common.parameter("angle_rad", "rad", 0.03, words, lower=-math.pi, upper=math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Turned positions."""

@@ -17,7 +17,6 @@ class MarkerDropout(Effect):
     """
 
     name = "marker-dropout"
-    stage = "sensing"
     meaning = "For some stretches the tracker lost the markers or followed something else."
     sources = (
         "tendon fish, section V.A (failed detection of the colour labels at 4 s)",

@@ -25,7 +25,6 @@ class MarkerOffset(Effect):
     """
 
     name = "marker-offset"
-    stage = "sensing"
     meaning = "The markers sit off the robot's reference point, or are not aligned with its axis."
     sources = ("sea lion, section II (markers on the front and rear ends give pose and heading)",)
     needs = frozenset({"output"})
@@ -41,13 +40,13 @@ class MarkerOffset(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
-        far = FARTHEST_M
-        return (
-            Parameter("along_m", "m", -far, far, 0.0, 0.01, meaning="tracked point ahead of the reference"),
-            Parameter("across_m", "m", -far, far, 0.0, 0.01, meaning="tracked point beside the reference"),
-            Parameter(
-                "heading_rad", "rad", -math.pi, math.pi, 0.0, 0.03, meaning="tracked against true heading"
-            ),
+        return tuple(
+            common.parameter(name, unit, size, words, lower=-most, upper=most)
+            for name, unit, size, words, most in (
+                ("along_m", "m", 0.01, "tracked point ahead of the reference", FARTHEST_M),
+                ("across_m", "m", 0.01, "tracked point beside the reference", FARTHEST_M),
+                ("heading_rad", "rad", 0.03, "tracked against true heading", math.pi),
+            )
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Effect
-from swimid.effects.sensing import _channels
+from swimid.effects.common import parameter
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.scales import MEAN_SPEED
+from swimid.fitting.scales import MEAN_SPEED, POSITIONS
 
 #: Channels of a camera.
-POSES = (*_channels.POSITIONS, "yaw_rad", "pitch_rad")
+POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0
 
@@ -31,7 +31,6 @@ class TimeOffset(Effect):
     """
 
     name = "time-offset"
-    stage = "sensing"
     meaning = "The clock of the measurement is late, or early, against that of the drive."
     sources = (
         "boxfish, section 3.4 (time read from a video to 0.1 s)",
@@ -57,18 +56,9 @@ class TimeOffset(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The time by which the log is late, s."""
-        typical = 0.1 if model.timed_runs else 0.03
-        return (
-            Parameter(
-                "camera_offset_s" if self.camera else "offset_s",
-                "s",
-                -LARGEST_S,
-                LARGEST_S,
-                0.0,
-                typical,
-                meaning="time by which the log is late",
-            ),
-        )
+        name, typical = "camera_offset_s" if self.camera else "offset_s", 0.1 if model.timed_runs else 0.03
+        words = "time by which the log is late"
+        return (parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A late clock; longer times of cruising runs."""

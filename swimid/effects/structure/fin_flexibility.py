@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects.base import Effect
+from swimid.effects.common import parameter
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -47,7 +49,6 @@ class FinFlexibility(Effect):
     """
 
     name = "fin-flexibility"
-    stage = "structure"
     meaning = "caudal fin that bends under its load"
     sources = ("dolphin paper, section 1", "Katz and Weihs 1978, J. Fluid Mech. 88:485")
     needs = frozenset({"force", "stroke"})
@@ -70,8 +71,9 @@ class FinFlexibility(Effect):
             across = _stroke_speed(model, body.lengths_m[-1], trials)
             load = (quadratic * across + lift * model.scales(trials).speed) * across
             words = "angle by which the fin bends per force across it"
-            return (Parameter("compliance_rad_N", "rad/N", 0.0, 30.0 / load, 0.0, 0.1 / load, meaning=words),)
-        return (Parameter("loss", "1", 0.0, 20.0, 0.0, 0.2, meaning="loss of thrust at the typical load"),)
+            most = 30.0 / load
+            return (parameter("compliance_rad_N", "rad/N", 0.1 / load, words, lower=0.0, upper=most),)
+        return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", lower=0.0, upper=20.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the last link, or a factor on the thrust."""
@@ -88,12 +90,7 @@ class FinFlexibility(Effect):
         def weaken(stroke: Stroke) -> Stroke:
             inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
             load = inertia * stroke.frequency_hz**2 * np.abs(stroke.amplitude_rad) / self.load
-            return Stroke(
-                stroke.frequency_hz,
-                stroke.amplitude_rad,
-                stroke.thrust / (1.0 + values[0] * load),
-                stroke.inertia_kg_m2,
-            )
+            return replace(stroke, thrust=stroke.thrust / (1.0 + values[0] * load))
 
         return Hooks(stroke=(weaken,))
 

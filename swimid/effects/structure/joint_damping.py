@@ -18,7 +18,6 @@ class JointDamping(Effect):
     """``-d phi'`` at every passive joint, on top of the model's."""
 
     name = "joint-damping"
-    stage = "structure"
     meaning = "viscous friction of the passive joints beyond the model's"
     sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
     needs = frozenset({"tables"})
@@ -35,17 +34,9 @@ class JointDamping(Effect):
         sizes = [
             math.sqrt(max(body.stiffness(found, k), 1e-6) * body.joint_inertia(found, k)) for k in joints
         ]
-        return (
-            Parameter(
-                "damping_N_m_s_rad",
-                "N m s/rad",
-                -min(body.damping(found, k) for k in joints),
-                math.inf,
-                0.0,
-                0.1 * float(np.median(sizes)),
-                meaning="damping of each passive joint beyond the model's",
-            ),
-        )
+        size, least = 0.1 * float(np.median(sizes)), -min(body.damping(found, k) for k in joints)
+        words = "damping of each passive joint beyond the model's"
+        return (common.parameter("damping_N_m_s_rad", "N m s/rad", size, words, lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the damping."""

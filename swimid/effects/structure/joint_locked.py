@@ -29,7 +29,6 @@ class JointLocked(Effect):
     """
 
     name = "joint-locked"
-    stage = "structure"
     meaning = "a joint that is held fast, wholly or in part"
     sources = ("dolphin paper, section 4.2.1",)
     needs = frozenset({"command", "tables"})
@@ -54,7 +53,8 @@ class JointLocked(Effect):
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """How far it is locked, 0 to nearly 1."""
         name = f"locked_{self.column.removesuffix('_rad')}"
-        return (Parameter(name, "1", 0.0, MOST, 0.0, 0.3, meaning=f"share to which {self.column} is held"),)
+        words = f"share to which {self.column} is held"
+        return (common.parameter(name, "1", 0.3, words, lower=0.0, upper=MOST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Holds the joint."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from swimid.effects.base import Effect
+from swimid.effects.common import parameter
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -19,7 +20,6 @@ class JointStiffness(Effect):
     """
 
     name = "joint-stiffness"
-    stage = "structure"
     meaning = "stiffness of the passive joints against the model's"
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
     needs = frozenset({"tables", "coefficients"})
@@ -35,13 +35,11 @@ class JointStiffness(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """The relative change, and for a swimmer's joints the hardening."""
-        change = Parameter("change", "1", -0.95, 6.0, 0.0, 0.2, meaning="relative change of stiffness")
+        change = parameter("change", "1", 0.2, "relative change of stiffness", lower=-0.95, upper=6.0)
         if model.body is None:
             return (change,)
-        hardening = Parameter(
-            "hardening_rad_2", "rad^-2", -10.0, 60.0, 0.0, 2.0, meaning="relative growth with squared angle"
-        )
-        return (change, hardening)
+        words = "relative growth with squared angle"
+        return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, lower=-10.0, upper=60.0)
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Softer, stiffer, several times as stiff, and hardening."""

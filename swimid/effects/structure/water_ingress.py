@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
 
 from swimid.effects import common
 from swimid.effects.base import Effect
@@ -19,7 +17,6 @@ class WaterIngress(Effect):
     """Mass added to the heaviest link at its centre of mass; its weight is taken as trimmed out."""
 
     name = "water-ingress"
-    stage = "structure"
     meaning = "water inside the hull that moves with it"
     sources = ("sea lion paper, discussion",)
     needs = frozenset({"tables", "coefficients"})
@@ -34,30 +31,18 @@ class WaterIngress(Effect):
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Mass, kg; moment of inertia, kg m2, for an angle."""
-        rotation = common.rotates(model)
-        return (
-            Parameter(
-                "inertia_kg_m2" if rotation else "mass_kg",
-                "kg m^2" if rotation else "kg",
-                0.0,
-                math.inf,
-                0.0,
-                0.05 * model.scales(trials).inertia,
-                meaning="inertia of the water inside" if rotation else "mass of the water inside",
-            ),
-        )
+        name, unit, what = "mass_kg", "kg", "mass"
+        if common.rotates(model):
+            name, unit, what = "inertia_kg_m2", "kg m^2", "inertia"
+        size = 0.05 * model.scales(trials).inertia
+        return (common.parameter(name, unit, size, f"{what} of the water inside", lower=0.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
         body = model.body
         if body is not None:
-            hull = body.hull
-            at = body.centre(hull)
-
-            def carry(tables: dict[str, Any]) -> None:
-                body.weigh(tables, hull, at, values[0], values[0])
-
-            return Hooks(tables=(carry,))
+            at, mass = body.centre(body.hull), values[0]
+            return Hooks(tables=(lambda tables: body.weigh(tables, body.hull, at, mass, mass),))
 
         def change(c: dict[str, float]) -> None:
             c["mass" if "mass" in c else "inertia"] += values[0]
