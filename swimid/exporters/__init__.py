@@ -1,9 +1,9 @@
 """Identified coefficients in the formats of simulators: ``swimid export``.
 
 ``source`` is what is exported, with every quantity evaluated; one module per target turns it into text and
-names everything it cannot carry: ``mjcf``, ``gazebo``, ``stonefish``, ``plain`` (JSON), on ``base`` and
-``common``. ``export`` is the verb, with ``options``. A new target is a module with ``export(source,
-options)`` and a line in :func:`targets`.
+names everything it cannot carry: ``mjcf``, ``gazebo``, ``stonefish``, ``plain`` (JSON), on ``common``.
+``export`` is the verb, with ``options``. A new target is a module with ``export(source, options)`` and a line
+in :func:`targets`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swimid.exporters.base import Exported
+    from swimid.exporters.common import Exported
     from swimid.exporters.options import AddedMass, ExportOptions
     from swimid.exporters.source import Source
 

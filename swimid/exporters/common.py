@@ -1,9 +1,10 @@
-"""What the XML targets share: the header, numbers, and limits that hold for all of them."""
+"""What the targets share: what comes out of them, XML, and limits that hold for all of them."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +15,29 @@ from swimid.results.parameters import Estimate
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
 
+#: What stands in an attribute or between tags.
+Value = str | float | Iterable[float]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A finished export.
+
+    Attributes
+    ----------
+    text : str
+        The file.
+    limits : sequence of str
+        What the target cannot carry, one sentence each.
+    dangers : sequence of str
+        Why the target's simulation may be unstable.
+    """
+
+    text: str
+    limits: Sequence[str] = ()
+    dangers: Sequence[str] = ()
+
+
 def number(*values: float) -> str:
     """Numbers as XML wants them, to the last bit.
 
@@ -21,6 +45,27 @@ def number(*values: float) -> str:
     '0.1 0.0'
     """
     return " ".join(repr(float(v) + 0.0) for v in values)
+
+
+def node(tag: str, *content: ET.Element | Value | None, **attributes: Value | None) -> ET.Element:
+    """An XML element of its children or its text; None is left out.
+
+    >>> ET.tostring(node("joint", node("mass", 0.5), axis=(0, 1), damping=None))
+    b'<joint axis="0.0 1.0"><mass>0.5</mass></joint>'
+    """
+    made = ET.Element(tag, {name: _text(value) for name, value in attributes.items() if value is not None})
+    for part in content:
+        if isinstance(part, ET.Element):
+            made.append(part)
+        elif part is not None:
+            made.text = _text(part)
+    return made
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, str):
+        return value
+    return number(value) if isinstance(value, float | int) else number(*value)
 
 
 def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
@@ -51,15 +96,14 @@ def bodies(source: Source, *, fold: bool) -> list[Array]:
 
     An anisotropic added mass is folded with its mean.
     """
-    found = []
+    inertias = []
     for link in source.links:
         inertia = link.rigid
         if fold and np.any(link.added):
             mass, (x, y), moment = central(link.added)
-            whole = about(np.diag([mass, mass, moment]), -x, -y)
-            inertia = inertia + whole
-        found.append(inertia)
-    return found
+            inertia = inertia + about(np.diag([mass, mass, moment]), -x, -y)
+        inertias.append(inertia)
+    return inertias
 
 
 def added_mass_limits(source: Source, choice: str) -> list[str]:

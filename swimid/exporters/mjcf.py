@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.base import Exported
+from swimid.exporters.common import Exported, node, number
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Law, Link, Source, behind_joint, central
+from swimid.exporters.source import Link, Source, behind_joint, central
+from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
@@ -29,22 +30,27 @@ PREFIX = "water:"
 def export(source: Source, options: ExportOptions) -> Exported:
     """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
-    root = ET.Element("mujoco", model=source.robot.name)
-    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    ET.SubElement(root, "option", timestep="0.002", integrator="implicitfast", gravity="0 0 0", density="0")
-    ET.SubElement(root, "size", nuser_site=str(USER))
-    custom = ET.SubElement(root, "custom")
-    ET.SubElement(custom, "text", name="swimid_plane", data=source.body.plane)
     inertias = common.bodies(source, fold=options.added_mass == "fold")
-    nodes = _tree(source, inertias, ET.SubElement(root, "worldbody"))
-    _sites(source, nodes)
-    _wires(source, nodes, root)
-    _servos(source, inertias, root, options.servo_hz)
-    return Exported(common.document(root, source, limits), tuple(limits))
+    bodies = _bodies(source, inertias)
+    _sites(source, bodies)
+    tendons = _wires(source, bodies)
+    servos = _servos(source, inertias, options.servo_hz)
+    root = node(
+        "mujoco",
+        node("compiler", angle="radian", autolimits="true"),
+        node("option", timestep=0.002, integrator="implicitfast", gravity="0 0 0", density="0"),
+        node("size", nuser_site=str(USER)),
+        node("custom", node("text", name="swimid_plane", data=source.body.plane)),
+        node("worldbody", bodies[0]),
+        node("tendon", *tendons) if tendons else None,
+        node("actuator", *servos) if servos else None,
+        model=source.robot.name,
+    )
+    return Exported(common.document(root, source, limits), limits)
 
 
-def _point(source: Source, x: float, y: float) -> str:
-    return common.number(x, 0.0, y) if source.vertical else common.number(x, y, 0.0)
+def _point(source: Source, x: float, y: float) -> tuple[float, float, float]:
+    return (x, 0.0, y) if source.vertical else (x, y, 0.0)
 
 
 def _axis(source: Source) -> str:
@@ -52,119 +58,105 @@ def _axis(source: Source) -> str:
     return "0 -1 0" if source.vertical else "0 0 1"
 
 
-def _turned(source: Source, angle: float) -> dict[str, Any]:
-    return {} if angle == 0.0 else {"axisangle": f"{_axis(source)} {common.number(angle)}"}
+def _turned(source: Source, angle: float) -> str | None:
+    return f"{_axis(source)} {number(angle)}" if angle else None
 
 
-def _tree(source: Source, inertias: list[Any], world: ET.Element) -> list[ET.Element]:
+def _bodies(source: Source, inertias: list[Array]) -> list[ET.Element]:
+    """The links as bodies, each within its parent."""
     side = "0 0 1" if source.vertical else "0 1 0"
     names = ("base_x", "base_z", "base_pitch") if source.vertical else ("base_x", "base_y", "base_yaw")
-    nodes: list[ET.Element] = []
+    free = source.body.base == "free"
+    bodies: list[ET.Element] = []
     for link, inertia in zip(source.links, inertias, strict=True):
-        if link.parent < 0:
-            heading = 0.0 if source.body.base == "free" else math.radians(source.body.heading_deg)
-            node = ET.SubElement(world, "body", name=link.name, pos="0 0 0", **_turned(source, heading))
-        else:
-            node = ET.SubElement(
-                nodes[link.parent], "body", name=link.name, pos=_point(source, *link.at),
-                **_turned(source, link.mount_rad),
-            )  # fmt: skip
+        base = link.parent < 0
+        turn = link.mount_rad if not base else 0.0 if free else math.radians(source.body.heading_deg)
         mass, centre, moment = central(inertia)
-        ET.SubElement(
-            node, "inertial", pos=_point(source, *centre), mass=common.number(mass),
-            diaginertia=common.number(moment, moment, moment),
-        )  # fmt: skip
-        if link.parent < 0 and source.body.base == "free":
-            ET.SubElement(node, "joint", name=names[0], type="slide", axis="1 0 0")
-            ET.SubElement(node, "joint", name=names[1], type="slide", axis=side)
-            ET.SubElement(node, "joint", name=names[2], type="hinge", axis=_axis(source))
-        if link.joint is not None and (link.joint.driven or link.joint.passive):
-            ET.SubElement(node, "joint", _hinge(source, link))
-        ET.SubElement(
-            node, "geom", type="capsule", size=common.number(0.05 * link.length_m), mass="0",
-            fromto=f"0 0 0 {common.number(-link.length_m, 0.0, 0.0)}", contype="0", conaffinity="0",
-        )  # fmt: skip
-        nodes.append(node)
-    return nodes
+        body = node(
+            "body",
+            node("inertial", pos=_point(source, *centre), mass=mass, diaginertia=(moment, moment, moment)),
+            name=link.name,
+            pos="0 0 0" if base else _point(source, *link.at),
+            axisangle=_turned(source, turn),
+        )
+        if base and free:
+            body.append(node("joint", name=names[0], type="slide", axis="1 0 0"))
+            body.append(node("joint", name=names[1], type="slide", axis=side))
+            body.append(node("joint", name=names[2], type="hinge", axis=_axis(source)))
+        if link.moves:
+            body.append(_hinge(source, link))
+        end = f"0 0 0 {number(-link.length_m, 0.0, 0.0)}"
+        look = {"type": "capsule", "size": number(0.05 * link.length_m), "mass": "0", "fromto": end}
+        body.append(node("geom", **look, contype="0", conaffinity="0"))
+        if not base:
+            bodies[link.parent].append(body)
+        bodies.append(body)
+    return bodies
 
 
-def _hinge(source: Source, link: Link) -> dict[str, str]:
+def _hinge(source: Source, link: Link) -> ET.Element:
     assert link.joint is not None
-    name = link.joint.name
-    found = {"name": name, "type": "hinge", "axis": _axis(source)}
-    law = source.laws.get(name)
+    hinge = {"name": link.joint.name, "type": "hinge", "axis": _axis(source)}
+    law = source.laws.get(link.joint.name)
     if law is None:
-        return found
-    if law.stiffness or law.cubic:
-        # the third number is the cubic term
-        cubic = (0.0, law.cubic) if law.cubic else ()
-        found["stiffness"] = common.number(law.stiffness, *cubic)
-        found["springref"] = common.number(law.rest)
-    if law.damping or law.quadratic_damping:
-        square = (law.quadratic_damping,) if law.quadratic_damping else ()
-        found["damping"] = common.number(law.damping, *square)
-    if law.friction:
-        found["frictionloss"] = common.number(law.friction)
-    return found
+        return node("joint", **hinge)
+    sprung, damped = law.stiffness or law.cubic, law.damping or law.quadratic_damping
+    # the third number is the cubic term
+    cubic = (0.0, law.cubic) if law.cubic else ()
+    square = (law.quadratic_damping,) if law.quadratic_damping else ()
+    return node(
+        "joint",
+        **hinge,
+        stiffness=(law.stiffness, *cubic) if sprung else None,
+        springref=law.rest if sprung else None,
+        damping=(law.damping, *square) if damped else None,
+        frictionloss=law.friction or None,
+    )
 
 
-def _sites(source: Source, nodes: list[ET.Element]) -> None:
+def _sites(source: Source, bodies: list[ET.Element]) -> None:
     for k, element in enumerate(source.elements):
         row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
-        user = [float(KINDS.index(element.kind)), *row]
-        ET.SubElement(
-            nodes[element.link], "site", name=f"{PREFIX}{k}", pos=_point(source, *element.at),
-            user=common.number(*user), size="0.002",
-        )  # fmt: skip
+        user, place = [KINDS.index(element.kind), *row], _point(source, *element.at)
+        bodies[element.link].append(node("site", name=f"{PREFIX}{k}", pos=place, user=user, size=0.002))
 
 
-def _wires(source: Source, nodes: list[ET.Element], root: ET.Element) -> None:
+def _wires(source: Source, bodies: list[ET.Element]) -> list[ET.Element]:
     """Wire and spring as a spatial tendon: its path is ``D`` and a constant, so the law is exact."""
-    wires = [(i, link) for i, link in enumerate(source.links) if _wire(source, link) is not None]
-    if not wires:
-        return
-    tendons = ET.SubElement(root, "tendon")
-    for i, link in wires:
-        law = _wire(source, link)
-        assert law is not None
+    tendons = []
+    for body, link in zip(bodies, source.links, strict=True):
+        law = source.laws.get(link.joint.name) if link.joint else None
+        if law is None or not law.spring:
+            continue
         assert link.joint is not None
         name = link.joint.name
         # tension K_t (D + constant): a path longer by the constant, or a rest length
         constant = law.pretension - law.arm + law.crank
-        parent, x, y = nodes[link.parent], *link.at
-        ET.SubElement(parent, "site", name=f"{name}:wire", pos=_point(source, x + law.arm, y), size="0.001")
+        parent, x, y = bodies[link.parent], *link.at
         c, s = math.cos(link.mount_rad), math.sin(link.mount_rad)
-        crank = _point(source, law.crank * c, -law.crank * s)
-        ET.SubElement(nodes[i], "site", name=f"{name}:crank", pos=crank, size="0.001")
-        tendon = ET.SubElement(
-            tendons, "spatial", name=f"{name}:wire", stiffness=common.number(law.spring),
-            springlength=common.number(max(-constant, 0.0)), width="0.0005",
-        )  # fmt: skip
+        ends = {"wire": (parent, x + law.arm, y), "crank": (body, law.crank * c, -law.crank * s)}
+        path = ["wire", "crank"]
         if constant > 0.0:
-            spool = _point(source, x + law.arm, y + constant)
-            ET.SubElement(parent, "site", name=f"{name}:spool", pos=spool, size="0.001")
-            ET.SubElement(tendon, "site", site=f"{name}:spool")
-        ET.SubElement(tendon, "site", site=f"{name}:wire")
-        ET.SubElement(tendon, "site", site=f"{name}:crank")
+            ends["spool"] = (parent, x + law.arm, y + constant)
+            path = ["spool", *path]
+        for end, (owner, *place) in ends.items():
+            owner.append(node("site", name=f"{name}:{end}", pos=_point(source, *place), size=0.001))
+        sites, slack = [node("site", site=f"{name}:{end}") for end in path], max(-constant, 0.0)
+        wire = node("spatial", *sites, name=f"{name}:wire", stiffness=law.spring, springlength=slack)
+        wire.set("width", "0.0005")
+        tendons.append(wire)
+    return tendons
 
 
-def _wire(source: Source, link: Link) -> Law | None:
-    law = source.laws.get(link.joint.name) if link.joint else None
-    return law if law is not None and law.spring else None
-
-
-def _servos(source: Source, inertias: list[Any], root: ET.Element, default_hz: float) -> None:
-    if not source.assembly.driven:
-        return
+def _servos(source: Source, inertias: list[Array], default_hz: float) -> list[ET.Element]:
     moments = behind_joint(source.links, inertias)
-    actuators = ET.SubElement(root, "actuator")
+    servos = []
     for axis in source.assembly.driven:
         omega, ratio = source.servo(axis.joint, default_hz)
-        moment = moments[axis.link]
-        ET.SubElement(
-            actuators, "position", name=axis.joint.name, joint=axis.joint.name,
-            kp=common.number(moment * omega**2), kv=common.number(2.0 * ratio * omega * moment),
-        )  # fmt: skip
+        moment, name = moments[axis.link], axis.joint.name
+        gains = {"kp": moment * omega**2, "kv": 2.0 * ratio * omega * moment}
+        servos.append(node("position", name=name, joint=name, **gains))
+    return servos
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:

@@ -51,6 +51,11 @@ class Link:
     rigid: Array
     added: Array
 
+    @property
+    def moves(self) -> bool:
+        """Whether it turns against its parent."""
+        return self.joint is not None and bool(self.joint.driven or self.joint.passive)
+
 
 @dataclass(frozen=True)
 class Law:
