@@ -5,18 +5,16 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.exporters.source import Element, Link, Source, about, central, isotropic
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate
 
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
-
-
-#: What stands in an attribute or between tags.
-Value = str | float | Iterable[float]
 
 
 @dataclass(frozen=True)
@@ -47,31 +45,25 @@ def number(*values: float) -> str:
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
-def node(tag: str, *content: ET.Element | Value | None, **attributes: Value | None) -> ET.Element:
-    """An XML element of its children or its text; None is left out.
+def document(template: str, source: Source, limits: Iterable[str], **more: Any) -> str:
+    """The XML text of a template, with the source of the numbers and the limits in a comment.
 
-    >>> ET.tostring(node("joint", node("mass", 0.5), axis=(0, 1), damping=None))
-    b'<joint axis="0.0 1.0"><mass>0.5</mass></joint>'
+    Parameters
+    ----------
+    template : str
+        Its file in ``templates``. It is given ``source``, and numbers and tuples stand in it as they are.
+    limits : iterable of str
+    **more
+        What else it is given.
     """
-    made = ET.Element(tag, {name: _text(value) for name, value in attributes.items() if value is not None})
-    for part in content:
-        if isinstance(part, ET.Element):
-            made.append(part)
-        elif part is not None:
-            made.text = _text(part)
-    return made
-
-
-def _text(value: Value) -> str:
-    if isinstance(value, str):
-        return value
-    return number(value) if isinstance(value, float | int) else number(*value)
-
-
-def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
-    """The XML text, with the source of the numbers and the limits in a comment."""
+    environment = Environment(
+        loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
+    )
+    root = ET.fromstring(environment.get_template(template).render(source=source, **more))
+    for element in root.iter():
+        element.text = element.text if element.text and element.text.strip() else None
     ET.indent(root)
-    held = [f"  {name} = {_shown(e)}" for name, e in source.parameters.parameters.items()]
+    held = [f"  {name} = {_told(e)}" for name, e in source.parameters.parameters.items()]
     lines = [
         f"Written by swimid {source.origin['version']}.",
         f"Parameters: {source.origin['file']}, sha256 {source.origin['sha256']}.",
@@ -85,7 +77,13 @@ def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
     return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _shown(estimate: Estimate) -> str:
+def _shown(value: Any) -> Any:
+    if isinstance(value, str):
+        return value
+    return number(*value) if isinstance(value, list | tuple) else number(value)
+
+
+def _told(estimate: Estimate) -> str:
     error = "" if estimate.stderr is None else f" +- {estimate.stderr!r}"
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     return f"{estimate.value!r}{error}{unit} ({estimate.status})"

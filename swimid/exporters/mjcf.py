@@ -8,17 +8,15 @@ sites (``user`` data), from which :func:`water` applies it exactly.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.common import Exported, node, number
+from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Link, Source, behind_joint, central
-from swimid.fitting.model import Array
+from swimid.exporters.source import Element, Law, Link, Source, central
 from swimid.swimmer.planar import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
@@ -31,132 +29,51 @@ def export(source: Source, options: ExportOptions) -> Exported:
     """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
     inertias = common.bodies(source, fold=options.added_mass == "fold")
-    bodies = _bodies(source, inertias)
-    _sites(source, bodies)
-    tendons = _wires(source, bodies)
-    servos = _servos(source, inertias, options.servo_hz)
-    root = node(
-        "mujoco",
-        node("compiler", angle="radian", autolimits="true"),
-        node("option", timestep=0.002, integrator="implicitfast", gravity="0 0 0", density="0"),
-        node("size", nuser_site=str(USER)),
-        node("custom", node("text", name="swimid_plane", data=source.body.plane)),
-        node("worldbody", bodies[0]),
-        node("tendon", *tendons) if tendons else None,
-        node("actuator", *servos) if servos else None,
-        model=source.robot.name,
+    text = common.document(
+        "mjcf.xml",
+        source,
+        limits,
+        point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
+        rigid=[central(inertia) for inertia in inertias],
+        user=_user,
+        user_size=USER,
+        prefix=PREFIX,
+        wires=[_wire(link, i, law) for i, link, law in _wired(source)],
+        servos=source.servos(inertias, options.servo_hz),
     )
-    return Exported(common.document(root, source, limits), limits)
+    return Exported(text, limits)
 
 
-def _point(source: Source, x: float, y: float) -> tuple[float, float, float]:
-    return (x, 0.0, y) if source.vertical else (x, y, 0.0)
+def _user(element: Element) -> list[float]:
+    """The kind of an element's site, and the numbers of its law."""
+    row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
+    return [KINDS.index(element.kind), *row]
 
 
-def _axis(source: Source) -> str:
-    # positive from the x axis towards the link's upper or port side
-    return "0 -1 0" if source.vertical else "0 0 1"
-
-
-def _turned(source: Source, angle: float) -> str | None:
-    return f"{_axis(source)} {number(angle)}" if angle else None
-
-
-def _bodies(source: Source, inertias: list[Array]) -> list[ET.Element]:
-    """The links as bodies, each within its parent."""
-    side = "0 0 1" if source.vertical else "0 1 0"
-    names = ("base_x", "base_z", "base_pitch") if source.vertical else ("base_x", "base_y", "base_yaw")
-    free = source.body.base == "free"
-    bodies: list[ET.Element] = []
-    for link, inertia in zip(source.links, inertias, strict=True):
-        base = link.parent < 0
-        turn = link.mount_rad if not base else 0.0 if free else math.radians(source.body.heading_deg)
-        mass, centre, moment = central(inertia)
-        body = node(
-            "body",
-            node("inertial", pos=_point(source, *centre), mass=mass, diaginertia=(moment, moment, moment)),
-            name=link.name,
-            pos="0 0 0" if base else _point(source, *link.at),
-            axisangle=_turned(source, turn),
-        )
-        if base and free:
-            body.append(node("joint", name=names[0], type="slide", axis="1 0 0"))
-            body.append(node("joint", name=names[1], type="slide", axis=side))
-            body.append(node("joint", name=names[2], type="hinge", axis=_axis(source)))
-        if link.moves:
-            body.append(_hinge(source, link))
-        end = f"0 0 0 {number(-link.length_m, 0.0, 0.0)}"
-        look = {"type": "capsule", "size": number(0.05 * link.length_m), "mass": "0", "fromto": end}
-        body.append(node("geom", **look, contype="0", conaffinity="0"))
-        if not base:
-            bodies[link.parent].append(body)
-        bodies.append(body)
-    return bodies
-
-
-def _hinge(source: Source, link: Link) -> ET.Element:
-    assert link.joint is not None
-    hinge = {"name": link.joint.name, "type": "hinge", "axis": _axis(source)}
-    law = source.laws.get(link.joint.name)
-    if law is None:
-        return node("joint", **hinge)
-    sprung, damped = law.stiffness or law.cubic, law.damping or law.quadratic_damping
-    # the third number is the cubic term
-    cubic = (0.0, law.cubic) if law.cubic else ()
-    square = (law.quadratic_damping,) if law.quadratic_damping else ()
-    return node(
-        "joint",
-        **hinge,
-        stiffness=(law.stiffness, *cubic) if sprung else None,
-        springref=law.rest if sprung else None,
-        damping=(law.damping, *square) if damped else None,
-        frictionloss=law.friction or None,
-    )
-
-
-def _sites(source: Source, bodies: list[ET.Element]) -> None:
-    for k, element in enumerate(source.elements):
-        row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
-        user, place = [KINDS.index(element.kind), *row], _point(source, *element.at)
-        bodies[element.link].append(node("site", name=f"{PREFIX}{k}", pos=place, user=user, size=0.002))
-
-
-def _wires(source: Source, bodies: list[ET.Element]) -> list[ET.Element]:
-    """Wire and spring as a spatial tendon: its path is ``D`` and a constant, so the law is exact."""
-    tendons = []
-    for body, link in zip(bodies, source.links, strict=True):
+def _wired(source: Source) -> Iterator[tuple[int, Link, Law]]:
+    """The links pulled straight by wire and spring."""
+    for i, link in enumerate(source.links):
         law = source.laws.get(link.joint.name) if link.joint else None
-        if law is None or not law.spring:
-            continue
-        assert link.joint is not None
-        name = link.joint.name
-        # tension K_t (D + constant): a path longer by the constant, or a rest length
-        constant = law.pretension - law.arm + law.crank
-        parent, x, y = bodies[link.parent], *link.at
-        c, s = math.cos(link.mount_rad), math.sin(link.mount_rad)
-        ends = {"wire": (parent, x + law.arm, y), "crank": (body, law.crank * c, -law.crank * s)}
-        path = ["wire", "crank"]
-        if constant > 0.0:
-            ends["spool"] = (parent, x + law.arm, y + constant)
-            path = ["spool", *path]
-        for end, (owner, *place) in ends.items():
-            owner.append(node("site", name=f"{name}:{end}", pos=_point(source, *place), size=0.001))
-        sites, slack = [node("site", site=f"{name}:{end}") for end in path], max(-constant, 0.0)
-        wire = node("spatial", *sites, name=f"{name}:wire", stiffness=law.spring, springlength=slack)
-        wire.set("width", "0.0005")
-        tendons.append(wire)
-    return tendons
+        if law is not None and law.spring:
+            yield i, link, law
 
 
-def _servos(source: Source, inertias: list[Array], default_hz: float) -> list[ET.Element]:
-    moments = behind_joint(source.links, inertias)
-    servos = []
-    for axis in source.assembly.driven:
-        omega, ratio = source.servo(axis.joint, default_hz)
-        moment, name = moments[axis.link], axis.joint.name
-        gains = {"kp": moment * omega**2, "kv": 2.0 * ratio * omega * moment}
-        servos.append(node("position", name=name, joint=name, **gains))
-    return servos
+def _wire(link: Link, i: int, law: Law) -> dict[str, Any]:
+    """Wire and spring as a spatial tendon: its path is ``D`` and a constant, so the law is exact."""
+    assert link.joint is not None
+    # tension K_t (D + constant): a path longer by the constant, or a rest length
+    constant = law.pretension - law.arm + law.crank
+    (x, y), c, s = link.at, math.cos(link.mount_rad), math.sin(link.mount_rad)
+    ends = [("wire", link.parent, (x + law.arm, y)), ("crank", i, (law.crank * c, -law.crank * s))]
+    if constant > 0.0:
+        ends.append(("spool", link.parent, (x + law.arm, y + constant)))
+    return {
+        "name": link.joint.name,
+        "stiffness": law.spring,
+        "length": max(-constant, 0.0),
+        "ends": ends,
+        "path": [*(["spool"] if constant > 0.0 else []), "wire", "crank"],
+    }
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:

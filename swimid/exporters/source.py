@@ -17,6 +17,7 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.polynomial import Polynomial
 
 #: Origin of a file that is exported.
 Origin = Mapping[str, str]
@@ -104,6 +105,15 @@ class Element:
 
 
 @dataclass(frozen=True)
+class Servo:
+    """A position servo: its joint, N m/rad and N m s/rad."""
+
+    joint: str
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
 class Source:
     """A parameter file, its robot and where they come from.
 
@@ -137,6 +147,11 @@ class Source:
     def vertical(self) -> bool:
         """Whether it swims in the vertical plane."""
         return self.multilink and self.body.plane == "vertical"
+
+    @property
+    def heading_rad(self) -> float | None:
+        """Heading of a fixed base; None where it is free."""
+        return math.radians(self.body.heading_deg) if self.body.base == "fixed" else None
 
     @cached_property
     def assembly(self) -> Assembly:
@@ -197,16 +212,20 @@ class Source:
                 found.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
         return found
 
-    def servo(self, joint: Joint, default_hz: float) -> tuple[float, float]:
-        """Natural frequency (rad/s) and damping ratio of a driven joint's position servo."""
-        law = joint.driven.servo if joint.driven else None
-        if law is None:
-            return 2.0 * math.pi * default_hz, 1.0
-        from swimid.swimmer.polynomial import Polynomial
-
+    def servos(self, inertias: list[Array], default_hz: float) -> list[Servo]:
+        """Position servos of the driven joints, whose gains move the bodies behind them as their laws say."""
+        moments = behind_joint(self.links, inertias)
         values = dict(zip(self.assembly.names, self.values, strict=True))
-        frequency = Polynomial.of(law.natural_frequency_hz).at(values)
-        return 2.0 * math.pi * frequency, Polynomial.of(law.damping_ratio).at(values)
+        servos = []
+        for axis in self.assembly.driven:
+            law = axis.joint.driven.servo if axis.joint.driven else None
+            frequency, ratio = default_hz, 1.0
+            if law is not None:
+                frequency = Polynomial.of(law.natural_frequency_hz).at(values)
+                ratio = Polynomial.of(law.damping_ratio).at(values)
+            omega, moment = 2.0 * math.pi * frequency, moments[axis.link]
+            servos.append(Servo(axis.joint.name, moment * omega**2, 2.0 * ratio * omega * moment))
+        return servos
 
 
 def surge(source: Source) -> dict[str, float]:

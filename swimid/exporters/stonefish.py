@@ -8,12 +8,13 @@ link are the identified ones. Axes are Stonefish's: x forward, y to starboard, z
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.common import Exported, node
+from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Link, Source, central
 from swimid.fitting.model import Array
@@ -27,48 +28,21 @@ SLENDER = 0.3
 def export(source: Source, options: ExportOptions) -> Exported:
     """Scenario of a multi-link robot; see :class:`swimid.exporters.Target`."""
     limits = _limits(source, options)
-    density = source.robot.fluid.density_kg_m3
-    fixed = source.body.base == "fixed"
-    robot = node("robot", name=source.robot.name, fixed=str(fixed).lower(), self_collisions="false")
     inertias = common.bodies(source, fold=options.added_mass == "fold")
-    robot.extend(_link(source, i, inertia, options) for i, inertia in enumerate(inertias))
-    robot.extend(_joint(source, link) for link in source.links[1:])
-    for axis in source.assembly.driven:
-        name = axis.joint.name
-        # shares of the error removed per step by Stonefish's joint motor, as in its manual; no N m/rad
-        controller = node("controller", position_gain=1.0, velocity_gain=0.5, max_torque=1000.0)
-        robot.append(
-            node("actuator", controller, node("joint", name=name), name=f"{name}_servo", type="servo")
-        )
-    heading = math.radians(source.body.heading_deg) if fixed else 0.0
-    robot.append(node("world_transform", xyz=(0.0, 0.0, 1.0), rpy=_rpy(source, heading)))
-    root = node(
-        "scenario",
-        node(
-            "environment",
-            node("ned", latitude=0.0, longitude=0.0),
-            node("ocean", node("water", density=density, jerlov=0.2), node("waves", height=0.0)),
-        ),
-        node(
-            "materials",
-            node("material", name="body", density=density, restitution=0.5),
-            node(
-                "friction_table",
-                node("friction", material1="body", material2="body", static=0.5, dynamic=0.3),
-            ),
-        ),
-        node("looks", node("look", name="body", rgb=(0.9, 0.6, 0.1), roughness=0.5)),
-        robot,
+    text = common.document(
+        "stonefish.scn",
+        source,
+        limits,
+        native=options.added_mass == "native",
+        boxes=[_box(source, i, inertia) for i, inertia in enumerate(inertias)],
+        point=partial(_point, source),
+        turned=lambda angle: (0.0, angle, 0.0) if source.vertical else (0.0, 0.0, -angle),
     )
-    return Exported(common.document(root, source, limits), limits)
+    return Exported(text, limits)
 
 
 def _point(source: Source, x: float, y: float) -> tuple[float, float, float]:
     return (x, 0.0, -y) if source.vertical else (x, -y, 0.0)
-
-
-def _rpy(source: Source, turn: float) -> tuple[float, float, float]:
-    return (0.0, turn, 0.0) if source.vertical else (0.0, 0.0, -turn)
 
 
 def _height(source: Source, link: Link) -> float:
@@ -87,15 +61,16 @@ def _height(source: Source, link: Link) -> float:
     return SLENDER * link.length_m
 
 
-def _link(source: Source, i: int, inertia: Array, options: ExportOptions) -> ET.Element:
+def _box(source: Source, i: int, inertia: Array) -> dict[str, Any]:
+    """A link as a box that displaces its mass and drags as it does."""
     link, density = source.links[i], source.robot.fluid.density_kg_m3
     mass, centre, moment = central(inertia)
     length, height = link.length_m, _height(source, link)
     width = mass / (density * length * height)
     drag = [e.numbers for e in source.elements if e.kind == "drag" and e.link == i]
     along, across = 0.5 * density * (height * width), 0.5 * density * (length * height)
-    quadratic = sum(n["quadratic_x"] for n in drag) / along, sum(n["quadratic_y"] for n in drag) / across
     wet_along, wet_across = 2.0 * length * (height + width), 2.0 * width * (length + height)
+    quadratic = sum(n["quadratic_x"] for n in drag) / along, sum(n["quadratic_y"] for n in drag) / across
     viscous = (
         sum(n["linear_x"] for n in drag) / (density * wet_along),
         sum(n["linear_y"] for n in drag) / (density * wet_across),
@@ -104,42 +79,16 @@ def _link(source: Source, i: int, inertia: Array, options: ExportOptions) -> ET.
     def three(x: float, y: float) -> tuple[float, float, float]:
         return (x, 0.0, y) if source.vertical else (x, y, 0.0)
 
-    place = {"xyz": _point(source, *centre), "rpy": (0.0, 0.0, 0.0)}
-    return node(
-        "link" if link.parent >= 0 else "base_link",
+    return {
+        "link": link,
         # horizontal plane: the height is along z, across the link is y
-        node("dimensions", xyz=(length, height, width) if source.vertical else (length, width, height)),
-        node("origin", **place),
-        node("material", name="body"),
-        node("look", name="body"),
-        node("mass", value=mass),
-        node("inertia", xyz=(moment, moment, moment)),
-        node("cg", **place),
-        node("hydrodynamics", viscous_drag=three(*viscous), quadratic_drag=three(*quadratic)),
-        name=link.name,
-        type="box",
-        # without added mass of its own where that is in the body or not wanted
-        physics="submerged" if options.added_mass == "native" else "floating",
-        buoyant="true",
-    )
-
-
-def _joint(source: Source, link: Link) -> ET.Element:
-    assert link.joint is not None
-    joint = node(
-        "joint",
-        node("parent", name=source.links[link.parent].name),
-        node("child", name=link.name),
-        node("origin", xyz=_point(source, *link.at), rpy=_rpy(source, link.mount_rad)),
-        name=link.joint.name,
-        type="revolute" if link.moves else "fixed",
-    )
-    if link.moves:
-        joint.append(node("axis", xyz=(0.0, 1.0, 0.0) if source.vertical else (0.0, 0.0, -1.0)))
-        law = source.laws.get(link.joint.name)
-        if law is not None and (law.damping or law.friction):
-            joint.append(node("damping", constant=law.friction, viscous=law.damping))
-    return joint
+        "dimensions": (length, height, width) if source.vertical else (length, width, height),
+        "centre": _point(source, *centre),
+        "mass": mass,
+        "moment": moment,
+        "viscous": three(*viscous),
+        "quadratic": three(*quadratic),
+    }
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:
