@@ -14,6 +14,9 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
+#: What an effect is given and gives.
+Trials = Sequence[Trial]
+Parameters = tuple[Parameter, ...]
 #: Sizes at which an effect is tried, in units of its parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
 
@@ -72,7 +75,7 @@ class Effect(ABC):
         """The forms in which it is tried (which joint, which wall); empty where it does not apply."""
         return [self] if self.needs & model.offers else []
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Points at which it is tried before anything is fitted, within the bounds.
 
         Where the change is smooth, small and large ones suffice, and of the small ones one sign.
@@ -93,3 +96,7 @@ class Effect(ABC):
 
     def __repr__(self) -> str:
         return f"<effect {self.name}>"
+
+
+#: The forms in which an effect is tried.
+Effects = Sequence[Effect]

@@ -14,10 +14,18 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 def parameter(
-    name: str, unit: str, scale: float, meaning: str, *, lower: float = -math.inf, upper: float = math.inf
+    name: str,
+    unit: str,
+    scale: float,
+    meaning: str,
+    *,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    start: float = 0.0,
+    per_trial: bool = False,
 ) -> Parameter:
-    """A parameter that vanishes at zero."""
-    return Parameter(name, unit, lower, upper, 0.0, scale, meaning=meaning)
+    """A parameter of an effect; most vanish at zero."""
+    return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
 
 
 # ---------------------------------------------------------------- models

@@ -1,17 +1,14 @@
 """What the trials command, for the scales of the actuation effects."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trial, Trials
+from swimid.fitting.hooks import Stroke
 
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3
@@ -26,7 +23,7 @@ class Actuation(Effect, ABC):
 
     needs = frozenset({"command", "stroke"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where some trial is driven by a command."""
         return [self] if self.needs & model.offers and any(model.commanded(t) for t in trials) else []
 
@@ -65,14 +62,14 @@ def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Arra
     return np.where(there, change(time_s, filled), np.nan)
 
 
-def _signals(model: Model, trials: Sequence[Trial]) -> Iterator[tuple[Array, Array, float]]:
+def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
     """Time, command and its fastest known rate, of each driven joint of each trial."""
     for trial in trials:
         if model.commanded(trial):
             yield from model.commands(trial)
 
 
-def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
+def _strokes(trials: Trials) -> tuple[Array, Array]:
     """Frequency (Hz) and amplitude (rad) of every steady beat."""
     beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
     frequency, amplitude = np.concatenate(beats, axis=1)
@@ -80,7 +77,7 @@ def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
     return frequency[there], amplitude[there]
 
 
-def amplitude(model: Model, trials: Sequence[Trial]) -> float:
+def amplitude(model: Model, trials: Trials) -> float:
     """Typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
     if not sizes:
@@ -88,7 +85,7 @@ def amplitude(model: Model, trials: Sequence[Trial]) -> float:
     return float(np.median(sizes)) if sizes else USUAL_ANGLE
 
 
-def fastest(model: Model, trials: Sequence[Trial]) -> float:
+def fastest(model: Model, trials: Trials) -> float:
     """Largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
@@ -99,7 +96,7 @@ def fastest(model: Model, trials: Sequence[Trial]) -> float:
     return float(max(rates, default=0.0)) or 1.0
 
 
-def period(model: Model, trials: Sequence[Trial]) -> float:
+def period(model: Model, trials: Trials) -> float:
     """Typical period of the beat, s; one second where none is known."""
     beats = [f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0]
     return 1.0 / float(np.median(beats)) if beats else 1.0

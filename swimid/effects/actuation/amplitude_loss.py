@@ -1,13 +1,9 @@
 """Joints that turn less far than they are told."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 from swimid.effects.actuation._commands import Actuation
+from swimid.effects.base import Array, Model, Parameters, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class AmplitudeLoss(Actuation):
@@ -19,7 +15,7 @@ class AmplitudeLoss(Actuation):
     smooth = True
     scatters = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The share that is lost."""
         return (parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
 

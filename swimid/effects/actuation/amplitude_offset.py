@@ -1,18 +1,14 @@
 """A stroke that is off by a constant angle."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.easing import eased
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.hooks import Stroke
 
 #: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
 EASE_S = 0.5
@@ -30,11 +26,11 @@ class AmplitudeOffset(_commands.Actuation):
     smooth = True
     scatters = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Nothing where the model estimates its own offset."""
         return [] if model.estimates("amplitude_offset_deg") else super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The angle, of each driven joint, in the unit of its command."""
         size = _commands.amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"

@@ -1,18 +1,15 @@
 """A servo that cannot turn faster than its limit."""
 
-from __future__ import annotations
-
 import functools
 import math
-from collections.abc import Sequence
 
 import numba
 import numpy as np
 from scipy.optimize import brentq
 
 from swimid.effects.actuation import _commands
+from swimid.effects.base import Array, Model, Parameter, Parameters, Trials
 from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
 #: ``1 / sqrt(1 + pi^2 / 4)``.
@@ -30,7 +27,7 @@ class RateLimit(_commands.Actuation):
     meaning = "The servos cannot turn as fast as the command asks."
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The limit, rad/s; it vanishes at the trials' largest commanded rate."""
         largest = _commands.fastest(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"

@@ -1,16 +1,12 @@
 """Play between servo and joint."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
+from swimid.effects.base import Array, Model, Parameters, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ServoBacklash(_commands.Actuation):
@@ -23,7 +19,7 @@ class ServoBacklash(_commands.Actuation):
     meaning = "The joints do not follow their servos across the play of gears, linkages or tendons."
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The whole width of the play, of each joint, in the unit of its command."""
         size = _commands.amplitude(model, trials)
         words = "whole width of the play"

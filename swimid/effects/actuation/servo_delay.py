@@ -1,15 +1,11 @@
 """A servo that does the right thing too late."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from swimid.effects.actuation import _commands
+from swimid.effects.base import Array, Model, Parameters, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ServoDelay(_commands.Actuation):
@@ -21,7 +17,7 @@ class ServoDelay(_commands.Actuation):
     needs = frozenset({"command"})
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The delay, s."""
         beat = _commands.period(model, trials)
         words = "delay of the joints' commands"

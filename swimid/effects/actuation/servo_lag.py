@@ -1,17 +1,14 @@
 """A servo that follows its command with a first-order lag."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
+from swimid.effects.base import Array, Model, Parameters, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ServoLag(_commands.Actuation):
@@ -25,7 +22,7 @@ class ServoLag(_commands.Actuation):
     )
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time constant, s."""
         beat = _commands.period(model, trials)
         words = "time constant of the servos"

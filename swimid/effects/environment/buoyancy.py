@@ -1,17 +1,13 @@
 """A robot that is not neutrally buoyant, and not level at rest."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -32,7 +28,7 @@ class Buoyancy(Effect):
     needs = frozenset({"force", "coefficients"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Free swimmers in the vertical plane; rigs along z whose rest position is known."""
         if model.rig is not None:
             known = not model.estimates("rest_position")
@@ -40,7 +36,7 @@ class Buoyancy(Effect):
         body = common.free_body(model)
         return [self] if body is not None and body.vertical else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force upwards, N, and righting moment, N m."""
         size = 0.03 * model.scales(trials).force
         force = common.parameter("force_N", "N", size, "buoyancy beyond weight")

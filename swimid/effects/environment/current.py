@@ -1,15 +1,9 @@
 """A steady current."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Largest current, in typical speeds of the robot.
 MOST = 3.0
@@ -24,11 +18,11 @@ class Current(Effect):
     needs = frozenset({"flow"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models of a body that moves from place to place."""
         return super().variants(model, trials) if model.axes else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Its components in the world, m/s."""
         size = model.scales(trials).speed
         most, words = MOST * size, "velocity of the water along"

@@ -1,17 +1,13 @@
 """A cable that pulls the robot back."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -42,11 +38,11 @@ class Tether(Effect):
     sources = ("dolphin paper, section 1",)
     needs = frozenset({"force", "coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Falling weights, towed bodies, cruises and free swimmers."""
         return [self] if common.pulled(model) or model.timed_runs or common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Stiffness, N/m, slack, m; drag of the line, N s2/m3, for what moves in time; for a swimmer the
         distance of the anchor behind the start, m.
         """
@@ -66,7 +62,7 @@ class Tether(Effect):
         words = "distance of the anchor behind the start"
         return (*pull, line, common.parameter("behind_m", "m", 0.2 * size, words, lower=0.0, upper=size))
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """A stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
         scale = np.array([p.scale for p in parameters])
         steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
@@ -90,7 +86,7 @@ class Tether(Effect):
         return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
 
 
-def _reach(model: Model, trials: Sequence[Trial]) -> float:
+def _reach(model: Model, trials: Trials) -> float:
     """Typical distance from the start, m."""
     if model.timed_runs:
         ways = [w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])]

@@ -1,17 +1,13 @@
 """A wall near the tracks."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
 STEEPEST = 2.0
@@ -63,7 +59,7 @@ class Wall(Effect):
         self.side = side
         self.extreme_m = extreme_m
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """One per side for free swimmers; the far end for falling weights and towed bodies."""
         names = tuple(f"{axis}_m" for axis in model.axes)
         if common.free_body(model):
@@ -81,7 +77,7 @@ class Wall(Effect):
                 found.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
         return found
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
         if model.body is not None:
             length = sum(model.body.lengths_m)
@@ -94,9 +90,10 @@ class Wall(Effect):
             first = common.parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
         lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
         words = "length over which it decays"
-        return first, Parameter(f"{self.side}_decay_m", "m", lower, upper, start, size, meaning=words)
+        name = f"{self.side}_decay_m"
+        return first, common.parameter(name, "m", size, words, lower=lower, upper=upper, start=start)
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """The force, in which the change is nearly linear, at two decay lengths."""
         force, decay = parameters
         return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]

@@ -1,14 +1,9 @@
 """Water that moves with the body beyond the model's."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: The least of the inertia that may be left, as a share of the rigid body's.
 LEAST = 0.5
@@ -27,11 +22,11 @@ class AddedMass(Effect):
     needs = frozenset({"coefficients", "tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Rigs and free swimmers."""
         return [self] if model.rig is not None or common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Added mass along and across all links, kg; or that of the rig's coordinate."""
         body = model.body
         if body is not None:

@@ -1,17 +1,13 @@
 """A drag coefficient that changes with speed."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -46,7 +42,7 @@ class DragReynolds(Effect):
         self.reference_m_s = reference_m_s
         self.whole = whole
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Rigs and free swimmers with quadratic drag, about the typical speed of the trials."""
         body = model.body
         if body is not None:
@@ -59,7 +55,7 @@ class DragReynolds(Effect):
             found.append(DragReynolds(typical, whole=True))
         return found
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The exponent n."""
         name = "trial_exponent" if self.whole else "exponent"
         words = "the drag coefficient falls as speed^-n"

@@ -1,13 +1,7 @@
 """Drag in proportion to the speed."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 OWN = ("linear_drag", "linear_damping")
 #: Name and unit of a force per speed, by the unit of the force.
@@ -27,7 +21,7 @@ class LinearDrag(Effect):
     needs = frozenset({"coefficients", "tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models that do not estimate it and whose body moves."""
         if model.estimates(*OWN):
             return []
@@ -35,7 +29,7 @@ class LinearDrag(Effect):
             return []
         return super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force per speed, N s/m; moment per rate for an angle, 1/s where the model is per mass."""
         name, unit = UNITS[model.force_unit]
         scales, least = model.scales(trials), -model.start(*OWN)

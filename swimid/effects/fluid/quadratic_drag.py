@@ -1,11 +1,7 @@
 """Drag in proportion to the square of the speed, on a rig whose model does not estimate it."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Model, Parameters, Trials
 from swimid.effects.common import RigCoefficient, parameter, rotates
-from swimid.fitting.model import Model, Parameter, Trial
 
 
 class QuadraticDrag(RigCoefficient):
@@ -20,7 +16,7 @@ class QuadraticDrag(RigCoefficient):
     coefficient = "quadratic"
     own = ("quadratic_drag", "quadratic_damping", "drag_coefficient")
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force per squared speed, N s2/m2; moment per squared rate for an angle."""
         name, unit = "quadratic_N_s2_m2", "N s^2/m^2"
         if rotates(model):

@@ -1,14 +1,9 @@
 """Reactive force of a fin: momentum shed at its trailing edge."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Most added mass per length, in those of the plate that gives the scale.
 MOST = 10.0
@@ -27,11 +22,11 @@ class WakeLift(Effect):
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers of several links."""
         return [self] if model.body is not None and model.body.last > 0 else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Added mass per length at the edge, kg/m, against a plate as high as the last link is long."""
         body = common.links(model)
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2

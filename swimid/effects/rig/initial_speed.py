@@ -1,11 +1,7 @@
 """A body that already moved when it was released."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Model, Parameters, Trials
 from swimid.effects.common import RigCoefficient, parameter, rotates
-from swimid.fitting.model import Model, Parameter, Trial
 
 
 class InitialSpeed(RigCoefficient):
@@ -17,7 +13,7 @@ class InitialSpeed(RigCoefficient):
     own = ("initial_speed",)
     scatters = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The speed, m/s or rad/s."""
         assert model.rig is not None
         name = "speed_rad_s" if rotates(model) else "speed_m_s"

@@ -1,12 +1,7 @@
 """Dry friction of a pulley, bearing or slide that the model does not have, or has too little of."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.model import Model, Parameter, Trial
+from swimid.effects.base import Effects, Model, Parameters, Trials
 
 
 class PulleyFriction(common.RigCoefficient):
@@ -25,12 +20,12 @@ class PulleyFriction(common.RigCoefficient):
     def __init__(self, *, everywhere: bool = False) -> None:
         self.pulley = not everywhere
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Rigs whose model does not estimate it."""
         form = PulleyFriction(everywhere=not common.with_pulley(trials))
         return common.RigCoefficient.variants(form, model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Friction beyond the model's, N (N m for an angle)."""
         name, unit = ("friction_N_m", "N m") if common.rotates(model) else ("friction_N", "N")
         words = "dry friction beyond the model's"

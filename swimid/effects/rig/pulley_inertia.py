@@ -1,11 +1,7 @@
 """Inertia that moves with the pulling weight and was not counted."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Model, Parameters, Trials
 from swimid.effects.common import RigCoefficient, parameter
-from swimid.fitting.model import Model, Parameter, Trial
 
 
 class PulleyInertia(RigCoefficient):
@@ -20,7 +16,7 @@ class PulleyInertia(RigCoefficient):
     coefficient = "inertia"
     pulley = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Equivalent mass, kg."""
         size = 0.05 * model.scales(trials).inertia
         words = "inertia of the pulley over its radius squared"

@@ -1,11 +1,7 @@
 """Viscous friction of the pulley."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Model, Parameters, Trials
 from swimid.effects.common import RigCoefficient, parameter
-from swimid.fitting.model import Model, Parameter, Trial
 
 
 class PulleyViscous(RigCoefficient):
@@ -18,7 +14,7 @@ class PulleyViscous(RigCoefficient):
     own = ("linear_drag", "linear_damping")
     pulley = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force per speed, N s/m."""
         scales, least = model.scales(trials), -model.start(*self.own)
         size = 0.1 * scales.force / scales.speed

@@ -1,11 +1,7 @@
 """A run that did not start where the log says."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Model, Parameters, Trials
 from swimid.effects.common import RigCoefficient, parameter
-from swimid.fitting.model import Model, Parameter, Trial
 
 
 class StartOffset(RigCoefficient):
@@ -17,7 +13,7 @@ class StartOffset(RigCoefficient):
     own = ("start_offset",)
     scatters = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The displacement, m or rad."""
         assert model.rig is not None
         unit = model.rig.displacement.unit

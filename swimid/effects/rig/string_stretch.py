@@ -1,17 +1,12 @@
 """A string that yields between the body and the pulley whose turns are counted."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numba
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Gravity that turns a pulling force into the mass of the weight, m/s2.
 GRAVITY = 9.81
@@ -70,23 +65,23 @@ class StringStretch(Effect):
     sources = ("boxfish paper, section 3.3",)
     needs = frozenset({"coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Falling weights on a pulley."""
         return [self] if common.pulled(model) and common.with_pulley(trials) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
-        string = "compliance of the string"
+        string, ratio = "compliance of the string", "damping ratio of the weight on it"
         return (
             common.parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
-            Parameter("unloaded", "1", 0.0, 1.0, 1.0, 0.5, meaning=words),
-            Parameter("damping", "1", 0.02, 0.95, 0.2, 0.2, meaning="damping ratio of the weight on it"),
+            common.parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
+            common.parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
         )
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Sizes of the compliance, of a string that was slack and one that was taut."""
         compliance, _, damping = parameters
         return [

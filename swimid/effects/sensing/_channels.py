@@ -1,16 +1,12 @@
 """Which channels which sensor shows, and effects on channels of one kind."""
 
-from __future__ import annotations
-
 from abc import ABC
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trials
 from swimid.fitting.scales import MEAN_SPEED, POSITIONS
 
 SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
@@ -20,7 +16,7 @@ LENGTHS = (*POSITIONS, *SPEEDS)
 TURN_RATES = ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
 
 
-def measured(names: Sequence[str], trials: Sequence[Trial]) -> list[str]:
+def measured(names: Sequence[str], trials: Trials) -> list[str]:
     """Those of the channels that some trial has samples of."""
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
@@ -31,7 +27,7 @@ class Sensing(Effect, ABC):
     needs = frozenset({"output"})
     channels: ClassVar[tuple[str, ...]]
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where such a channel is measured."""
         return super().variants(model, trials) if measured(self.channels, trials) else []
 

@@ -1,13 +1,8 @@
 """A length scale that is off."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Array, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class CameraScale(_channels.Sensing):
@@ -27,7 +22,7 @@ class CameraScale(_channels.Sensing):
     channels = _channels.LENGTHS
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The relative error of the scale."""
         return (parameter("scale_error", "1", 0.03, "relative error of the lengths", lower=-0.5, upper=1.0),)
 

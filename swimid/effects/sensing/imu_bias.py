@@ -1,13 +1,8 @@
 """Gyroscope bias: a turn rate that is read at rest."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
+from swimid.effects.base import Array, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ImuBias(_channels.Sensing):
@@ -19,7 +14,7 @@ class ImuBias(_channels.Sensing):
     channels = _channels.TURN_RATES
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The bias, rad/s."""
         return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", lower=-1.0, upper=1.0),)
 

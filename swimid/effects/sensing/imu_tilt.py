@@ -1,14 +1,10 @@
 """A gyroscope that is not square to the axis it measures about."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
+from swimid.effects.base import Array, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class ImuTilt(_channels.Sensing):
@@ -19,7 +15,7 @@ class ImuTilt(_channels.Sensing):
     sources = ("long-fin vehicle, section 5 (inertial unit fixed in the hull)",)
     channels = _channels.TURN_RATES
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The tilt, rad."""
         return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", lower=0.0, upper=1.4),)
 

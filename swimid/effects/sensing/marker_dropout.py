@@ -1,12 +1,7 @@
 """Markers that are lost or mistaken."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import NONE
 
 
 class MarkerDropout(Effect):
@@ -24,11 +19,11 @@ class MarkerDropout(Effect):
     )
     needs = frozenset()
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """None: nothing is simulated."""
         return []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """None."""
         return ()
 

@@ -1,17 +1,12 @@
 """Markers that do not sit where they are thought to."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Farthest a marker may be off, m.
 FARTHEST_M = 0.5
@@ -30,7 +25,7 @@ class MarkerOffset(Effect):
     needs = frozenset({"output"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where a pose or a velocity of the body is measured."""
         body = common.free_body(model)
         if body is None:
@@ -38,7 +33,7 @@ class MarkerOffset(Effect):
         seen = _channels.measured((*body.pose, *body.velocity[:2]), trials)
         return super().variants(model, trials) if seen else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
         return tuple(
             common.parameter(name, unit, size, words, lower=-most, upper=most)

@@ -1,16 +1,10 @@
 """A log whose clock is late."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.scales import MEAN_SPEED, POSITIONS
 
 #: Channels of a camera.
@@ -43,7 +37,7 @@ class TimeOffset(Effect):
     def __init__(self, *, camera: bool = False) -> None:
         self.camera = camera
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Where there is a clock the model does not estimate; the camera's alone beside it."""
         if model.timed_runs:
             return [self]
@@ -54,7 +48,7 @@ class TimeOffset(Effect):
         alone = [TimeOffset(camera=True)] if apart and "output" in model.offers else []
         return [*super().variants(model, trials), *alone]
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time by which the log is late, s."""
         name, typical = "camera_offset_s" if self.camera else "offset_s", 0.1 if model.timed_runs else 0.03
         words = "time by which the log is late"

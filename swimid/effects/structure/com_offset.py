@@ -1,13 +1,7 @@
 """A centre of mass that is not where the model has it."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 
 class ComOffset(Effect):
@@ -22,11 +16,11 @@ class ComOffset(Effect):
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Free swimmers."""
         return [self] if common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Offsets forwards and to port (up in the vertical plane), m."""
         body = common.links(model)
         length = body.lengths_m[body.hull]

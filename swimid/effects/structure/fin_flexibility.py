@@ -1,19 +1,15 @@
 """A fin that bends under its load."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numba import cfunc
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Stroke
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -56,14 +52,14 @@ class FinFlexibility(Effect):
     def __init__(self, load: float = 1.0, inertia_kg_m2: float = 1.0) -> None:
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers whose last link has drag or lift across it, and models of the stroke."""
         body = model.body
         if body is not None:
             return [self] if sum(body.fin(body.tables())[:2]) > 0 else []
         return [FinFlexibility(*_typical(trials))] if "stroke" in model.offers else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Chord angle per force, rad/N; or loss per load, 1."""
         body = model.body
         if body is not None:
@@ -95,14 +91,14 @@ class FinFlexibility(Effect):
         return Hooks(stroke=(weaken,))
 
 
-def _stroke_speed(model: Model, length: float, trials: Sequence[Trial]) -> float:
+def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
     """Typical speed of a fin of this length (m) across itself, m/s."""
     beats = [t.swim.beat for t in trials if t.swim.beat is not None]
     found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
     return (float(np.median(found)) if found else 0.0) or model.scales(trials).speed
 
 
-def _typical(trials: Sequence[Trial]) -> tuple[float, float]:
+def _typical(trials: Trials) -> tuple[float, float]:
     """Median load and median inertia of the fins, 1 where that is not known."""
     known = [t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None]
     middle = float(np.median(known)) if known else 1.0

@@ -1,17 +1,12 @@
 """Viscous friction in the passive joints that the model does not have."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 
 class JointDamping(Effect):
@@ -23,11 +18,11 @@ class JointDamping(Effect):
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers with a passive joint."""
         return [self] if model.body is not None and model.body.passive else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
         body = common.links(model)
         found, joints = body.tables(), range(len(body.passive))

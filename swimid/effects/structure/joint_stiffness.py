@@ -1,16 +1,11 @@
 """A spring other than the model's."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class JointStiffness(Effect):
@@ -24,7 +19,7 @@ class JointStiffness(Effect):
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
     needs = frozenset({"tables", "coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
         body = model.body
         if body is not None:
@@ -33,7 +28,7 @@ class JointStiffness(Effect):
         held = model.rig is not None and model.rig.swings
         return [self] if held and not model.estimates("stiffness") else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The relative change, and for a swimmer's joints the hardening."""
         change = parameter("change", "1", 0.2, "relative change of stiffness", lower=-0.95, upper=6.0)
         if model.body is None:
@@ -41,7 +36,7 @@ class JointStiffness(Effect):
         words = "relative growth with squared angle"
         return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, lower=-10.0, upper=60.0)
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Softer, stiffer, several times as stiff, and hardening."""
         changes = [np.array([c, 0.0][: len(parameters)]) for c in (-0.5, 0.3, 0.8, 1.6, 3.0)]
         return changes + [np.array([0.0, h]) for h in (2.0, 8.0) if len(parameters) > 1]

@@ -1,13 +1,7 @@
 """Water that has come into the hull and moves with it."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Unit of the forces of a model that has no inertia of its own.
 PER_MASS = "m/s^2"
@@ -22,14 +16,14 @@ class WaterIngress(Effect):
     needs = frozenset({"tables", "coefficients"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models with an inertia: not those per mass, nor of a base that is held."""
         held = model.body is not None and not model.body.free
         if held or model.force_unit == PER_MASS:
             return []
         return super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Mass, kg; moment of inertia, kg m2, for an angle."""
         name, unit, what = "mass_kg", "kg", "mass"
         if common.rotates(model):
