@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from matplotlib.axes import Axes
+
 from swimid.results.evidence import Figure, Panel, Trace
 
 #: Colours that stand for a role until the SVG is written; see :mod:`swimid.results.svg`.
@@ -110,6 +112,17 @@ def mark_dashes(panel: Panel) -> dict[str, tuple[float, ...]]:
     """The dashes of the reference lines by label; lines of one label look the same."""
     labels = dict.fromkeys(mark.label for mark in panel.marks)
     return {label: _MARK_DASHES[i % len(_MARK_DASHES)] for i, label in enumerate(labels)}
+
+
+def shortened(name: str, letters: int) -> str:
+    """A label of at most so many letters."""
+    return name if len(name) <= letters else name[: letters - 1] + "…"
+
+
+def label_columns(axes: Axes, names: list[str], *, level: bool) -> None:
+    """Names in place of numbers on the horizontal axis, slanting where there is no room for them."""
+    angle, align = (0, "center") if level else (35, "right")
+    axes.set_xticks(range(len(names)), names, rotation=angle, ha=align, rotation_mode="anchor")
 
 
 def _stroke(colour: str, width: float, dash: tuple[float, ...] | None = None) -> str:
