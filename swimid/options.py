@@ -112,7 +112,7 @@ class Options(BaseModel):
 
 
 class Declared:
-    """An option as its model declares it.
+    """An option as its model declares it; what is not told here is what :func:`option` was given.
 
     Attributes
     ----------
@@ -120,18 +120,10 @@ class Declared:
         Of the field, and of the keyword argument.
     flags : str
         As it is typed on the command line, ``--on/--off`` where both can be said.
-    metavar : str or None
-    help : str
     kind : type
         Its type without None.
-    default
-    required : bool
-    limits : dict of str to float
-        ``ge``, ``gt``, ``le``, ``lt``.
-    separated, written : bool
     key : str
         In the settings of the provenance; empty where it is not part of them.
-    part : str
     """
 
     def __init__(self, name: str, info: FieldInfo) -> None:

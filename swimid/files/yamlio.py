@@ -191,7 +191,7 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         raise InputError(
             message + more,
             file=path,
-            line=_line(data, list(first["loc"])),
+            line=line_of(data, list(first["loc"])),
             column=".".join(str(p) for p in location) or None,
             hint=hint,
         ) from error
@@ -283,7 +283,7 @@ def _at(data: Any, location: Sequence[Any]) -> Any:
     return data
 
 
-def _line(data: Any, location: list[Any]) -> int | None:
+def line_of(data: Any, location: list[Any]) -> int | None:
     """Line of the deepest part of ``location`` the document really has."""
     line = None
     for part in location:

@@ -1,6 +1,6 @@
 """Markers that are lost or mistaken."""
 
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.base import Array, Effect, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import NONE
 
 
@@ -19,12 +19,8 @@ class MarkerDropout(Effect):
     )
     needs = frozenset()
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """None: nothing is simulated."""
-        return []
-
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """None."""
+        """None: nothing is simulated, so that it applies to no model."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
