@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from swimid.exporters.source import Element, Link, Source, about, central, isotropic
+from swimid.exporters.source import Source, about, central, isotropic
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate
 
@@ -116,14 +116,13 @@ def added_mass_limits(source: Source, choice: str) -> list[str]:
     limits = [
         "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
     ]
-    uneven = [link for link in wet if not isotropic(link.added)]
+    uneven = [
+        f"{link.name} {link.added[0, 0]:.4g} kg forward, {link.added[1, 1]:.4g} kg sideways"
+        for link in wet
+        if not isotropic(link.added)
+    ]
     if uneven:
-        limits.append(
-            "added mass that differs by direction is folded with its mean: "
-            + ", ".join(
-                f"{k.name} {k.added[0, 0]:.4g} kg forward, {k.added[1, 1]:.4g} kg sideways" for k in uneven
-            )
-        )
+        limits.append(f"added mass that differs by direction is folded with its mean: {', '.join(uneven)}")
     return limits
 
 
@@ -135,9 +134,9 @@ def element_limits(source: Source) -> list[str]:
         ("wake", "thrust and side force of trailing edges"),
         ("force", "weight, buoyancy and constant forces"),
     ):
-        left = [e for e in source.elements if e.kind == kind]
+        left = [source.links[e.link].name for e in source.elements if e.kind == kind]
         if left:
-            limits.append(f"{what} are left out: {named(left, source.links)}")
+            limits.append(f"{what} are left out: {', '.join(dict.fromkeys(left))}")
     return limits
 
 
@@ -153,20 +152,14 @@ def friction_limits(source: Source) -> list[str]:
 
 def drive_limits(source: Source, servo_hz: float) -> list[str]:
     """Limit of driven joints: swimid prescribes their motion."""
-    assumed = [
-        a.joint.name for a in source.assembly.driven if a.joint.driven and a.joint.driven.servo is None
-    ]
+    driven = [axis.joint for axis in source.assembly.driven]
+    assumed = [joint.name for joint in driven if joint.driven and joint.driven.servo is None]
     if not assumed:
         return []
     return [
         f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
         f"moves them: {', '.join(assumed)}"
     ]
-
-
-def named(elements: Iterable[Element], links: list[Link]) -> str:
-    """The links elements act on, for a message."""
-    return ", ".join(dict.fromkeys(links[e.link].name for e in elements))
 
 
 def reading_limits(source: Source) -> list[str]:

@@ -34,7 +34,7 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.exporters.Target`."""
+    """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.exporters.export.Target`."""
     inertias = common.bodies(source, fold=options.added_mass == "fold") if source.multilink else []
     heading = source.heading_rad if source.multilink else None
     if source.multilink:

@@ -26,7 +26,7 @@ PREFIX = "water:"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
+    """MJCF of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
     limits = _limits(source, options)
     inertias = common.bodies(source, fold=options.added_mass == "fold")
     text = common.document(

@@ -23,7 +23,7 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """The JSON document; see :class:`swimid.exporters.Target`."""
+    """The JSON document; see :class:`swimid.exporters.export.Target`."""
     file = source.parameters
     data: dict[str, Any] = {
         "format": FORMAT,

@@ -26,7 +26,7 @@ SLENDER = 0.3
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Scenario of a multi-link robot; see :class:`swimid.exporters.Target`."""
+    """Scenario of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
     limits = _limits(source, options)
     inertias = common.bodies(source, fold=options.added_mass == "fold")
     text = common.document(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from datetime import datetime
@@ -44,11 +43,6 @@ def as_json(
             for section in sections
         ],
     }
-
-
-def json_text(document: dict[str, Any]) -> str:
-    """The JSON text of a report."""
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
 
 
 def as_markdown(

@@ -372,10 +372,8 @@ class _Ticks(Formatter):
 
 
 def _log_label(value: float, pos: int | None = None) -> str:
-    return numbers.number(value, 2) if 1e-3 <= value < 1e5 else _power_label(value)
-
-
-def _power_label(value: float) -> str:
+    if 1e-3 <= value < 1e5:
+        return numbers.number(value, 2)
     exponent = math.floor(math.log10(value) + 1e-9)
     lead = round(value / 10.0**exponent)
     return numbers.power_of_ten(exponent) if lead == 1 else f"{lead}×{numbers.power_of_ten(exponent)}"
