@@ -97,18 +97,18 @@ class Options(BaseModel):
         """Every option by the name of its field, in order."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
-    def settings(self, **found: Any) -> dict[str, Any]:
+    def settings(self, **actual: Any) -> dict[str, Any]:
         """The options as the provenance records them, as plain data.
 
         Parameters
         ----------
-        **found
+        **actual
             What a key is to say in place of the option as it was given.
         """
         recorded = {
             entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
         }
-        return {key: found.get(key, value) for key, value in recorded.items()}
+        return {key: actual.get(key, value) for key, value in recorded.items()}
 
 
 class Declared:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -16,36 +15,19 @@ if TYPE_CHECKING:
     from swimid.options import Declared
 
 
-@dataclass(frozen=True)
-class Word:
-    """How click reads an option.
-
-    Attributes
-    ----------
-    type : click.ParamType or type
-    multiple : bool
-        Whether it may be repeated.
-    nargs : int
-    """
-
-    type: Any
-    multiple: bool = False
-    nargs: int = 1
-
-
-def word_of(entry: Declared) -> Word:
-    """How click reads an option of this type."""
+def word_of(entry: Declared) -> dict[str, Any]:
+    """How click reads an option of this type: its ``type``, and ``multiple`` or ``nargs`` where it has it."""
     kind, args = entry.kind, get_args(entry.kind)
     if _is_mapping(kind):
-        return Word(str, multiple=True)
-    if get_origin(kind) is tuple:
-        if args[-1] is Ellipsis:
-            one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
-            if one:
-                return Word(one[0], multiple=True, nargs=len(one))
-            return Word(str if entry.separated else _simple(args[0], {}), multiple=True)
-        return Word(str) if _by_commas(entry) else Word(args[0], nargs=len(args))
-    return Word(_simple(kind, entry.limits))
+        return {"type": str, "multiple": True}
+    if get_origin(kind) is not tuple:
+        return {"type": _simple(kind, entry.limits)}
+    if args[-1] is not Ellipsis:
+        return {"type": str} if _by_commas(entry) else {"type": args[0], "nargs": len(args)}
+    one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
+    if one:
+        return {"type": one[0], "multiple": True, "nargs": len(one)}
+    return {"type": str if entry.separated else _simple(args[0], {}), "multiple": True}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
@@ -118,15 +100,15 @@ def number_pair(text: str, option: str) -> tuple[float, float]:
 
 def swept(items: list[tuple[str, str]], option: str) -> dict[str, tuple[float, float, int]]:
     """``NAME=LOW:HIGH:COUNT`` items."""
-    found = {}
+    sweeps = {}
     for name, value in items:
         parts = value.split(":")
         if len(parts) != 3 or not parts[2].strip().isdigit():
             raise UsageError(f"{option}: '{name}={value}' should be NAME=LOW:HIGH:COUNT")
-        if name in found:
+        if name in sweeps:
             raise UsageError(f"{option}: {name} is given twice")
-        found[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
-    return found
+        sweeps[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
+    return sweeps
 
 
 def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:

@@ -149,11 +149,11 @@ VERBS = (
         "sensitivity_analysis",
         "sensitivity",
         output="Sensitivity file to write (YAML).",
-        short="Which coefficient each output hangs on; sweeps of the drive.",
+        short="Which coefficient each output is most sensitive to; sweeps of the drive.",
         help="""Vary the coefficients of a robot with links, and its drive.
 
         TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
-        of each measured channel) is told which coefficients it hangs on, over ranges of all of them at once.
+        of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
         A run that was stopped goes on where it was when it is started again.
 
         \b

@@ -81,7 +81,7 @@ class Effect(ABC):
         Where the change is smooth, small and large ones suffice, and of the small ones one sign.
         """
         null = np.array([p.start for p in parameters])
-        found: list[Array] = []
+        points: list[Array] = []
         for k, p in enumerate(parameters):
             near = 0
             for size, sign in itertools.product(SIZES[::2] if self.smooth else SIZES, (1.0, -1.0)):
@@ -91,8 +91,8 @@ class Effect(ABC):
                 near += size == SIZES[0]
                 point = null.copy()
                 point[k] = value
-                found.append(point)
-        return found
+                points.append(point)
+        return points
 
     def __repr__(self) -> str:
         return f"<effect {self.name}>"

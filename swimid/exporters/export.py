@@ -131,7 +131,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         # another file may lack the readings of the one the parameters were found with
         other = robot.read(name).readings
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
-    found = robot.read(name, folder, readings=readings)
+    robot_file = robot.read(name, folder, readings=readings)
     place = robot.locate(name, folder)
     origin = {
         "file": path.name,
@@ -139,9 +139,9 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         "version": swimid.__version__,
         "robot": name,
     }
-    source = Source(file, found, origin, readings)
+    source = Source(file, robot_file, origin, readings)
     if source.multilink:
-        if found.multilink is None:
+        if robot_file.multilink is None:
             raise InputError("has no multilink part", file=place, column="multilink")
         try:
             source.assembly.check(source.values)

@@ -33,7 +33,7 @@ class Link:
     parent : int
         Its parent's number, -1 for the base.
     joint : Joint or None
-        The joint it hangs on.
+        The joint that holds it.
     at : (float, float), m
         Where the joint sits in the parent's frame.
     mount_rad : float
@@ -178,17 +178,17 @@ class Source:
         rigid = np.asarray(bare.tables(self.values)["inertia"])
         tables = self.tables
         joint_of = {j.child: j for j in self.body.joints}
-        found = []
+        links = []
         for i, link in enumerate(self.assembly.links):
             x, y, cos, sin = tables["joint"][i]
             body = full(rigid[i])
-            found.append(
+            links.append(
                 Link(
                     link.name, int(tables["topology"][i, 0]), joint_of.get(link.name), (float(x), float(y)),
                     math.atan2(sin, cos), link.length_m, body, full(tables["inertia"][i]) - body,
                 )
             )  # fmt: skip
-        return found
+        return links
 
     @cached_property
     def laws(self) -> dict[str, Law]:
@@ -202,15 +202,15 @@ class Source:
     @cached_property
     def elements(self) -> list[Element]:
         """Drag points, foils, forces and trailing edges."""
-        found = []
+        elements = []
         tables = {
             "drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE,
         }  # fmt: skip
         for kind, columns in tables.items():
             for owner, row in zip(self.tables[f"{kind}_link"], self.tables[kind], strict=True):
                 numbers = {c: float(v) for c, v in zip(columns, row, strict=True)}
-                found.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
-        return found
+                elements.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
+        return elements
 
     def servos(self, inertias: list[Array], default_hz: float) -> list[Servo]:
         """Position servos of the driven joints, whose gains move the bodies behind them as their laws say."""

@@ -70,8 +70,8 @@ def as_markdown(
     lines += ["", "## Warnings", ""]
     entries = [
         f"- {_code(code)} {_text(meaning)} ({_code(file)}): {_text(text)}"
-        for code, meaning, found in warnings_by_code(sections)
-        for file, text in found
+        for code, meaning, texts in warnings_by_code(sections)
+        for file, text in texts
     ]
     lines += entries or ["None."]
     lines += ["", "## Provenance"]

@@ -54,14 +54,14 @@ def overall(sections: Sequence[Section]) -> Verdict:
 
 def warnings_by_code(sections: Sequence[Section]) -> list[tuple[str, str, list[tuple[str, str]]]]:
     """Every warning: code, meaning, and (result, text) of each time it was given."""
-    found: dict[str, list[tuple[str, str]]] = {}
+    texts: dict[str, list[tuple[str, str]]] = {}
     for section in sections:
         for notice in section.notices:
             name = section.path.name
             entry = (name, notice.text.removeprefix(f"{name}, ").removeprefix(f"{name}: "))
-            if entry not in found.setdefault(notice.code, []):
-                found[notice.code].append(entry)
-    return [(code, CODES.get(code, "unknown code"), found[code]) for code in sorted(found)]
+            if entry not in texts.setdefault(notice.code, []):
+                texts[notice.code].append(entry)
+    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
 
 
 def references(sections: Sequence[Section]) -> list[str]:

@@ -147,9 +147,9 @@ def _correlation(correlation: Correlation) -> Grid:
             if i > j and abs(value) >= STRONG:
                 strong.append(f"{name} and {names[j]} ({numbers.fixed(value, 2)})")
         rows.append(row)
-    found = f"Strong pairs, marked !: {'; '.join(strong)}." if strong else "No pair is strongly correlated."
+    pairs = f"Strong pairs, marked !: {'; '.join(strong)}." if strong else "No pair is strongly correlated."
     caption = (
-        f"{found} Good: below {STRONG} in size; above it the trials fix a combination of the two "
+        f"{pairs} Good: below {STRONG} in size; above it the trials fix a combination of the two "
         "better than either of them."
     )
     return Grid("Correlation of the estimates", ["", *names], rows, caption)

@@ -59,13 +59,13 @@ def limited(time, signal, limit):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     for i in range(1, len(signal)):
-        ahead = signal[i] - found[i - 1]
+        ahead = signal[i] - output[i - 1]
         most = limit * (time[i] - time[i - 1])
         if abs(ahead) > most:
-            found[i] = found[i - 1] + math.copysign(most, ahead)
-    return found
+            output[i] = output[i - 1] + math.copysign(most, ahead)
+    return output
 
 
 def describing(ratio: Array | float) -> Array:

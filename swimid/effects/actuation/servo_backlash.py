@@ -47,8 +47,8 @@ def play(signal, width):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     half = 0.5 * width
     for i in range(1, len(signal)):
-        found[i] = min(max(found[i - 1], signal[i] - half), signal[i] + half)
-    return found
+        output[i] = min(max(output[i - 1], signal[i] - half), signal[i] + half)
+    return output

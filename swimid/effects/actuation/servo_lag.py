@@ -55,12 +55,12 @@ def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     if tau <= 0.0:
-        return found
+        return output
     for i in range(1, len(signal)):
         ratio = (time[i] - time[i - 1]) / tau
         kept = math.exp(-ratio)
         mean = -math.expm1(-ratio) / ratio
-        found[i] = kept * found[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
-    return found
+        output[i] = kept * output[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
+    return output

@@ -68,14 +68,14 @@ class Wall(Effect):
             ends = ("max",)
         else:
             return []
-        found: list[Effect] = []
+        walls: list[Effect] = []
         for name in names:
             values = np.concatenate([np.zeros(0), *(t.measured[name] for t in trials if name in t.measured)])
             values = values[np.isfinite(values)]
             for end in ends if len(values) else ():
                 extreme = float(values.max() if end == "max" else values.min())
-                found.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
-        return found
+                walls.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
+        return walls
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""

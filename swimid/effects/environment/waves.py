@@ -88,8 +88,8 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
     with np.errstate(all="ignore"):
-        found = model.simulate(values, trial).get(channel)
-    return found if found is not None and np.isfinite(found).all() else np.zeros(len(trial.time_s))
+        series = model.simulate(values, trial).get(channel)
+    return series if series is not None and np.isfinite(series).all() else np.zeros(len(trial.time_s))
 
 
 def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
@@ -127,10 +127,10 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
             power[k] += float(np.sum((pair.T @ rest) ** 2)) * f
             weight[k] += 1.0
     score = np.where(weight > 0, power / np.maximum(weight, 1.0), 0.0)
-    found: list[float] = []
+    strongest: list[float] = []
     for k in np.argsort(-score):
-        if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in found):
-            found.append(float(grid[k]))
-        if len(found) == LINES:
+        if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in strongest):
+            strongest.append(float(grid[k]))
+        if len(strongest) == LINES:
             break
-    return tuple(found)
+    return tuple(strongest)

@@ -50,10 +50,10 @@ class DragReynolds(Effect):
         else:
             fits = "force" in model.offers
         typical = model.scales(trials).speed
-        found: list[Effect] = [DragReynolds(typical)] if fits else []
+        forms: list[Effect] = [DragReynolds(typical)] if fits else []
         if fits and body is not None and len(trials) > 1:
-            found.append(DragReynolds(typical, whole=True))
-        return found
+            forms.append(DragReynolds(typical, whole=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The exponent n."""

@@ -31,9 +31,9 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
     ndarray, shape (n,)
         Exact for a pull that is linear between the samples.
     """
-    found = np.empty(len(time))
+    stretch = np.empty(len(time))
     s, w = start, 0.0
-    found[0] = start
+    stretch[0] = start
     ring = omega * math.sqrt(1.0 - damping * damping)
     for i in range(1, len(time)):
         h = time[i] - time[i - 1]
@@ -46,8 +46,8 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
             c, d = math.cos(ring * h), math.sin(ring * h)
             s = decay * (a * c + b * d) + rest + slope * h
             w = decay * ((b * ring - damping * omega * a) * c - (a * ring + damping * omega * b) * d) + slope
-        found[i] = s
-    return found
+        stretch[i] = s
+    return stretch
 
 
 class StringStretch(Effect):

@@ -83,6 +83,6 @@ class TimeOffset(Effect):
 def _at(time_s: Array, values: Array, then: Array) -> Array:
     """Channels at other times, shape (n, channels); one whose simulation broke down is missing altogether."""
     sound = np.isfinite(values).all(axis=0)
-    found = np.full((len(then), values.shape[1]), np.nan)
-    found[:, sound] = CubicSpline(time_s, values[:, sound])(then)
-    return found
+    shifted = np.full((len(then), values.shape[1]), np.nan)
+    shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
+    return shifted

@@ -94,8 +94,8 @@ class FinFlexibility(Effect):
 def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
     """Typical speed of a fin of this length (m) across itself, m/s."""
     beats = [t.swim.beat for t in trials if t.swim.beat is not None]
-    found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
-    return (float(np.median(found)) if found else 0.0) or model.scales(trials).speed
+    speeds = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
+    return (float(np.median(speeds)) if speeds else 0.0) or model.scales(trials).speed
 
 
 def _typical(trials: Trials) -> tuple[float, float]:

@@ -25,11 +25,11 @@ class JointDamping(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
         body = common.links(model)
-        found, joints = body.tables(), range(len(body.passive))
+        tables, joints = body.tables(), range(len(body.passive))
         sizes = [
-            math.sqrt(max(body.stiffness(found, k), 1e-6) * body.joint_inertia(found, k)) for k in joints
+            math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
         ]
-        size, least = 0.1 * float(np.median(sizes)), -min(body.damping(found, k) for k in joints)
+        size, least = 0.1 * float(np.median(sizes)), -min(body.damping(tables, k) for k in joints)
         words = "damping of each passive joint beyond the model's"
         return (common.parameter("damping_N_m_s_rad", "N m s/rad", size, words, lower=least),)
 

@@ -23,8 +23,8 @@ class JointStiffness(Effect):
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
         body = model.body
         if body is not None:
-            found = body.tables()
-            return [self] if any(body.stiffness(found, k) > 0 for k in range(len(body.passive))) else []
+            tables = body.tables()
+            return [self] if any(body.stiffness(tables, k) > 0 for k in range(len(body.passive))) else []
         held = model.rig is not None and model.rig.swings
         return [self] if held and not model.estimates("stiffness") else []
 
