@@ -8,11 +8,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial.attitude import QUATERNIONS, Source
+from swimid.inertial.attitude import QUATERNIONS
 from swimid.inertial.errorstate import ALONE, BG, CLOCK, LEVER, MOUNT, Observation, P, T, V, cross_matrix
-from swimid.inertial.record import Array, Record
-from swimid.inertial.rest import Noise, Rest
+from swimid.inertial.record import Array, resampled
+from swimid.inertial.rest import Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
+from swimid.inertial.setup import Setup
 from swimid.inertial.smoother import Aid, Nominal
 from swimid.logs.rotation import angles
 
@@ -22,57 +23,46 @@ EVERY_S = 0.5
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
 #: Outliers lie beyond this many deviations.
 GATE = 6.0
+#: Body axes, of which the mean velocity along the last two may be declared to be 0.
+AXES = ("surge", "sway", "heave")
 
 
-def rests(record: Record, still: list[Rest], noise: Noise, *, speed_sd: float = REST_SPEED_SD) -> Aid:
-    """Zero velocity (Skog et al. 2010) and the gyroscope's bias in still stretches."""
+def known(setup: Setup) -> list[Aid]:
+    """Everything known without another log."""
+    declared = dict.fromkeys(setup.options.zero_mean)
+    return [_stillness(setup), _attitudes(setup), *(_zero_mean(setup, AXES.index(n)) for n in declared)]
+
+
+def _stillness(setup: Setup) -> Aid:
+    """Zero velocity at rest (Skog et al. 2010), and the gyroscope's bias wherever it is still."""
+    record, still = setup.record, setup.still
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
         found = []
-        for rest in still:
-            nodes = _spaced(path.time_s[rows], rest_nodes(rest, rows), EVERY_S)
-            for node in nodes:
-                h = np.zeros((3, states))
-                h[:, V] = np.eye(3)
-                found.append(
-                    Observation(int(node), "rest", -path.velocity[rows[node]], h, np.full(3, speed_sd))
-                )
-            found += _bias(record, path, rest, rows, noise, states)
+        unit, wide = np.eye(states), np.full(3, REST_SPEED_SD)
+        for rest in still.found:
+            nodes = rest_nodes(rest, rows)
+            for node in _spaced(path.time_s[rows], nodes, EVERY_S) if rest in still.used else ():
+                found.append(Observation(int(node), "rest", -path.velocity[rows[node]], unit[V], wide))
+            if not len(nodes):
+                continue
+            duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
+            middle = int(nodes[len(nodes) // 2])
+            seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[rows[middle]]
+            sd = np.hypot(still.noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
+            found.append(Observation(middle, "gyroscope at rest", seen, unit[BG], np.full(3, sd)))
         return found
 
     return make
 
 
-def biases(record: Record, still: list[Rest], noise: Noise) -> Aid:
-    """The gyroscope's bias alone, in stretches that are still but perhaps not at rest."""
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        return [o for rest in still for o in _bias(record, path, rest, rows, noise, states)]
-
-    return make
-
-
-def _bias(
-    record: Record, path: Nominal, rest: Rest, rows: np.ndarray, noise: Noise, states: int
-) -> list[Observation]:
-    nodes = rest_nodes(rest, rows)
-    if not len(nodes):
-        return []
-    duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
-    middle = int(nodes[len(nodes) // 2])
-    h = np.zeros((3, states))
-    h[:, BG] = np.eye(3)
-    seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[rows[middle]]
-    sd = np.hypot(noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
-    return [Observation(middle, "gyroscope at rest", seen, h, np.full(3, sd))]
-
-
-def attitudes(source: Source, sd: float) -> Aid:
+def _attitudes(setup: Setup) -> Aid:
     """The attitude of a filter or of the sensor itself, with errors that last.
 
     A filter's tilt is wrong while the body accelerates, some seconds; the sensor's own quaternions may be
     wrong by the same turn all the time, so that a log of them counts as one measurement.
     """
+    source, sd = setup.source, setup.attitude_sd
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
         nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
@@ -81,12 +71,11 @@ def attitudes(source: Source, sd: float) -> Aid:
         off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()
         own = source.kind == QUATERNIONS
         memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
-        wide = sd * np.sqrt(2 * memory)
-        h = np.zeros((3, states))
-        h[:, T] = np.eye(3)
+        wide = np.full(axes.stop, sd * np.sqrt(2 * memory))
+        h = np.eye(states)[T][axes]
         return [
-            Observation(int(node), "attitude", off[k, axes], h[axes], np.full(axes.stop, wide))
-            for k, node in enumerate(nodes)
+            Observation(int(n), "attitude", turn, h, wide)
+            for n, turn in zip(nodes, off[:, axes], strict=True)
         ]
 
     return make
@@ -101,38 +90,29 @@ def speed_limit(top_m_s: float) -> Aid:
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
         nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
-        h = np.zeros((3, states))
-        h[:, V] = np.eye(3)
-        wide = np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
+        h, wide = np.eye(states)[V], np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
         return [Observation(int(node), "top speed", -path.velocity[rows[node]], h, wide) for node in nodes]
 
     return make
 
 
-def zero_mean(axis: int, window_s: float, sd: float) -> Aid:
+def _zero_mean(setup: Setup, axis: int) -> Aid:
     """A body velocity whose mean over every window is 0: no sway, or no heave (declared)."""
+    window_s, sd = setup.options.window_s, np.array([setup.options.mean_sd_m_s])
 
     def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
         t = path.time_s
-        body = path.rotation * path.mount
-        direction = body.apply(np.eye(3)[axis])
+        direction = (path.rotation * path.mount).apply(np.eye(3)[axis])
         found = []
         edges = np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))
         for first, last in pairwise(edges):
             along, v = direction[first:last], path.velocity[first:last]
-            node = int(np.searchsorted(rows, (first + last) // 2))
+            node = min(int(np.searchsorted(rows, (first + last) // 2)), len(rows) - 1)
             h = np.zeros((1, states))
             h[0, V] = along.mean(axis=0)
             h[0, T] = np.cross(along, v).mean(axis=0)
-            found.append(
-                Observation(
-                    min(node, len(rows) - 1),
-                    f"no {('surge', 'sway', 'heave')[axis]}",
-                    -np.array([np.mean(np.sum(along * v, axis=1))]),
-                    h,
-                    np.array([sd]),
-                )
-            )
+            off = -np.array([np.mean(np.sum(along * v, axis=1))])
+            found.append(Observation(node, f"no {AXES[axis]}", off, h, sd))
         return found
 
     return make
@@ -148,8 +128,8 @@ class Fixes:
     position : ndarray, shape (m, 3)
         Of the reference point, world axes, m; NaN where not measured, whole columns where an axis never is.
     position_sd : ndarray, shape (3,)
-    rotation : Rotation or None
-        Body to world, m of them.
+    rotation : Rotation
+        Body to world, m of them; angles that were not measured are 0.
     turns : ndarray of bool, shape (m, 3)
         Which of roll, pitch and yaw were measured.
     rotation_sd : float
@@ -163,63 +143,52 @@ class Fixes:
     time_s: Array
     position: Array
     position_sd: Array
-    rotation: Rotation | None
+    rotation: Rotation
     turns: np.ndarray
     rotation_sd: float
     place_weight: Array
     turn_weight: Array
     counted: np.ndarray
 
+    @property
+    def sd(self) -> Array:
+        """Deviations of coordinates and angles, shape (m, 6); larger where a fix is stray."""
+        place = self.position_sd / np.sqrt(self.place_weight)[:, None]
+        turn = self.rotation_sd / np.sqrt(self.turn_weight)
+        return np.column_stack([place, turn, turn, turn])
+
     def take(self, rows: np.ndarray) -> Fixes:
         """Only these, shape (m,) of bool."""
-        return replace(
-            self,
-            time_s=self.time_s[rows],
-            position=self.position[rows],
-            rotation=None if self.rotation is None else self.rotation[rows],
-            turns=self.turns[rows],
-            place_weight=self.place_weight[rows],
-            turn_weight=self.turn_weight[rows],
-            counted=self.counted[rows],
-        )
+        each = ("time_s", "position", "rotation", "turns", "place_weight", "turn_weight", "counted")
+        return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
-
-@dataclass(frozen=True)
-class Seen:
-    """One fix against the path: which of them, and the observation it makes."""
-
-    index: int
-    observation: Observation
+    def unweighted(self) -> Fixes:
+        """The same with none of them stray."""
+        weight = np.ones(len(self.time_s))
+        return replace(self, place_weight=weight, turn_weight=weight)
 
 
 def fixes(seen: Fixes, gate: float = np.inf) -> Aid:
     """Poses another log measured; those beyond ``gate`` deviations are not used."""
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        return [one.observation for one in against(seen, path, rows, states, gate)]
-
-    return make
+    return lambda path, rows, states: against(seen, path, rows, states, gate)
 
 
-def against(seen: Fixes, path: Nominal, rows: np.ndarray, states: int, gate: float = np.inf) -> list[Seen]:
+def against(
+    seen: Fixes, path: Nominal, rows: np.ndarray, states: int, gate: float = np.inf
+) -> list[Observation]:
     """Every fix within a path as an observation of its errors."""
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
     inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
     when = clock_times[inside]
-    velocity = np.column_stack([np.interp(when, t, column) for column in path.velocity.T])
-    place = np.column_stack([np.interp(when, t, column) for column in path.position.T])
-    row = np.clip(np.searchsorted(t, when), 1, len(t) - 1)
-    row -= (when - t[row - 1]) < (t[row] - when)
+    velocity, place = resampled(when, t, path.velocity), resampled(when, t, path.position)
+    row, node = _nearest(t, when), _nearest(t[rows], when)
     turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
-    node = np.clip(np.searchsorted(t[rows], when), 1, len(rows) - 1)
-    node -= (when - t[rows[node - 1]]) < (t[rows[node]] - when)
     matrices, arms = rotation.as_matrix(), cross_matrix(lever)
-    turned = _turned(seen, inside, rotation * path.mount)
-    place_sd = seen.position_sd / np.sqrt(seen.place_weight[inside])[:, None]
-    turn_sd = seen.rotation_sd / np.sqrt(seen.turn_weight[inside])
+    turned = _turned(seen, inside, rotation * path.mount) if seen.turns.any() else None
+    place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
     by_place = np.zeros((len(inside), 3, states))
     by_place[:, :, P] = np.eye(3)
     by_place[:, :, V] = np.eye(3) * (when - t[rows[node]])[:, None, None]
@@ -232,44 +201,56 @@ def against(seen: Fixes, path: Nominal, rows: np.ndarray, states: int, gate: flo
     found = []
     for k, index in enumerate(inside.tolist()):
         there = measured[k]
+        told = (gate, counted[k], index)
         if there.any():
-            off, h = away[k, there], by_place[k, there]
-            place_seen = Observation(int(node[k]), "position", off, h, place_sd[k, there], gate, counted[k])
-            found.append(Seen(index, place_seen))
+            off, h, sd = away[k, there], by_place[k, there], place_sd[k, there]
+            found.append(Observation(int(node[k]), "position", off, h, sd, *told))
         axes = seen.turns[index]
         if turned is not None and axes.any():
-            off, by_turn = turned[0][k, axes], turned[1][k][axes]
+            off, by_turn, sd = turned[0][k, axes], turned[1][k][axes], turn_sd[k, axes]
             h = np.zeros((len(off), states))
             h[:, T] = by_turn
             if states > ALONE:
                 h[:, MOUNT] = by_turn @ matrices[k]
                 h[:, CLOCK] = by_turn @ spin[k]
-            sd = np.full(len(off), turn_sd[k])
-            found.append(Seen(index, Observation(int(node[k]), "orientation", off, h, sd, gate, counted[k])))
+            found.append(Observation(int(node[k]), "orientation", off, h, sd, *told))
     return found
 
 
-def _turned(seen: Fixes, inside: np.ndarray, body: Rotation) -> tuple[Array, Array] | None:
+def _nearest(times: Array, when: Array) -> np.ndarray:
+    """Index of the nearest of these times."""
+    index = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
+    return index - ((when - times[index - 1]) < (times[index] - when))
+
+
+def _turned(seen: Fixes, inside: np.ndarray, body: Rotation) -> tuple[Array, Array]:
     """Measured less reckoned attitude, shape (k, 3), and what a small turn does to it, (k, 3, 3).
 
     Three angles together make a small turn about world axes. One alone is compared as an angle: of a body
     that tilts, the yaw is not its turn about the vertical.
     """
-    if seen.rotation is None:
-        return None
     measured = seen.rotation[inside]
     if seen.turns[inside].sum(axis=1).max(initial=0) == 3:
         return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(inside), 3, 3))
-    roll, pitch, yaw = angles(body)
-    off = np.column_stack(angles(measured)) - np.column_stack([roll, pitch, yaw])
-    off = np.angle(np.exp(1j * off))
-    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))
-    # a turn about the vertical is yaw; about the heading it rolls, and yaws by the tangent of the dip
-    along = np.stack([c, s, zero], -1)
-    level = np.maximum(np.cos(pitch), 0.1)[:, None]
-    rolls, pitches = along / level, np.stack([s, -c, zero], -1)
-    yaws = np.stack([zero, zero, zero + 1], -1) - np.sin(pitch)[:, None] * rolls
-    return off, np.stack([rolls, pitches, yaws], axis=1)
+    off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
+    by_turn, pitch = turn_to_angles(body), angles(body)[1][:, None]
+    # about the heading a turn rolls, and yaws by the tangent of the dip
+    by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
+    by_turn[:, 2] -= np.sin(pitch) * by_turn[:, 0]
+    return np.angle(np.exp(1j * off)), by_turn
+
+
+def turn_to_angles(body: Rotation) -> Array:
+    """What a small turn about world axes does to roll, pitch and yaw of a level body, shape (n, 3, 3).
+
+    Roll about the heading, pitch about starboard (nose up), yaw about the vertical.
+    """
+    yaw = angles(body)[2]
+    out = np.zeros((len(yaw), 3, 3))
+    out[:, 0, 0], out[:, 0, 1] = np.cos(yaw), np.sin(yaw)
+    out[:, 1, 0], out[:, 1, 1] = np.sin(yaw), -np.cos(yaw)
+    out[:, 2, 2] = 1.0
+    return out
 
 
 def rest_nodes(rest: Rest, rows: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.inertial.record import Array, Record, rotations
+from swimid.inertial.record import Array, Record, resampled, rotations
 from swimid.inertial.rest import Rest
 
 #: An attitude that the log itself brings.
@@ -45,16 +45,17 @@ def estimate(record: Record, rests: list[Rest]) -> Source:
         return Source(rotations(record.quaternion), True, QUATERNIONS)
     import vqf
 
-    step = record.step_s
-    grid, even = _even(record)
-    rate = _on(grid, record.time_s, record.rate - still_rate(record, rests))
-    acceleration = _on(grid, record.time_s, record.acceleration)
-    field = None if record.magnetic is None else _on(grid, record.time_s, record.magnetic)
-    found = vqf.offlineVQF(rate, acceleration, field, step)
-    rotation = rotations(np.asarray(found["quat6D" if field is None else "quat9D"]))
+    t, step = record.time_s, record.step_s
+    even = bool(np.ptp(np.diff(t)) < 1e-3 * step)
+    grid = t if even else np.arange(t[0], t[-1] + step, step)
+    readings = [record.rate - still_rate(record, rests), record.acceleration, record.magnetic]
     if not even:
-        rotation = Slerp(grid, rotation)(np.clip(record.time_s, grid[0], grid[-1]))
-    if field is None:
+        readings = [None if values is None else resampled(grid, t, values) for values in readings]
+    told = vqf.offlineVQF(*(None if v is None else np.ascontiguousarray(v) for v in readings), step)
+    rotation = rotations(np.asarray(told["quat6D" if record.magnetic is None else "quat9D"]))
+    if not even:
+        rotation = Slerp(grid, rotation)(np.clip(t, grid[0], grid[-1]))
+    if record.magnetic is None:
         yaw = rotation[0].as_euler("ZYX")[0]
         return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
     # VQF's world is east-north-up; yaw is counted from x, which is east
@@ -66,16 +67,3 @@ def still_rate(record: Record, rests: list[Rest]) -> Array:
     if not rests:
         return np.zeros(3)
     return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
-
-
-def _even(record: Record) -> tuple[Array, bool]:
-    t, step = record.time_s, record.step_s
-    if np.ptp(np.diff(t)) < 1e-3 * step:
-        return t, True
-    return np.arange(t[0], t[-1] + step, step), False
-
-
-def _on(grid: Array, time_s: Array, values: Array) -> Array:
-    if grid is time_s:
-        return np.ascontiguousarray(values)
-    return np.column_stack([np.interp(grid, time_s, column) for column in values.T])

@@ -48,6 +48,8 @@ class Observation:
         A residual beyond this many deviations is an outlier and not used; infinite for none.
     counted : bool
         Whether it counts in the likelihood; one that another clock leaves outside the record does not.
+    fix : int
+        Which pose of another log it is of; -1 for none.
     """
 
     node: int
@@ -57,24 +59,7 @@ class Observation:
     sd: Array
     gate: float = np.inf
     counted: bool = True
-
-
-@dataclass(frozen=True)
-class Driving:
-    """What makes the errors grow, per step between nodes.
-
-    Attributes
-    ----------
-    acceleration, rate : ndarray, shape (steps,)
-        Variance of the velocity and of the angle that one step adds, (m/s)^2 and rad^2.
-    acceleration_bias, rate_bias : float
-        Power of the random walk of the biases, (m/s^2)^2/s and (rad/s)^2/s.
-    """
-
-    acceleration: Array
-    rate: Array
-    acceleration_bias: float
-    rate_bias: float
+    fix: int = -1
 
 
 @dataclass(frozen=True)
@@ -89,59 +74,43 @@ class Errors:
         Log likelihood of the observations that were used and count.
     scores : dict of str to ndarray
         Normalised innovations of every kind of observation, one row each (NaN beyond its width).
-    rejected : dict of str to int
-        Observations beyond their gate, of every kind.
+    rejected : int
+        Observations beyond their gate.
     """
 
     mean: Array
     covariance: Array
     likelihood: float
     scores: dict[str, Array]
-    rejected: dict[str, int]
+    rejected: int
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Means over the steps between nodes, of which transitions are made.
+def transitions(
+    dt: Array, turn: Array, force_w: Array, turn_by_force: Array, turn_by_rate: Array, states: int
+) -> Array:
+    """Transition matrices of the errors from node to node, exp(F dt) to third order in dt.
 
-    Attributes
+    Parameters
     ----------
+    dt : ndarray, shape (steps,)
     turn : ndarray, shape (steps, 3, 3)
-        Rotation matrix, sensor to world.
-    specific_force_w : ndarray, shape (steps, 3)
-        World axes, m/s^2.
-    turn_by_force, turn_by_rate : ndarray, shape (steps, 3, 3, 3)
-        Every column of the rotation matrix (last index but one) times every component of specific force,
-        and of the turn rate (last index; sensor axes).
-    defect : ndarray, shape (steps, 9)
-        Position, velocity and turn that the samples make of a step, less those of the nominal path: 0 for a
-        path that was reckoned from the samples.
-    """
-
-    turn: Array
-    specific_force_w: Array
-    turn_by_force: Array
-    turn_by_rate: Array
-    defect: Array
-
-
-def transitions(time_s: Array, steps: Steps, states: int) -> Array:
-    """Transition matrices of the errors from node to node.
+        Rotation matrix, sensor to world; this and the rest are means over the step.
+    force_w : ndarray, shape (steps, 3)
+        Specific force, world axes, m/s^2.
+    turn_by_force, turn_by_rate : ndarray, shape (steps, 3, 9)
+        Every column of the rotation matrix times every component of specific force, and of the turn rate
+        (sensor axes; the component runs fastest).
 
     Returns
     -------
-    ndarray, shape (nodes - 1, states, states)
-        exp(F dt) to third order in dt.
+    ndarray, shape (steps, states, states)
     """
-    dt = np.diff(time_s)
-    n = len(dt)
-    f = np.zeros((n, states, states))
+    f = np.zeros((len(dt), states, states))
     f[:, P, V] = np.eye(3)
-    f[:, V, T] = -cross_matrix(steps.specific_force_w)
-    f[:, V, BA] = -steps.turn
-    f[:, V, SA] = -steps.turn_by_force.reshape(n, 3, 9)
-    f[:, T, BG] = -steps.turn
-    f[:, T, SG] = -steps.turn_by_rate.reshape(n, 3, 9)
+    f[:, V, T] = -cross_matrix(force_w)
+    f[:, V, BA] = f[:, T, BG] = -turn
+    f[:, V, SA] = -turn_by_force
+    f[:, T, SG] = -turn_by_rate
     if states > ALONE:
         f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
     f *= dt[:, None, None]
@@ -152,20 +121,28 @@ def transitions(time_s: Array, steps: Steps, states: int) -> Array:
     return out
 
 
-def driving_noise(time_s: Array, driving: Driving, states: int) -> Array:
-    """Covariance each step adds, shape (nodes - 1, states, states)."""
-    dt = np.diff(time_s)
+def driving_noise(dt: Array, white: tuple[Array, Array], walk: tuple[float, float], states: int) -> Array:
+    """Covariance each step adds, shape (steps, states, states).
+
+    Parameters
+    ----------
+    white : ndarray, ndarray, each shape (steps,)
+        Variance of the velocity and of the angle that one step adds, (m/s)^2 and rad^2.
+    walk : float, float
+        Power of the random walk of the biases, (m/s^2)^2/s and (rad/s)^2/s.
+    """
     q = np.zeros((len(dt), states, states))
     for i in range(3):
-        q[:, 3 + i, 3 + i] = driving.acceleration
-        q[:, i, i] = driving.acceleration * dt**2 / 3
-        q[:, i, 3 + i] = q[:, 3 + i, i] = driving.acceleration * dt / 2
-        q[:, 6 + i, 6 + i] = driving.rate
-        q[:, 9 + i, 9 + i] = driving.acceleration_bias * dt
-        q[:, 12 + i, 12 + i] = driving.rate_bias * dt
+        q[:, 3 + i, 3 + i] = white[0]
+        q[:, i, i] = white[0] * dt**2 / 3
+        q[:, i, 3 + i] = q[:, 3 + i, i] = white[0] * dt / 2
+        q[:, 6 + i, 6 + i] = white[1]
+        q[:, 9 + i, 9 + i] = walk[0] * dt
+        q[:, 12 + i, 12 + i] = walk[1] * dt
     return q
 
 
+@threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size
 def smooth(
     start_mean: Array,
     start: Array,
@@ -185,18 +162,6 @@ def smooth(
     defect : ndarray, shape (nodes - 1, 9)
         What each step adds to the errors of position, velocity and attitude besides.
     """
-    with threadpool_limits(1):  # threads cost more than they bring at this size
-        return _smooth(start_mean, start, transition, noise, observations, defect)
-
-
-def _smooth(
-    start_mean: Array,
-    start: Array,
-    transition: Array,
-    noise: Array,
-    observations: list[Observation],
-    defect: Array,
-) -> Errors:
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
     for observation in observations:
@@ -206,8 +171,7 @@ def _smooth(
     mean, cov = start_mean.copy(), start.copy()
     means, covs = np.empty((nodes, states)), np.empty((nodes, states, states))
     scores: dict[str, list[Array]] = {}
-    rejected: dict[str, int] = {}
-    likelihood = 0.0
+    rejected, likelihood = 0, 0.0
     for k in range(nodes):
         if k:
             mean = transition[k - 1] @ mean
@@ -217,7 +181,7 @@ def _smooth(
         for seen in at.get(k, ()):
             mean, cov, score, likely = _update(mean, cov, seen)
             if score is None:
-                rejected[seen.kind] = rejected.get(seen.kind, 0) + 1
+                rejected += 1
             else:
                 scores.setdefault(seen.kind, []).append(score)
                 likelihood += likely if seen.counted else 0.0
@@ -253,9 +217,5 @@ def _padded(rows: list[Array]) -> Array:
 
 
 def cross_matrix(vectors: Array) -> Array:
-    """Matrices of the cross products ``v x``, shape (n, 3, 3)."""
-    x, y, z = np.moveaxis(np.atleast_2d(vectors), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2
-    )
+    """Matrices of the cross products ``v x``, shape (..., 3, 3)."""
+    return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)

@@ -1,16 +1,21 @@
-"""The motion of the body's reference point, and how sure each number of it is."""
+"""The motion of the body's reference point, how sure each number of it is, and its part within a stroke."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from swimid.inertial.aiding import turn_to_angles
 from swimid.inertial.errorstate import ALONE, BG, LEVER, MOUNT, P, T, V, cross_matrix
-from swimid.inertial.record import Array
+from swimid.inertial.record import Array, resampled
 from swimid.inertial.smoother import Smoothed
-from swimid.logs.rotation import angles
+
+#: Slower than this is no motion within a stroke where no stroke is found, Hz; with one: this share of its
+#: frequency.
+LOWEST_HZ, SHARE = 0.3, 0.5
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,7 @@ def at_reference(smoothed: Smoothed) -> Motion:
 
     def sd(jacobian: Array) -> Array:
         variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
-        deviation = np.sqrt(np.maximum(variance, 0.0))
-        return np.column_stack([np.interp(path.time_s, nodes, c) for c in deviation.T])
+        return resampled(path.time_s, nodes, np.sqrt(np.maximum(variance, 0.0)))
 
     return Motion(
         path.time_s,
@@ -107,13 +111,7 @@ def _jacobians(smoothed: Smoothed, velocity: Array, body: Rotation) -> tuple[Arr
     speed = np.zeros((m, 3, states))
     speed[:, :, V] = np.eye(3)
     speed[:, :, T] = -cross_matrix(path.rotation[rows].apply(np.cross(rate, lever)))
-    speed[:, :, BG] = turn @ cross_matrix(lever)[0]
-    heading = angles(body[rows])[2]
-    c, s, zero, one = np.cos(heading), np.sin(heading), np.zeros(m), np.ones(m)
-    # roll about the heading, pitch about starboard (nose up), yaw about the vertical
-    world_to_angles = np.stack(
-        [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, one], -1)], 1
-    )
+    speed[:, :, BG] = turn @ cross_matrix(lever)
     turned = np.zeros((m, 3, states))
     turned[:, :, T] = np.eye(3)
     if states > ALONE:
@@ -122,4 +120,37 @@ def _jacobians(smoothed: Smoothed, velocity: Array, body: Rotation) -> tuple[Arr
         turned[:, :, MOUNT] = turn
     to_body = np.swapaxes(body[rows].as_matrix(), 1, 2)
     body_speed = to_body @ (speed + cross_matrix(velocity[rows]) @ turned)
-    return place, speed, body_speed, world_to_angles @ turned
+    return place, speed, body_speed, turn_to_angles(body[rows]) @ turned
+
+
+def surge_within_stroke(motion: Motion, cutoff_hz: float) -> Array:
+    """The surge within a stroke, m/s, shape (n,).
+
+    The velocity is high-passed along the world's axes before it is turned to the body's: a drifting velocity
+    would leak into the surge with every swing of the heading.
+    """
+    fast = np.column_stack([_high_passed(motion.time_s, column, cutoff_hz) for column in motion.velocity.T])
+    return np.asarray(motion.rotation.inv().apply(fast)[:, 0])
+
+
+def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
+    """A channel less everything slower than ``cutoff_hz``: fourth-order Butterworth, no phase shift."""
+    step = float(np.median(np.diff(time_s)))
+    even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    if len(even) < 32 or cutoff_hz >= 0.45 / step:
+        return np.full_like(values, np.nan)
+    sos = signal.butter(2, cutoff_hz, "high", fs=1 / step, output="sos")
+    length = min(len(even) - 1, int(3 / (cutoff_hz * step)))
+    return np.interp(time_s, even, signal.sosfiltfilt(sos, np.interp(even, time_s, values), padlen=length))
+
+
+def high_passed_sd(acceleration_noise: float, cutoff_hz: float, scale_sd: float, values: Array) -> float:
+    """Deviation of a high-passed velocity, m/s.
+
+    Notes
+    -----
+    White acceleration noise of density N leaves ``N / (2 pi sqrt(f_c))`` after integration and a sharp
+    high pass at f_c (integral of ``N^2 / (2 pi f)^2`` from f_c up); an error of scale adds in proportion.
+    """
+    white = acceleration_noise / (2 * np.pi * np.sqrt(cutoff_hz))
+    return float(np.hypot(white, scale_sd * np.nanstd(values)))

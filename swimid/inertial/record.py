@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,17 +68,13 @@ class Record:
 
     def take(self, rows: Any) -> Record:
         """Only these rows."""
-        return Record(
-            self.time_s[rows],
-            self.acceleration[rows],
-            self.rate[rows],
-            None if self.quaternion is None else self.quaternion[rows],
-            None if self.magnetic is None else self.magnetic[rows],
-            self.filled_acceleration[rows],
-            self.filled_rate[rows],
-            self.metadata,
-            self.name,
-        )
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
+
+
+def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Every column of ``values``, shape (n, k), at other times, linearly between samples, shape (m, k)."""
+    return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:

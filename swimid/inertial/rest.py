@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +79,7 @@ def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
     return np.array([part.mean(axis=0) for part in parts])
 
 
-def declared(record: Record, windows: list[tuple[float, float]]) -> list[Rest]:
+def declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Rest]:
     """The stretches a user named by their times, s.
 
     Raises

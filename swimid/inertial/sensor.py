@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import GRAVITY_M_S2
 
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
+#: Standard deviations in half a 95 % band.
+BAND = 1.96
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,18 @@ class Sensor:
     scale_sd: float = 0.005
     bending_sd: float = 0.002
     attitude_sd: float | None = None
+
+    @classmethod
+    def of(cls, options: TrackImuOptions) -> Sensor:
+        """The error figures as the options state them."""
+        attitude_deg = options.attitude_sd_deg
+        return cls(
+            options.accel_noise,
+            options.gyro_noise,
+            options.accel_bias_mg * MILLI_G,
+            options.gyro_bias_deg_s * DEG,
+            attitude_sd=None if attitude_deg is None else attitude_deg * DEG,
+        )
 
     def classes(self) -> dict[str, Sensor]:
         """The same with the errors of other classes of sensor where nothing is stated, by name."""
