@@ -30,37 +30,44 @@ class Poses:
         On its own clock.
     position : ndarray, shape (m, 3)
         World axes, m; NaN where not measured.
-    roll, pitch, yaw : ndarray, shape (m,), or None
-        rad; signs of :func:`swimid.inertial.record.angles`.
+    angles : ndarray, shape (m, 3)
+        Roll, pitch and yaw, rad, signs of :func:`swimid.logs.rotation.angles`; NaN where not measured. All
+        three are, or yaw, or pitch, or none.
     """
 
     time_s: Array
     position: Array
-    roll: Array | None
-    pitch: Array | None
-    yaw: Array | None
+    angles: Array
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Which of the angles are, shape (3,)."""
+        return np.asarray(np.isfinite(self.angles).any(axis=0))
 
     @property
     def full(self) -> bool:
         """Whether all three angles are there."""
-        return self.roll is not None and self.pitch is not None and self.yaw is not None
+        return bool(self.measured.all())
+
+    @property
+    def with_yaw(self) -> bool:
+        """Whether the yaw is there."""
+        return bool(self.measured[2])
 
     @property
     def rotation(self) -> Rotation:
         """Body to world, m of them; angles that are not there or missing are 0."""
-        zero = np.zeros(len(self.time_s))
-        parts = [zero if a is None else np.nan_to_num(a) for a in (self.roll, self.pitch, self.yaw)]
-        return from_angles(*parts)
+        return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
     def turned(self) -> np.ndarray:
         """Which rows have every angle that the log has, shape (m,)."""
-        there = [np.isfinite(a) for a in (self.roll, self.pitch, self.yaw) if a is not None]
-        return np.all(there, axis=0) if there else np.zeros(len(self.time_s), dtype=bool)
+        there = self.measured
+        return np.asarray(there.any() & np.isfinite(self.angles[:, there]).all(axis=1))
 
     def with_pitch_turned(self) -> Poses:
         """The same with the other sign of pitch."""
-        return replace(self, pitch=None if self.pitch is None else -self.pitch)
+        return replace(self, angles=self.angles * [1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -124,19 +131,17 @@ def _by_turns(record: Record, source: Source, poses: Poses) -> Fit | None:
     rows = np.flatnonzero(poses.turned)
     if len(rows) < 16:
         return None
-    by_yaw, one = poses.yaw is not None, poses.pitch if poses.yaw is None else poses.yaw
     if poses.full:
         name, rate, seen = "turn rates", record.rate, _wound(poses.rotation[rows])
     else:
-        assert one is not None
         world = source.rotation.apply(record.rate)
-        name, rate = ("yaw", world[:, 2:]) if by_yaw else ("pitch", record.rate)
-        seen = one[rows, None]
+        name, rate = ("yaw", world[:, 2:]) if poses.with_yaw else ("pitch", record.rate)
+        seen = poses.angles[rows][:, poses.measured]
     turned = strapdown.integral(record.time_s, rate - rate.mean(axis=0))
     found = clock.offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
     if found is None or poses.full:
         return None if found is None else _fitted(record, poses, found, name)
-    return Fit(found, name, None, float(np.sign(found.factors[0, 0])) if by_yaw else 0.0)
+    return Fit(found, name, None, float(np.sign(found.factors[0, 0])) if poses.with_yaw else 0.0)
 
 
 def _by_path(record: Record, source: Source, poses: Poses) -> Fit | None:
@@ -193,7 +198,7 @@ def world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) ->
     seen one.
     """
     inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
-    if poses.yaw is not None:
+    if poses.with_yaw:
         rows = np.flatnonzero(poses.turned & inside)
         near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         if not len(rows):
@@ -201,7 +206,7 @@ def world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) ->
         body = source.rotation[near] * mount
         if poses.full:
             return (poses.rotation[rows] * body.inv()).mean()
-        turn = float(np.angle(np.mean(np.exp(1j * (poses.yaw[rows] - angles(body)[2])))))
+        turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
         if len(rows) < 16:

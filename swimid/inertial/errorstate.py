@@ -5,9 +5,7 @@ axes), the biases of accelerometer and gyroscope (sensor axes) and their errors 
 for fusion the lever from the sensor to the reference point, the mounting turn, the tilt of the world against
 gravity, and the offset between the clocks.
 
-Sources: error equations after Groves (2013), Principles of GNSS, Inertial, and Multisensor
-Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not turn; smoother after Rauch,
-Tung and Striebel (1965, doi:10.2514/3.3166).
+After Rauch, Tung and Striebel (1965, doi:10.2514/3.3166).
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.inertial.record import GRAVITY_M_S2, Array
+from swimid.inertial.record import Array
 
 P, V, T = slice(0, 3), slice(3, 6), slice(6, 9)
 BA, BG = slice(9, 12), slice(12, 15)
@@ -83,63 +81,6 @@ class Errors:
     likelihood: float
     scores: dict[str, Array]
     rejected: int
-
-
-def transitions(
-    dt: Array, turn: Array, force_w: Array, turn_by_force: Array, turn_by_rate: Array, states: int
-) -> Array:
-    """Transition matrices of the errors from node to node, exp(F dt) to third order in dt.
-
-    Parameters
-    ----------
-    dt : ndarray, shape (steps,)
-    turn : ndarray, shape (steps, 3, 3)
-        Rotation matrix, sensor to world; this and the rest are means over the step.
-    force_w : ndarray, shape (steps, 3)
-        Specific force, world axes, m/s^2.
-    turn_by_force, turn_by_rate : ndarray, shape (steps, 3, 9)
-        Every column of the rotation matrix times every component of specific force, and of the turn rate
-        (sensor axes; the component runs fastest).
-
-    Returns
-    -------
-    ndarray, shape (steps, states, states)
-    """
-    f = np.zeros((len(dt), states, states))
-    f[:, P, V] = np.eye(3)
-    f[:, V, T] = -cross_matrix(force_w)
-    f[:, V, BA] = f[:, T, BG] = -turn
-    f[:, V, SA] = -turn_by_force
-    f[:, T, SG] = -turn_by_rate
-    if states > ALONE:
-        f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
-    f *= dt[:, None, None]
-    moving = f[:, :MOVING, :MOVING]
-    square = moving @ f[:, :MOVING]
-    out = np.broadcast_to(np.eye(states), f.shape).copy()
-    out[:, :MOVING] += f[:, :MOVING] + square / 2 + moving @ square / 6
-    return out
-
-
-def driving_noise(dt: Array, white: tuple[Array, Array], walk: tuple[float, float], states: int) -> Array:
-    """Covariance each step adds, shape (steps, states, states).
-
-    Parameters
-    ----------
-    white : ndarray, ndarray, each shape (steps,)
-        Variance of the velocity and of the angle that one step adds, (m/s)^2 and rad^2.
-    walk : float, float
-        Power of the random walk of the biases, (m/s^2)^2/s and (rad/s)^2/s.
-    """
-    q = np.zeros((len(dt), states, states))
-    for i in range(3):
-        q[:, 3 + i, 3 + i] = white[0]
-        q[:, i, i] = white[0] * dt**2 / 3
-        q[:, i, 3 + i] = q[:, 3 + i, i] = white[0] * dt / 2
-        q[:, 6 + i, 6 + i] = white[1]
-        q[:, 9 + i, 9 + i] = walk[0] * dt
-        q[:, 12 + i, 12 + i] = walk[1] * dt
-    return q
 
 
 @threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size

@@ -241,14 +241,9 @@ def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    angles = (poses.roll, poses.pitch, poses.yaw)
-    seen = [angle for angle in angles if angle is not None]
-    turns = np.zeros((len(poses.time_s), 3), dtype=bool)
-    if poses.full:
-        turns[:] = poses.turned[:, None]
-    elif seen:
-        turns[:, 1 if poses.yaw is None else 2] = poses.turned
-    rotation_sd = min(max((alignment.noise(a, LEAST_RAD) for a in seen), default=LEAST_RAD), 0.1)
+    turns = np.isfinite(poses.angles) & poses.turned[:, None]
+    noises = [alignment.noise(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
+    rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
     weight, t = np.ones(len(poses.time_s)), setup.record.time_s
     offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD
     counted = (poses.time_s + min(offsets) - margin >= t[0]) & (poses.time_s + max(offsets) + margin <= t[-1])
@@ -332,7 +327,7 @@ def _begin(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
     sd = {
         "position": 1.0 + float(np.max(np.nan_to_num(np.ptp(fixed, axis=0)))) if len(fixed) else 1.0,
         "velocity": 1.0,
-        "rotation": (0.05, 0.05, 0.05 if poses.yaw is not None else 0.2),
+        "rotation": (0.05, 0.05, 0.05 if poses.with_yaw else 0.2),
         "lever": LEVER_SD if problem.options.lever_m is None else GIVEN_LEVER_SD,
         "mount": problem.mount_sd,
         "tilt": TILT_SD,

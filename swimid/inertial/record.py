@@ -15,6 +15,7 @@ Flags = NDArray[np.bool_]
 
 ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+CHANNELS = (*ACCELERATION, *RATE)
 QUATERNION = ("qw", "qx", "qy", "qz")
 MAGNETIC = ("mx", "my", "mz")
 #: Standard gravity, m/s^2 (CGPM 1901).
@@ -65,6 +66,16 @@ class Record:
     def step_s(self) -> float:
         """Typical sample time, s."""
         return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def channels(self) -> Array:
+        """Accelerations and turn rates, columns as in :data:`CHANNELS`, shape (n, 6)."""
+        return np.hstack([self.acceleration, self.rate])
+
+    def with_channels(self, values: Array) -> Record:
+        """The same with other accelerations and turn rates, shape (n, 6)."""
+        acceleration, rate = (np.ascontiguousarray(half) for half in np.hsplit(values, 2))
+        return replace(self, acceleration=acceleration, rate=rate)
 
     def take(self, rows: Any) -> Record:
         """Only these rows."""

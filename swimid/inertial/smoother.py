@@ -25,6 +25,7 @@ from swimid.inertial.errorstate import (
     CLOCK,
     LEVER,
     MOUNT,
+    MOVING,
     SA,
     SG,
     TILT,
@@ -33,6 +34,7 @@ from swimid.inertial.errorstate import (
     P,
     T,
     V,
+    cross_matrix,
 )
 from swimid.inertial.record import GRAVITY_M_S2, Array, Record, resampled
 from swimid.inertial.rest import Noise
@@ -306,29 +308,36 @@ def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
 def _transitions(record: Record, path: Nominal, rows: np.ndarray, states: int) -> tuple[Array, Array]:
     """Transition matrices over the steps between nodes, and their defects, shape (steps, 9).
 
-    A defect is the position, velocity and turn that the samples make of a step, less those of the path: 0 for
+    Matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of GNSS,
+    Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not
+    turn). A defect is the position, velocity and turn that the samples make of a step, less those of the path: 0 for
     a path that was reckoned from the samples.
     """
-    t = path.time_s
-    dt = np.diff(t[rows])
+    t, turn = path.time_s, path.rotation.as_matrix()
+    dt = np.diff(t[rows])[:, None]
 
     def mean(values: Array) -> Array:
-        return np.diff(strapdown.integral(t, values)[rows], axis=0) / dt[:, None]
+        steps = np.diff(strapdown.integral(t, values.reshape(len(t), -1))[rows], axis=0) / dt
+        return steps.reshape(-1, *values.shape[1:])
 
-    matrices = path.rotation.as_matrix()
+    def turn_by(readings: Array) -> Array:
+        """Every column of the rotation matrix times every component, which runs fastest."""
+        parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
+        return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
-    def columns_by(readings: Array) -> Array:
-        parts = [mean((matrices * readings[:, None, j, None]).reshape(-1, 9)) for j in range(3)]
-        return np.stack([part.reshape(-1, 3, 3) for part in parts], axis=-1).reshape(-1, 3, 9)
-
-    transition = errorstate.transitions(
-        dt,
-        mean(matrices.reshape(-1, 9)).reshape(-1, 3, 3),
-        mean(path.rotation.apply(path.force)),
-        columns_by(record.acceleration),
-        columns_by(record.rate),
-        states,
-    )
+    f = np.zeros((len(dt), states, states))
+    f[:, P, V] = np.eye(3)
+    f[:, V, T] = -cross_matrix(mean(path.rotation.apply(path.force)))
+    f[:, V, BA] = f[:, T, BG] = -mean(turn)
+    f[:, V, SA] = -turn_by(record.acceleration)
+    f[:, T, SG] = -turn_by(record.rate)
+    if states > ALONE:
+        f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
+    f *= dt[:, :, None]
+    moving = f[:, :MOVING, :MOVING]
+    square = moving @ f[:, :MOVING]
+    transition = np.broadcast_to(np.eye(states), f.shape).copy()
+    transition[:, :MOVING] += f[:, :MOVING] + square / 2 + moving @ square / 6
     velocity = strapdown.integral(t, path.acceleration)
     position = strapdown.integral(t, velocity)
     first, last = rows[:-1], rows[1:]
@@ -336,8 +345,8 @@ def _transitions(record: Record, path: Nominal, rows: np.ndarray, states: int) -
     step = sensed[first].inv() * sensed[last]
     defect = np.hstack(
         [
-            path.velocity[first] * dt[:, None] + np.diff(position[rows], axis=0)
-            - velocity[first] * dt[:, None] - np.diff(path.position[rows], axis=0),
+            path.velocity[first] * dt + np.diff(position[rows], axis=0)
+            - velocity[first] * dt - np.diff(path.position[rows], axis=0),
             np.diff(velocity[rows], axis=0) - np.diff(path.velocity[rows], axis=0),
             (path.rotation[first] * step * path.rotation[last].inv()).as_rotvec(),
         ]
@@ -346,21 +355,32 @@ def _transitions(record: Record, path: Nominal, rows: np.ndarray, states: int) -
 
 
 def _driving_noise(record: Record, rows: np.ndarray, sensor: Sensor, noise: Noise, states: int) -> Array:
-    """Noise of the sensor, errors of its scale, and what bridged samples hide."""
+    """Covariance each step between nodes adds, shape (steps, states, states).
+
+    Noise of the sensor, errors of its scale, and what bridged samples hide.
+    """
     dt = np.diff(record.time_s)
     # a step of several sample times, or bridged samples, hide what the sensor did there
     hidden = np.maximum(dt - GAP_STEPS * record.step_s, 0.0)
-    moving = record.acceleration - np.median(record.acceleration, axis=0)
-    white = []
-    for density, readings, signal, filled in (
-        (noise.acceleration, record.acceleration, moving, record.filled_acceleration),
-        (noise.rate, record.rate, record.rate, record.filled_rate),
-    ):
+
+    def white(density: float, readings: Array, moving: Array, filled: np.ndarray) -> Array:
         lost = filled[1:] | filled[:-1]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
         # what scales leave (bending) acts with the motion's own rhythm: white beyond half a stroke
-        variance += sensor.bending_sd**2 * np.sum(signal[1:] ** 2, axis=1) * dt * RHYTHM_S
-        white.append(np.diff(np.concatenate([[0.0], np.cumsum(variance)])[rows]))
-    walk = (sensor.acceleration_drift**2 / DRIFT_TIME_S, sensor.rate_drift**2 / DRIFT_TIME_S)
-    return errorstate.driving_noise(np.diff(record.time_s[rows]), (white[0], white[1]), walk, states)
+        variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
+        return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[rows])
+
+    moving = record.acceleration - np.median(record.acceleration, axis=0)
+    velocity = white(noise.acceleration, record.acceleration, moving, record.filled_acceleration)
+    angle = white(noise.rate, record.rate, record.rate, record.filled_rate)
+    dt_nodes = np.diff(record.time_s[rows])
+    q = np.zeros((len(dt_nodes), states, states))
+    for i in range(3):
+        q[:, 3 + i, 3 + i] = velocity
+        q[:, i, i] = velocity * dt_nodes**2 / 3
+        q[:, i, 3 + i] = q[:, 3 + i, i] = velocity * dt_nodes / 2
+        q[:, 6 + i, 6 + i] = angle
+        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / DRIFT_TIME_S * dt_nodes
+        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / DRIFT_TIME_S * dt_nodes
+    return q

@@ -1,9 +1,9 @@
-"""The interface of a fault of recording: looked for, named, and repaired or refused."""
+"""What faults of recording share: what is said of one, and how samples are bridged."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -32,47 +32,18 @@ class Finding:
     count: int = 0
 
 
-class Fault(Protocol):
-    """One kind of fault. A module of this folder defines ``NAME`` and ``check``."""
-
-    NAME: str
-
-    def check(self, record: Record) -> tuple[Record, list[Finding]]:
-        """The record, repaired where it can be, and what was found.
-
-        Raises
-        ------
-        InputError
-            The fault is there and cannot be repaired.
-        """
-        ...
-
-
-def bridged(record: Record, bad_acceleration: Flags, bad_rate: Flags) -> Record:
-    """The record with samples interpolated from their neighbours, and marked as filled.
-
-    Parameters
-    ----------
-    bad_acceleration, bad_rate : ndarray of bool, shape (n, 3)
-    """
-    return replace(
-        record,
-        acceleration=_interpolated(record.time_s, record.acceleration, bad_acceleration),
-        rate=_interpolated(record.time_s, record.rate, bad_rate),
-        filled_acceleration=record.filled_acceleration | bad_acceleration.any(axis=1),
-        filled_rate=record.filled_rate | bad_rate.any(axis=1),
-    )
-
-
-def _interpolated(time_s: Array, values: Array, bad: Flags) -> Array:
-    if not bad.any():
-        return values
-    out = values.copy()
-    for axis in range(values.shape[1]):
-        hole = bad[:, axis]
+def bridged(record: Record, bad: Flags) -> Record:
+    """The record with samples, shape (n, 6), interpolated from their neighbours, and marked as filled."""
+    values = record.channels
+    for column, hole in zip(values.T, bad.T, strict=True):
         if hole.any() and not hole.all():
-            out[hole, axis] = np.interp(time_s[hole], time_s[~hole], values[~hole, axis])
-    return out
+            column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
+    acceleration, rate = (half.any(axis=1) for half in np.hsplit(bad, 2))
+    return replace(
+        record.with_channels(values),
+        filled_acceleration=record.filled_acceleration | acceleration,
+        filled_rate=record.filled_rate | rate,
+    )
 
 
 def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Array]:

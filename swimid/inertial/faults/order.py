@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import ACCELERATION, RATE, Record
+from swimid.inertial.record import CHANNELS, Record
 from swimid.logs.time_order import in_order
 
 NAME = "repeated stamps"
@@ -14,9 +14,7 @@ MOST = 0.5
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Keep the first of each repeated stamp, put late rows in place; refuse a clock that was reset."""
-    channels = dict(zip(ACCELERATION, record.acceleration.T, strict=True))
-    channels |= dict(zip(RATE, record.rate.T, strict=True))
-    found = in_order(record.time_s, channels)
+    found = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     if found.reset_row is not None:
         row = found.reset_row
         raise InputError(
