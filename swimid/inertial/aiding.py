@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,7 +15,7 @@ from swimid.inertial.record import Array, resampled
 from swimid.inertial.rest import Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
 from swimid.inertial.setup import Setup
-from swimid.inertial.smoother import Aid, Nominal
+from swimid.inertial.smoother import Nominal
 from swimid.logs.rotation import angles
 
 #: Time between repeated observations of one thing, s.
@@ -27,95 +28,74 @@ GATE = 6.0
 AXES = ("surge", "sway", "heave")
 
 
-def known(setup: Setup) -> list[Aid]:
-    """Everything known without another log."""
-    declared = dict.fromkeys(setup.options.zero_mean)
-    return [_stillness(setup), _attitudes(setup), *(_zero_mean(setup, AXES.index(n)) for n in declared)]
+def known(setup: Setup, path: Nominal) -> list[Observation]:
+    """Everything known of a path without another log."""
+    declared = [AXES.index(name) for name in dict.fromkeys(setup.options.zero_mean)]
+    means = [seen for axis in declared for seen in _zero_mean(setup, axis, path)]
+    return [*_stillness(setup, path), *_attitudes(setup, path), *means]
 
 
-def _stillness(setup: Setup) -> Aid:
+def _stillness(setup: Setup, path: Nominal) -> list[Observation]:
     """Zero velocity at rest (Skog et al. 2010), and the gyroscope's bias wherever it is still."""
     record, still = setup.record, setup.still
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        found = []
-        unit, wide = np.eye(states), np.full(3, REST_SPEED_SD)
-        for rest in still.found:
-            nodes = rest_nodes(rest, rows)
-            for node in _spaced(path.time_s[rows], nodes, EVERY_S) if rest in still.used else ():
-                found.append(Observation(int(node), "rest", -path.velocity[rows[node]], unit[V], wide))
-            if not len(nodes):
-                continue
-            duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
-            middle = int(nodes[len(nodes) // 2])
-            seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[rows[middle]]
-            sd = np.hypot(still.noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
-            found.append(Observation(middle, "gyroscope at rest", seen, unit[BG], np.full(3, sd)))
-        return found
-
-    return make
+    found = []
+    unit, wide = np.eye(path.states), np.full(3, REST_SPEED_SD)
+    for rest in still.found:
+        nodes = rest_nodes(rest, path)
+        for node in _spaced(path, nodes, EVERY_S) if rest in still.used else ():
+            found.append(Observation(int(node), "rest", -path.velocity[path.nodes[node]], unit[V], wide))
+        if not len(nodes):
+            continue
+        duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
+        middle = int(nodes[len(nodes) // 2])
+        seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[path.nodes[middle]]
+        sd = np.hypot(still.noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
+        found.append(Observation(middle, "gyroscope at rest", seen, unit[BG], np.full(3, sd)))
+    return found
 
 
-def _attitudes(setup: Setup) -> Aid:
+def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
     """The attitude of a filter or of the sensor itself, with errors that last.
 
     A filter's tilt is wrong while the body accelerates, some seconds; the sensor's own quaternions may be
     wrong by the same turn all the time, so that a log of them counts as one measurement.
     """
-    source, sd = setup.source, setup.attitude_sd
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
-        axes = slice(0, 3 if source.heading else 2)
-        at = rows[nodes]
-        off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()
-        own = source.kind == QUATERNIONS
-        memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
-        wide = np.full(axes.stop, sd * np.sqrt(2 * memory))
-        h = np.eye(states)[T][axes]
-        return [
-            Observation(int(n), "attitude", turn, h, wide)
-            for n, turn in zip(nodes, off[:, axes], strict=True)
-        ]
-
-    return make
+    source = setup.source
+    nodes = _spaced(path, np.arange(len(path.nodes)), 1.0)
+    axes = slice(0, 3 if source.heading else 2)
+    at = path.nodes[nodes]
+    off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()[:, axes]
+    own = source.kind == QUATERNIONS
+    memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
+    wide = np.full(axes.stop, setup.attitude_sd * np.sqrt(2 * memory))
+    h = np.eye(path.states)[T][axes]
+    return [Observation(int(n), "attitude", turn, h, wide) for n, turn in zip(nodes, off, strict=True)]
 
 
-def speed_limit(top_m_s: float) -> Aid:
+def speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
     """No faster than this: each velocity is 0 with half of it as deviation, as one measurement a log.
 
     Its weight is spread over the log, so that a steady cruise, which is off by the same all the time, is not
     pulled to rest by the number of samples.
     """
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        nodes = _spaced(path.time_s[rows], np.arange(len(rows)), 1.0)
-        h, wide = np.eye(states)[V], np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
-        return [Observation(int(node), "top speed", -path.velocity[rows[node]], h, wide) for node in nodes]
-
-    return make
+    nodes = _spaced(path, np.arange(len(path.nodes)), 1.0)
+    h, wide = np.eye(path.states)[V], np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
+    velocity = path.velocity[path.nodes]
+    return [Observation(int(node), "top speed", -velocity[node], h, wide) for node in nodes]
 
 
-def _zero_mean(setup: Setup, axis: int) -> Aid:
+def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
     """A body velocity whose mean over every window is 0: no sway, or no heave (declared)."""
-    window_s, sd = setup.options.window_s, np.array([setup.options.mean_sd_m_s])
-
-    def make(path: Nominal, rows: np.ndarray, states: int) -> list[Observation]:
-        t = path.time_s
-        direction = (path.rotation * path.mount).apply(np.eye(3)[axis])
-        found = []
-        edges = np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))
-        for first, last in pairwise(edges):
-            along, v = direction[first:last], path.velocity[first:last]
-            node = min(int(np.searchsorted(rows, (first + last) // 2)), len(rows) - 1)
-            h = np.zeros((1, states))
-            h[0, V] = along.mean(axis=0)
-            h[0, T] = np.cross(along, v).mean(axis=0)
-            off = -np.array([np.mean(np.sum(along * v, axis=1))])
-            found.append(Observation(node, f"no {AXES[axis]}", off, h, sd))
-        return found
-
-    return make
+    t, window_s = path.time_s, setup.options.window_s
+    direction = (path.rotation * path.mount).apply(np.eye(3)[axis])
+    for first, last in pairwise(np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))):
+        along, v = direction[first:last], path.velocity[first:last]
+        node = min(int(np.searchsorted(path.nodes, (first + last) // 2)), len(path.nodes) - 1)
+        h = np.zeros((1, path.states))
+        h[0, V] = along.mean(axis=0)
+        h[0, T] = np.cross(along, v).mean(axis=0)
+        off = -np.array([np.mean(np.sum(along * v, axis=1))])
+        yield Observation(node, f"no {AXES[axis]}", off, h, np.array([setup.options.mean_sd_m_s]))
 
 
 @dataclass(frozen=True)
@@ -168,21 +148,15 @@ class Fixes:
         return replace(self, place_weight=weight, turn_weight=weight)
 
 
-def fixes(seen: Fixes, gate: float = np.inf) -> Aid:
-    """Poses another log measured; those beyond ``gate`` deviations are not used."""
-    return lambda path, rows, states: against(seen, path, rows, states, gate)
-
-
-def against(
-    seen: Fixes, path: Nominal, rows: np.ndarray, states: int, gate: float = np.inf
-) -> list[Observation]:
-    """Every fix within a path as an observation of its errors."""
+def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
+    """Every fix within a path as an observation of its errors; not used beyond ``gate`` deviations."""
+    states = path.states
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
     inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
     when = clock_times[inside]
     velocity, place = resampled(when, t, path.velocity), resampled(when, t, path.position)
-    row, node = _nearest(t, when), _nearest(t[rows], when)
+    row, node = _nearest(t, when), _nearest(path.node_s, when)
     turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
@@ -191,7 +165,7 @@ def against(
     place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
     by_place = np.zeros((len(inside), 3, states))
     by_place[:, :, P] = np.eye(3)
-    by_place[:, :, V] = np.eye(3) * (when - t[rows[node]])[:, None, None]
+    by_place[:, :, V] = np.eye(3) * (when - path.node_s[node])[:, None, None]
     by_place[:, :, T] = -arms
     if states > ALONE:
         by_place[:, :, LEVER] = matrices
@@ -253,14 +227,15 @@ def turn_to_angles(body: Rotation) -> Array:
     return out
 
 
-def rest_nodes(rest: Rest, rows: np.ndarray) -> np.ndarray:
+def rest_nodes(rest: Rest, path: Nominal) -> np.ndarray:
     """Nodes within a rest."""
-    return np.flatnonzero((rows >= rest.first) & (rows < rest.last))
+    return np.flatnonzero((path.nodes >= rest.first) & (path.nodes < rest.last))
 
 
-def _spaced(times: Array, nodes: np.ndarray, every_s: float) -> np.ndarray:
+def _spaced(path: Nominal, nodes: np.ndarray, every_s: float) -> np.ndarray:
     """Of these nodes, one at least ``every_s`` after the other."""
     if not len(nodes):
         return nodes
-    marks = np.arange(times[nodes[0]], times[nodes[-1]] + 1e-9, every_s)
-    return nodes[np.unique(np.clip(np.searchsorted(times[nodes], marks), 0, len(nodes) - 1))]
+    times = path.node_s[nodes]
+    marks = np.arange(times[0], times[-1] + 1e-9, every_s)
+    return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from swimid.inertial import aiding, plausible, smoother
+from swimid.inertial.errorstate import Observation
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.sensor import QUATERNION_SD, Sensor
 from swimid.inertial.setup import Setup, Stillness
-from swimid.inertial.smoother import Prior, Smoothed, State
+from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
 
 #: At the first sample, deviations: place, m, and the zero of yaw, rad; roll and pitch of a filter, rad.
 ZERO_SD, START_TILT_SD = 1e-6, 0.05
@@ -49,21 +51,22 @@ def judged(setup: Setup) -> Estimate:
     observations clearly likelier. The rest that contradicts the motion worst is left out, then the next, at
     last all of them.
     """
-    believed, (smoothed, sensor) = setup, by_class(setup)
+    believed, (smoothed, sensor) = setup, _by_class(setup)
     whole = smoothed, sensor
     wrong = doubts = plausible.contradictions(setup, smoothed)
     reasons: list[str] = []
     for dropped in range(1, MOST_DROPPED + 1):
         if not doubts or not believed.still.used:
             break
-        worst = plausible.worst(setup.record, smoothed, believed.still.used)
+        worst = plausible.worst(believed, smoothed)
         if worst is None or dropped == MOST_DROPPED:
             reasons.append("no rest is used")
             believed = believed.without(believed.still.used)
         else:
-            reasons.append(plausible.doubt(setup.record, smoothed, worst))
-            believed = believed.without([worst])
-        smoothed, sensor = by_class(believed)
+            rest, reason = worst
+            reasons.append(reason)
+            believed = believed.without([rest])
+        smoothed, sensor = _by_class(believed)
         doubts = plausible.contradictions(believed, smoothed)
     if doubts:
         return Estimate(whole[0], setup.still, whole[1], [], wrong)
@@ -84,15 +87,25 @@ def shown_class(stated: Sensor, shown: Sensor) -> list[Finding]:
     ]
 
 
-def by_class(setup: Setup) -> tuple[Smoothed, Sensor]:
+def likeliest_class(
+    stated: Smoothed, sensor: Sensor, attempt: Callable[[Sensor], Smoothed]
+) -> tuple[Smoothed, Sensor]:
     """The likeliest motion, and the class of its sensor: another where that is clearly likelier."""
-    sensor, passes = setup.sensor, smoother.PASSES
-    stated = run(setup, sensor)
-    others = [(run(setup, other, stated, 1), other) for other in sensor.classes().values() if other != sensor]
-    best, shown = max(others, key=lambda pair: pair[0].errors.likelihood, default=(stated, sensor))
-    if best.errors.likelihood <= stated.errors.likelihood + STRONG:
-        return stated, sensor
-    return run(setup, shown, best, passes - 1), shown
+    best, shown = stated, sensor
+    for other in sensor.classes().values():
+        if other == sensor:
+            continue
+        smoothed = attempt(other)
+        gain = smoothed.errors.likelihood - best.errors.likelihood
+        if gain > (STRONG if best is stated else 0.0):
+            best, shown = smoothed, other
+    return best, shown
+
+
+def _by_class(setup: Setup) -> tuple[Smoothed, Sensor]:
+    stated = run(setup, setup.sensor)
+    best, shown = likeliest_class(stated, setup.sensor, lambda other: run(setup, other, stated, 1))
+    return (best, shown) if best is stated else (run(setup, shown, best, smoother.PASSES - 1), shown)
 
 
 def run(
@@ -111,8 +124,11 @@ def run(
         "velocity": aiding.REST_SPEED_SD if at_rest else 0.5 * top_m_s,
         "rotation": (START_TILT_SD, START_TILT_SD, yaw_sd),
     }
-    aids = [*aiding.known(setup), aiding.speed_limit(top_m_s)]
+
+    def observe(path: Nominal) -> list[Observation]:
+        return [*aiding.known(setup, path), *aiding.speed_limit(top_m_s, path)]
+
     prior = Prior(source.rotation, state, sd)
-    found = smoother.run(setup.record, prior, sensor, still.noise, aids, after=after, passes=passes)
+    smoothed = smoother.run(setup.record, prior, sensor, still.noise, observe, after=after, passes=passes)
     setup.advance()
-    return found
+    return smoothed

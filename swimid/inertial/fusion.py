@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,14 +12,14 @@ from swimid.errors import InputError, NoTrustworthyResult
 from swimid.inertial import aiding, alignment, clock, plausible, smoother
 from swimid.inertial.aiding import Fixes
 from swimid.inertial.alignment import Fit, Poses
-from swimid.inertial.alone import STRONG, Estimate, shown_class
+from swimid.inertial.alone import Estimate, likeliest_class, shown_class
 from swimid.inertial.clock import Offset
-from swimid.inertial.errorstate import CLOCK, FUSED
+from swimid.inertial.errorstate import CLOCK, FUSED, Observation
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Array
 from swimid.inertial.sensor import BAND, DEG, Sensor
 from swimid.inertial.setup import Setup
-from swimid.inertial.smoother import Prior, Smoothed, State
+from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
 
 #: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
 #: its clock, s.
@@ -351,10 +352,12 @@ def _fuse(
     """Smooth both logs once; ``held``: the clock stays as it is."""
     if held:
         prior = replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD})
-    aids = [*aiding.known(setup), aiding.fixes(fixes, gate)]
-    noise = setup.still.noise
+
+    def observe(path: Nominal) -> list[Observation]:
+        return [*aiding.known(setup, path), *aiding.against(fixes, path, gate)]
+
     smoothed = smoother.run(
-        setup.record, prior, sensor, noise, aids, states=FUSED, after=after, passes=passes
+        setup.record, prior, sensor, setup.still.noise, observe, states=FUSED, after=after, passes=passes
     )
     setup.advance()
     return smoothed
@@ -375,14 +378,8 @@ def _settled(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
         smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
         if turn != 1 or noise_known:
             continue
-        stated = smoothed
-        for other in begun.sensor.classes().values():
-            if other == begun.sensor:
-                continue
-            attempt = _fuse(setup, prior, other, fixes, held=held, after=stated)
-            gain = attempt.errors.likelihood - smoothed.errors.likelihood
-            if gain > (STRONG if smoothed is stated else 0.0):
-                smoothed, shown = attempt, other
+        attempt = partial(_fuse, setup, prior, fixes=fixes, held=held, after=smoothed)
+        smoothed, shown = likeliest_class(smoothed, begun.sensor, attempt)
     return _Trial(setup, prior, fixes, shown, smoothed)
 
 
@@ -393,7 +390,7 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
     covariance = smoothed.errors.covariance
-    for seen in aiding.against(fixes.unweighted(), smoothed.path, smoothed.nodes, FUSED):
+    for seen in aiding.against(fixes.unweighted(), smoothed.path):
         place = seen.kind == "position"
         measured = np.isfinite(fixes.position[seen.fix]) if place else fixes.turns[seen.fix]
         columns = np.flatnonzero(measured) + (0 if place else 3)

@@ -78,11 +78,10 @@ def at_reference(smoothed: Smoothed) -> Motion:
     body_velocity = body.inv().apply(velocity)
     place, speed, body_speed, turn = _jacobians(smoothed, velocity, body)
     covariance = smoothed.errors.covariance
-    nodes = path.time_s[smoothed.nodes]
 
     def sd(jacobian: Array) -> Array:
         variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
-        return resampled(path.time_s, nodes, np.sqrt(np.maximum(variance, 0.0)))
+        return resampled(path.time_s, path.node_s, np.sqrt(np.maximum(variance, 0.0)))
 
     return Motion(
         path.time_s,
@@ -101,8 +100,8 @@ def at_reference(smoothed: Smoothed) -> Motion:
 
 def _jacobians(smoothed: Smoothed, velocity: Array, body: Rotation) -> tuple[Array, Array, Array, Array]:
     """Of position, velocity, body velocity and angles with respect to the states, at the nodes."""
-    path, rows = smoothed.path, smoothed.nodes
-    m, states = len(rows), smoothed.errors.covariance.shape[1]
+    path, rows, states = smoothed.path, smoothed.path.nodes, smoothed.path.states
+    m = len(rows)
     turn = path.rotation[rows].as_matrix()
     rate, lever = path.rate[rows], path.lever
     place = np.zeros((m, 3, states))

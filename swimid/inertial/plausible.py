@@ -29,9 +29,7 @@ def contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
     record, source = setup.record, setup.source
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing came to no numbers"]
-    found = [
-        doubt(record, smoothed, rest) for rest in setup.still.used if _at_rest(record, smoothed, rest) > GATE
-    ]
+    found = [_contradiction(record, rest, size) for rest, size in _doubted(setup, smoothed)]
     away = _tilt_between(smoothed.path.rotation, source.rotation)
     spread = smoothed.errors.covariance[:, T, T]
     own = float(np.mean(np.trace(spread[:, :2, :2], axis1=1, axis2=2)))
@@ -45,16 +43,23 @@ def contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
     return found
 
 
-def worst(record: Record, smoothed: Smoothed, rests: list[Rest]) -> Rest | None:
-    """The rest at which the motion is least at rest; None where all are within :data:`GATE` deviations."""
-    sizes = np.nan_to_num([_at_rest(record, smoothed, rest) for rest in rests])
-    return rests[int(np.argmax(sizes))] if np.any(sizes > GATE) else None
+def worst(setup: Setup, smoothed: Smoothed) -> tuple[Rest, str] | None:
+    """The rest at which the motion is least at rest, and what speaks against it; None where all can be."""
+    doubted = _doubted(setup, smoothed)
+    if not doubted:
+        return None
+    rest, size = max(doubted, key=lambda pair: pair[1])
+    return rest, _contradiction(setup.record, rest, size)
 
 
-def doubt(record: Record, smoothed: Smoothed, rest: Rest) -> str:
-    """What speaks against a rest."""
+def _doubted(setup: Setup, smoothed: Smoothed) -> list[tuple[Rest, float]]:
+    """Rests at which the smoothed motion is not at rest, beyond :data:`GATE` deviations."""
+    sizes = [(rest, _off_rest(setup.record, smoothed, rest)) for rest in setup.still.used]
+    return [(rest, size) for rest, size in sizes if size > GATE]
+
+
+def _contradiction(record: Record, rest: Rest, size: float) -> str:
     begin, end = record.time_s[rest.first], record.time_s[rest.last - 1]
-    size = _at_rest(record, smoothed, rest)
     return f"the rest from {begin:.1f} to {end:.1f} s contradicts the motion by {size:.0f} deviations"
 
 
@@ -108,10 +113,10 @@ def reach(time_s: Array, position: Array, position_sd: Array, moving_from_s: flo
     return Trust(until, max(until - moving_from_s, 0.0), widest)
 
 
-def _at_rest(record: Record, smoothed: Smoothed, rest: Rest) -> float:
+def _off_rest(record: Record, smoothed: Smoothed, rest: Rest) -> float:
     """Largest departure from rest, of velocity, acceleration and turn rate, in deviations."""
     path, errors = smoothed.path, smoothed.errors
-    nodes = rest_nodes(rest, smoothed.nodes)
+    nodes = rest_nodes(rest, path)
     if not len(nodes):
         return 0.0
     middle = int(nodes[len(nodes) // 2])
@@ -123,7 +128,7 @@ def _at_rest(record: Record, smoothed: Smoothed, rest: Rest) -> float:
     duration = max(float(path.time_s[rest.last - 1] - path.time_s[rest.first]), record.step_s)
     acceleration = path.acceleration[rest.rows].mean(axis=0)
     force = path.rotation[rest.rows].apply(path.force[rest.rows]).mean(axis=0)
-    turn = path.rotation[int(smoothed.nodes[middle])].as_matrix()
+    turn = path.rotation[int(path.nodes[middle])].as_matrix()
     h = np.zeros((3, len(covariance)))
     h[:, T], h[:, BA] = -cross_matrix(force), -turn
     h[:, SA] = -np.kron(turn, record.acceleration[rest.rows].mean(axis=0))

@@ -9,7 +9,7 @@ leave an attitude that is off by radians, and no small turn corrects that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Self
@@ -127,11 +127,22 @@ class Nominal(State):
         Specific force less its bias, sensor axes.
     rate : ndarray, shape (n, 3)
         Turn rate less its bias, sensor axes.
+    nodes : ndarray of int, shape (m,)
+        Rows at which its errors are followed.
+    states : int
+        How many errors are.
     """
 
     time_s: Array
     force: Array
     rate: Array
+    nodes: np.ndarray
+    states: int
+
+    @property
+    def node_s(self) -> Array:
+        """Times of the nodes."""
+        return self.time_s[self.nodes]
 
     @property
     def acceleration(self) -> Array:
@@ -158,11 +169,6 @@ class Prior:
     sd: Mapping[str, Any]
 
 
-#: Makes observations of a reckoned path: called with the path, the rows of its nodes, and the
-#: number of states.
-Aid = Callable[[Nominal, np.ndarray, int], list[Observation]]
-
-
 @dataclass(frozen=True)
 class Smoothed:
     """The corrected path, and the covariance of what is left of its errors.
@@ -171,16 +177,13 @@ class Smoothed:
     ----------
     path : Nominal
         With the errors taken out.
-    nodes : ndarray of int, shape (m,)
-        Rows the covariance is known at.
     errors : Errors
-        Of the last pass.
+        Of the last pass, at the nodes of the path.
     origin : State
         What a next pass would start from; the path it would be about is ``path``.
     """
 
     path: Nominal
-    nodes: np.ndarray
     errors: Errors
     origin: State
 
@@ -205,7 +208,7 @@ def run(
     prior: Prior,
     sensor: Sensor,
     noise: Noise,
-    aids: Sequence[Aid],
+    observe: Callable[[Nominal], list[Observation]],
     *,
     states: int = ALONE,
     after: Smoothed | None = None,
@@ -215,8 +218,8 @@ def run(
 
     Parameters
     ----------
-    aids : sequence of callables
-        Everything that is known besides the samples; :mod:`swimid.inertial.aiding` makes them.
+    observe : callable
+        Everything that is known of a path besides the samples; :mod:`swimid.inertial.aiding` makes it.
     states : int
         With those of another log lever, mounting, the world's tilt and its clock are estimated.
     after : Smoothed, optional
@@ -224,30 +227,23 @@ def run(
     passes : int
         Reckonings.
     """
-    rows = _node_rows(record.time_s)
-    added = _driving_noise(record, rows, sensor, noise, states)
-    covariance = _start_covariance(prior, sensor, states)
     if after is None:
-        now, path = prior.state, _reckoned(record, prior)
+        now, path = prior.state, _reckoned(record, prior, states)
     else:
         now, path = after.origin, _about(record, after.origin, after.path)
+    driving = _driving_noise(record, sensor, noise, path)
+    covariance = _start_covariance(prior, sensor, states)
     for turn in range(passes):
         if turn:
             path = _about(record, now, path)
-        transition, defect = _transitions(record, path, rows, states)
-        errors = errorstate.smooth(
-            prior.state.less(now)[:states],
-            covariance,
-            transition,
-            added,
-            [o for aid in aids for o in aid(path, rows, states)],
-            defect,
-        )
+        transition, defect = _transitions(record, path)
+        mean = prior.state.less(now)[:states]
+        errors = errorstate.smooth(mean, covariance, transition, driving, observe(path), defect)
         # constant biases by their means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[BA.start : SG.stop] = mean[BA.start : SG.stop]
-        now, path = now.corrected(begin), _corrected(record, path, errors, rows)
-    return Smoothed(path, rows, errors, now)
+        now, path = now.corrected(begin), _corrected(record, path, errors)
+    return Smoothed(path, errors, now)
 
 
 def _node_rows(time_s: Array) -> np.ndarray:
@@ -260,31 +256,28 @@ def _node_rows(time_s: Array) -> np.ndarray:
     return np.unique(np.concatenate([wanted, [len(time_s) - 1]]))
 
 
-def _reckoned(record: Record, prior: Prior) -> Nominal:
+def _reckoned(record: Record, prior: Prior, states: int) -> Nominal:
     """The path that follows from accelerations, an attitude and where it starts."""
-    path = _about(record, prior.state, replace(prior.state, rotation=prior.guide))
-    velocity = strapdown.integral(record.time_s, path.acceleration, prior.state.velocity)
-    position = strapdown.integral(record.time_s, velocity, prior.state.position)
-    return replace(path, velocity=velocity, position=position)
+    t, start = record.time_s, prior.state
+    known = {**vars(start), "rotation": prior.guide, "nodes": _node_rows(t), "states": states}
+    path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
+    velocity = strapdown.integral(t, path.acceleration, start.velocity)
+    return replace(path, velocity=velocity, position=strapdown.integral(t, velocity, start.position))
 
 
-def _about(record: Record, origin: State, path: State) -> Nominal:
+def _about(record: Record, origin: State, path: Nominal) -> Nominal:
     """The same path with the readings corrected by an origin's biases and scales."""
-    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
     force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
-    parts = vars(origin) | {
-        "position": path.position,
-        "velocity": path.velocity,
-        "rotation": path.rotation,
-        "acceleration_bias": np.broadcast_to(origin.acceleration_bias, force.shape),
-        "rate_bias": np.broadcast_to(origin.rate_bias, rate.shape),
-    }
-    return Nominal(**parts, time_s=record.time_s, force=force, rate=rate)
+    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
+    constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
+    constant["acceleration_bias"] = np.broadcast_to(origin.acceleration_bias, force.shape)
+    constant["rate_bias"] = np.broadcast_to(origin.rate_bias, rate.shape)
+    return replace(path, **constant, force=force, rate=rate)
 
 
-def _corrected(record: Record, path: Nominal, errors: Errors, rows: np.ndarray) -> Nominal:
+def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
     """The path, and the readings it was reckoned from, without their errors."""
-    x = resampled(path.time_s, path.time_s[rows], errors.mean)
+    x = resampled(path.time_s, path.node_s, errors.mean)
     force = path.force - x[:, BA] - record.acceleration @ x[-1, SA].reshape(3, 3).T
     rate = path.rate - x[:, BG] - record.rate @ x[-1, SG].reshape(3, 3).T
     return replace(path.corrected(x), force=force, rate=rate)
@@ -305,15 +298,15 @@ def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
     return np.diag(sd**2)
 
 
-def _transitions(record: Record, path: Nominal, rows: np.ndarray, states: int) -> tuple[Array, Array]:
+def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     """Transition matrices over the steps between nodes, and their defects, shape (steps, 9).
 
     Matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of GNSS,
     Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not
-    turn). A defect is the position, velocity and turn that the samples make of a step, less those of the path: 0 for
-    a path that was reckoned from the samples.
+    turn). A defect is the position, velocity and turn that the samples make of a step, less those of the
+    path: 0 for a path that was reckoned from the samples.
     """
-    t, turn = path.time_s, path.rotation.as_matrix()
+    t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
 
     def mean(values: Array) -> Array:
@@ -354,7 +347,7 @@ def _transitions(record: Record, path: Nominal, rows: np.ndarray, states: int) -
     return transition, defect
 
 
-def _driving_noise(record: Record, rows: np.ndarray, sensor: Sensor, noise: Noise, states: int) -> Array:
+def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
     """Covariance each step between nodes adds, shape (steps, states, states).
 
     Noise of the sensor, errors of its scale, and what bridged samples hide.
@@ -369,13 +362,13 @@ def _driving_noise(record: Record, rows: np.ndarray, sensor: Sensor, noise: Nois
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
         # what scales leave (bending) acts with the motion's own rhythm: white beyond half a stroke
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
-        return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[rows])
+        return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
     moving = record.acceleration - np.median(record.acceleration, axis=0)
     velocity = white(noise.acceleration, record.acceleration, moving, record.filled_acceleration)
     angle = white(noise.rate, record.rate, record.rate, record.filled_rate)
-    dt_nodes = np.diff(record.time_s[rows])
-    q = np.zeros((len(dt_nodes), states, states))
+    dt_nodes = np.diff(path.node_s)
+    q = np.zeros((len(dt_nodes), path.states, path.states))
     for i in range(3):
         q[:, 3 + i, 3 + i] = velocity
         q[:, i, i] = velocity * dt_nodes**2 / 3

@@ -20,8 +20,8 @@ from swimid.inertial.faults import (
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Record
 
-#: A new fault is a module with ``NAME``, as in ``docs/imu.md``, and ``check(record)``, which returns the record,
-#: repaired where it can be, and findings, or raises an InputError; and a place here.
+#: A new fault is a module with ``NAME``, as in ``docs/imu.md``, and ``check(record)``, which returns the
+#: record, repaired where it can be, and findings, or raises an InputError; and a place here.
 FAULTS: tuple[ModuleType, ...] = (
     order,
     wild,
