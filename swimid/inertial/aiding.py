@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from swimid.inertial.alignment import Poses
 from swimid.inertial.attitude import QUATERNIONS
 from swimid.inertial.errorstate import ALONE, BG, CLOCK, LEVER, MOUNT, Observation, P, T, V, cross_matrix
 from swimid.inertial.record import Array, resampled
@@ -99,35 +100,17 @@ def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
 
 
 @dataclass(frozen=True)
-class Fixes:
-    """Poses from another log, on its own clock.
+class Fixes(Poses):
+    """Poses from another log, on its own clock, with their noise; whole columns NaN where an axis never is."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (m,)
-    position : ndarray, shape (m, 3)
-        Of the reference point, world axes, m; NaN where not measured, whole columns where an axis never is.
-    position_sd : ndarray, shape (3,)
-    rotation : Rotation
-        Body to world, m of them; angles that were not measured are 0.
-    turns : ndarray of bool, shape (m, 3)
-        Which of roll, pitch and yaw were measured.
-    rotation_sd : float
-        rad.
-    place_weight, turn_weight : ndarray, shape (m,)
-        Weight of each position and each attitude, at most 1: a stray one's deviation is larger by its root.
-    counted : ndarray of bool, shape (m,)
-        Those whose likelihood is compared between clocks.
-    """
-
-    time_s: Array
-    position: Array
+    #: Shape (3,), m; and rad.
     position_sd: Array
-    rotation: Rotation
-    turns: np.ndarray
     rotation_sd: float
+    #: Shape (m,). Weight of each position and each attitude, at most 1: a stray one's deviation is larger by its
+    #: root.
     place_weight: Array
     turn_weight: Array
+    #: Shape (m,). Those whose likelihood is compared between clocks.
     counted: np.ndarray
 
     @property
@@ -139,7 +122,7 @@ class Fixes:
 
     def take(self, rows: np.ndarray) -> Fixes:
         """Only these, shape (m,) of bool."""
-        each = ("time_s", "position", "rotation", "turns", "place_weight", "turn_weight", "counted")
+        each = ("time_s", "position", "angles", "place_weight", "turn_weight", "counted")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
     def unweighted(self) -> Fixes:
@@ -161,7 +144,8 @@ def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observatio
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
     matrices, arms = rotation.as_matrix(), cross_matrix(lever)
-    turned = _turned(seen, inside, rotation * path.mount) if seen.turns.any() else None
+    turns = seen.turns[inside]
+    turned = _turned(seen.rotation[inside], turns, rotation * path.mount) if turns.any() else None
     place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
     by_place = np.zeros((len(inside), 3, states))
     by_place[:, :, P] = np.eye(3)
@@ -179,7 +163,7 @@ def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observatio
         if there.any():
             off, h, sd = away[k, there], by_place[k, there], place_sd[k, there]
             found.append(Observation(int(node[k]), "position", off, h, sd, *told))
-        axes = seen.turns[index]
+        axes = turns[k]
         if turned is not None and axes.any():
             off, by_turn, sd = turned[0][k, axes], turned[1][k][axes], turn_sd[k, axes]
             h = np.zeros((len(off), states))
@@ -197,15 +181,14 @@ def _nearest(times: Array, when: Array) -> np.ndarray:
     return index - ((when - times[index - 1]) < (times[index] - when))
 
 
-def _turned(seen: Fixes, inside: np.ndarray, body: Rotation) -> tuple[Array, Array]:
+def _turned(measured: Rotation, turns: np.ndarray, body: Rotation) -> tuple[Array, Array]:
     """Measured less reckoned attitude, shape (k, 3), and what a small turn does to it, (k, 3, 3).
 
     Three angles together make a small turn about world axes. One alone is compared as an angle: of a body
     that tilts, the yaw is not its turn about the vertical.
     """
-    measured = seen.rotation[inside]
-    if seen.turns[inside].sum(axis=1).max(initial=0) == 3:
-        return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(inside), 3, 3))
+    if turns.all(axis=1).any():
+        return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
     off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
     by_turn, pitch = turn_to_angles(body), angles(body)[1][:, None]
     # about the heading a turn rolls, and yaws by the tangent of the dip

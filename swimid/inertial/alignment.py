@@ -22,21 +22,14 @@ LEAST_EXPLAINED = 0.2
 
 @dataclass(frozen=True)
 class Poses:
-    """What another log says of the robot.
+    """What another log says of the robot."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (m,)
-        On its own clock.
-    position : ndarray, shape (m, 3)
-        World axes, m; NaN where not measured.
-    angles : ndarray, shape (m, 3)
-        Roll, pitch and yaw, rad, signs of :func:`swimid.logs.rotation.angles`; NaN where not measured. All
-        three are, or yaw, or pitch, or none.
-    """
-
+    #: Shape (m,). On its own clock.
     time_s: Array
+    #: Shape (m, 3). World axes, m; NaN where not measured.
     position: Array
+    #: Shape (m, 3). Roll, pitch and yaw, rad, signs of :func:`swimid.logs.rotation.angles`; NaN where not
+    #: measured. All three are, or yaw, or pitch, or none.
     angles: Array
 
     @property
@@ -65,6 +58,11 @@ class Poses:
         there = self.measured
         return np.asarray(there.any() & np.isfinite(self.angles[:, there]).all(axis=1))
 
+    @property
+    def turns(self) -> np.ndarray:
+        """Which angles of which rows are compared: those of rows that have all, shape (m, 3)."""
+        return np.isfinite(self.angles) & self.turned[:, None]
+
     def with_pitch_turned(self) -> Poses:
         """The same with the other sign of pitch."""
         return replace(self, angles=self.angles * [1.0, -1.0, 1.0])
@@ -72,23 +70,15 @@ class Poses:
 
 @dataclass(frozen=True)
 class Fit:
-    """A sensor's rates against a body's.
+    """A sensor's rates against a body's."""
 
-    Attributes
-    ----------
-    offset : Offset
-        To add to the other log's times.
-    by : str
-        "turn rates", "yaw", "pitch" or "path".
-    mount : Rotation or None
-        Body to sensor, where three angles tell it.
-    handed : float
-        Determinant of the best matrix between rates: -1 where an axis is mirrored, 0 where they cannot tell.
-    """
-
+    #: To add to the other log's times.
     offset: Offset
+    #: "turn rates", "yaw", "pitch" or "path".
     by: str
+    #: Body to sensor, where three angles tell it.
     mount: Rotation | None = None
+    #: Determinant of the best matrix between rates: -1 where an axis is mirrored, 0 where they cannot tell.
     handed: float = 0.0
 
 

@@ -23,24 +23,15 @@ MOST_DROPPED = 3
 
 @dataclass(frozen=True)
 class Estimate:
-    """The likeliest motion.
-
-    Attributes
-    ----------
-    smoothed : Smoothed
-    still : Stillness
-        With the rests that were believed.
-    sensor : Sensor
-        With the errors the log shows it to have.
-    findings : list of Finding
-    impossible : list of str
-        Why none of it can be; empty where it can.
-    """
+    """The likeliest motion."""
 
     smoothed: Smoothed
+    #: With the rests that were believed.
     still: Stillness
+    #: With the errors the log shows it to have.
     sensor: Sensor
     findings: list[Finding]
+    #: Why none of it can be; empty where it can.
     impossible: list[str]
 
 

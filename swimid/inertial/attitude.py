@@ -16,20 +16,13 @@ QUATERNIONS = "quaternion columns"
 
 @dataclass(frozen=True)
 class Source:
-    """An attitude at every sample.
+    """An attitude at every sample."""
 
-    Attributes
-    ----------
-    rotation : Rotation
-        Sensor to world, n of them.
-    heading : bool
-        Whether its yaw is held by something (a compass, the sensor's own filter).
-    kind : str
-        "quaternion columns", "gyroscope and accelerometer", "gyroscope, accelerometer and magnetometer".
-    """
-
+    #: Sensor to world, n of them.
     rotation: Rotation
+    #: Whether its yaw is held by something (a compass, the sensor's own filter).
     heading: bool
+    #: "quaternion columns", "gyroscope and accelerometer", "gyroscope, accelerometer and magnetometer".
     kind: str
 
 

@@ -115,8 +115,8 @@ def _fusion(run: Run) -> Iterator[Check]:
     if held_out is None:
         text, verdict = "too few fixes to leave some out: the band is not held against any", "warn"
     else:
-        text = f"{held_out.count} foretold to {held_out.deviations:.2f} of their deviation (rms)"
-        if np.isfinite(held_out.rms_m):
+        text = f"{held_out.fixes} foretold to {held_out.deviations:.2f} of their deviation (rms)"
+        if held_out.rms_m is not None:
             text += f", {held_out.rms_m:.4f} m"
         verdict = "pass" if held_out.deviations <= FIX_LIMIT else "fail"
     limit = f"below {FIX_LIMIT:g}; every band is widened by what is more than 1"

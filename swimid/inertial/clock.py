@@ -24,23 +24,16 @@ _OVERLAP = 0.3
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to the times of the seen log to have them on the reference's clock.
+    """What to add to the times of the seen log to have them on the reference's clock."""
 
-    Attributes
-    ----------
-    value_s, stderr_s, low_s, high_s : float
-        Estimate, standard error and 95 % interval.
-    explained : float
-        Share of the variance of the seen channels, slow parts removed, that the reference explains.
-    factors : ndarray, shape (k, d)
-        What the reference channels were multiplied with.
-    """
-
+    #: Estimate, standard error and 95 % interval.
     value_s: float
     stderr_s: float
     low_s: float
     high_s: float
+    #: Share of the variance of the seen channels, slow parts removed, that the reference explains.
     explained: float
+    #: Shape (k, d). What the reference channels were multiplied with.
     factors: Array
 
     @property

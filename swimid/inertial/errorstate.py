@@ -30,56 +30,38 @@ MOVING = 9
 
 @dataclass(frozen=True)
 class Observation:
-    """A measurement of the error at one node.
-
-    Attributes
-    ----------
-    node : int
-    kind : str
-        What it is, for the account kept of each kind.
-    residual : ndarray, shape (m,)
-        Measured minus reckoned.
-    sensitivity : ndarray, shape (m, states)
-    sd : ndarray, shape (m,)
-        Standard deviations, independent of each other.
-    gate : float
-        A residual beyond this many deviations is an outlier and not used; infinite for none.
-    counted : bool
-        Whether it counts in the likelihood; one that another clock leaves outside the record does not.
-    fix : int
-        Which pose of another log it is of; -1 for none.
-    """
+    """A measurement of the error at one node."""
 
     node: int
+    #: What it is, for the account kept of each kind.
     kind: str
+    #: Shape (m,). Measured minus reckoned.
     residual: Array
+    #: Shape (m, states).
     sensitivity: Array
+    #: Shape (m,). Standard deviations, independent of each other.
     sd: Array
+    #: A residual beyond this many deviations is an outlier and not used; infinite for none.
     gate: float = np.inf
+    #: Whether it counts in the likelihood; one that another clock leaves outside the record does not.
     counted: bool = True
+    #: Which pose of another log it is of; -1 for none.
     fix: int = -1
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Smoothed errors.
+    """Smoothed errors."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (nodes, states)
-    covariance : ndarray, shape (nodes, states, states)
-    likelihood : float
-        Log likelihood of the observations that were used and count.
-    scores : dict of str to ndarray
-        Normalised innovations of every kind of observation, one row each (NaN beyond its width).
-    rejected : int
-        Observations beyond their gate.
-    """
-
+    #: Shape (nodes, states).
     mean: Array
+    #: Shape (nodes, states, states).
     covariance: Array
+    #: Log likelihood of the observations that were used and count.
     likelihood: float
+    #: Normalised innovations of every kind of observation, one row each (NaN beyond its width).
     scores: dict[str, Array]
+    #: Observations beyond their gate.
     rejected: int
 
 

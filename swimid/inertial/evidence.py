@@ -21,6 +21,23 @@ from swimid.notices import Notice
 from swimid.results import blocks
 from swimid.results.evidence import Check, Evidence, Table, Verdict
 
+SHANG = (
+    "Shang, L., Wang, S., Tan, M., Cheng, L. (2012). Swimming locomotion modeling for biomimetic underwater "
+    "vehicle with two undulating long-fins. Robotica 30, 913-923. doi:10.1017/S0263574711001159"
+)
+RAUCH = (
+    "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic systems. "
+    "AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
+)
+GROVES = (
+    "Groves, P. D. (2013). Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, "
+    "2nd ed. Artech House."
+)
+VQF = (
+    "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation estimation with bias estimation and "
+    "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
+)
+
 
 def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
     """The log of a run with its evidence."""
@@ -82,9 +99,7 @@ def _facts(run: Run) -> dict[str, Any]:
             "rate_rad_s_per_rt_hz": run.still.noise.rate,
             "source": run.still.noise.source,
         },
-        "faults": [
-            {"fault": f.fault, "verdict": f.verdict, "text": f.text, "count": f.count} for f in run.findings
-        ],
+        "faults": [vars(finding) for finding in run.findings],
         "mounting": _mounting(run),
         "stroke": _stroke(run),
     }
@@ -156,7 +171,7 @@ def _stroke(run: Run) -> dict[str, Any] | None:
 
 
 def _fusion(fused: Fused) -> dict[str, Any]:
-    before, fixes, held_out = fused.clocks, fused.fixes, fused.held_out
+    before, fixes = fused.clocks, fused.fixes
     scores = fused.smoothed.errors.scores
     return {
         "clock_offset_s": fused.offset.value_s,
@@ -174,13 +189,7 @@ def _fusion(fused: Fused) -> dict[str, Any]:
         "fixes_stray": fused.stray,
         "clocks_agree": fused.agree,
         "widened_by_lasting_errors": fused.lasting,
-        "held_out": None
-        if held_out is None
-        else {
-            "fixes": held_out.count,
-            "rms_m": _largest(held_out.rms_m),
-            "deviations": held_out.deviations,
-        },
+        "held_out": None if fused.held_out is None else vars(fused.held_out),
     }
 
 
@@ -237,16 +246,12 @@ def _verdict(run: Run, found: Sequence[Check]) -> Verdict:
 
 
 def _tables(run: Run, data: dict[str, Any]) -> list[Table]:
+    columns = ["from (s)", "to (s)", "where", "taken as rest"]
+    used = {True: "yes", False: "no"}
     rests = [
-        {
-            "from (s)": p["from_s"],
-            "to (s)": p["to_s"],
-            "where": p["at"],
-            "taken as rest": "yes" if p["used_as_rest"] else "no",
-        }
+        dict(zip(columns, (*list(p.values())[:3], used[p["used_as_rest"]]), strict=True))
         for p in data["still_periods"]
     ]
-    columns = ["from (s)", "to (s)", "where", "taken as rest"]
     tables = [blocks.table("still", "Still periods", rests, columns=columns)]
     bias = run.bias
     if bias is not None:
@@ -263,20 +268,17 @@ def _tables(run: Run, data: dict[str, Any]) -> list[Table]:
 def _methods(run: Run) -> list[str]:
     if run.paper is not None:
         return [
-            "Velocity and position were computed from accelerations as by Shang et "
-            "al. (2012): means removed for "
-            f"{run.options.motion_mode} mode, readings below {run.options.threshold_m_s2:g} m/s² and "
-            f"{run.options.threshold_rad_s:g} rad/s set to zero, rotation to earth "
-            f"axes (Eqs 10 and 11), trapezoidal "
-            "integration (Eqs 12 and 13)."
+            "Velocity and position were computed from accelerations as by Shang et al. (2012): means removed "
+            f"for {run.options.motion_mode} mode, readings below {run.options.threshold_m_s2:g} m/s² and "
+            f"{run.options.threshold_rad_s:g} rad/s set to zero, rotation to earth axes (Eqs 10 and 11), "
+            "trapezoidal integration (Eqs 12 and 13)."
         ]
-    used = "an inertial unit" if run.fused is None else "an inertial unit and a second log of the trial"
+    used, more = "an inertial unit", ""
+    if run.fused is not None:
+        used, more = f"{used} and a second log of the trial", ", mounting, lever arm and clock offset"
     text = [
-        f"Motion was estimated from {used} by an error-state Kalman filter and "
-        f"Rauch-Tung-Striebel smoother over "
-        "position, velocity, attitude and sensor biases"
-        + (", mounting, lever arm and clock offset" if run.fused is not None else "")
-        + f"; attitude from {run.source.kind}.",
+        f"Motion was estimated from {used} by an error-state Kalman filter and Rauch-Tung-Striebel smoother "
+        f"over position, velocity, attitude and sensor biases{more}; attitude from {run.source.kind}."
     ]
     declared = dict.fromkeys(run.options.zero_mean)
     if declared:
@@ -285,24 +287,5 @@ def _methods(run: Run) -> list[str]:
 
 
 def _references(run: Run) -> list[str]:
-    shang = (
-        "Shang, L., Wang, S., Tan, M., Cheng, L. (2012). Swimming locomotion "
-        "modeling for biomimetic underwater "
-        "vehicle with two undulating long-fins. Robotica 30, 913-923. doi:10.1017/S0263574711001159"
-    )
-    rauch = (
-        "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood "
-        "estimates of linear dynamic systems. "
-        "AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
-    )
-    groves = (
-        "Groves, P. D. (2013). Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, "
-        "2nd ed. Artech House."
-    )
-    vqf = (
-        "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation "
-        "estimation with bias estimation and "
-        "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
-    )
-    filtered = [] if run.record.quaternion is not None else [vqf]
-    return [shang, *filtered] if run.paper is not None else [rauch, groves, *filtered]
+    filtered = [] if run.record.quaternion is not None else [VQF]
+    return [SHANG, *filtered] if run.paper is not None else [RAUCH, GROVES, *filtered]

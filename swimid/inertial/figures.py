@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from swimid.inertial.aiding import AXES
 from swimid.inertial.record import Array
 from swimid.inertial.run import ANGLES, Run
 from swimid.inertial.sensor import BAND, DEG
@@ -28,30 +28,29 @@ def figures(run: Run) -> list[Figure]:
     if run.poses is not None and run.fused is not None:
         seen = (run.poses.time_s + run.fused.offset.value_s, run.poses.position)
     turn = np.column_stack(angles(found.rotation)) / DEG
-    names = [f"{name} (m/s)" for name in ("surge", "sway", "heave")]
+    dots = "" if seen is None else "; dots are what the other log saw"
     out = [
         Figure(
             id="velocity",
             title="Body velocity",
-            caption="Surge, sway and heave with the 95 % band; rests shaded. Good: a band "
-            "narrow against the motion.",
-            panels=_panels(run, names, found.body_velocity, found.body_velocity_sd),
+            caption="Surge, sway and heave with the 95 % band; rests shaded. Good: a band narrow against the "
+            "motion.",
+            panels=_panels(run, AXES, "m/s", found.body_velocity, found.body_velocity_sd),
         ),
         Figure(
             id="position",
             title="Position",
-            caption="Position with its 95 % band"
-            + ("" if seen is None else "; dots are what the other log saw")
-            + ". Good: dots inside the band, and a band that ends before the way does.",
-            panels=_panels(run, [f"{name} (m)" for name in "xyz"], found.position, found.position_sd, seen),
+            caption=f"Position with its 95 % band{dots}. Good: dots inside the band, and a band that ends "
+            "before the way does.",
+            panels=_panels(run, "xyz", "m", found.position, found.position_sd, seen),
         ),
         _growth(run),
         Figure(
             id="attitude",
             title="Attitude",
-            caption="Roll, pitch (nose up) and yaw with the 95 % band. Good: roll and "
-            "pitch come back after the run.",
-            panels=_panels(run, [f"{name} (deg)" for name in ANGLES], turn, found.angle_sd / DEG),
+            caption="Roll, pitch (nose up) and yaw with the 95 % band. Good: roll and pitch come back after "
+            "the run.",
+            panels=_panels(run, ANGLES, "deg", turn, found.angle_sd / DEG),
         ),
         _track(run),
     ]
@@ -61,9 +60,9 @@ def figures(run: Run) -> list[Figure]:
             Figure(
                 id="oscillation",
                 title="Surge within a stroke",
-                caption=f"Surge above {run.cutoff_hz:.2f} Hz with its 95 % band: the part that "
-                f"needs no help from outside.",
-                panels=_panels(run, ["surge (m/s)"], run.surge_osc[:, None], sd),
+                caption=f"Surge above {run.cutoff_hz:.2f} Hz with its 95 % band: the part that needs no help "
+                "from outside.",
+                panels=_panels(run, ["surge"], "m/s", run.surge_osc[:, None], sd),
             )
         )
     return out
@@ -75,7 +74,12 @@ def _few(*series: Array) -> list[Array]:
 
 
 def _panels(
-    run: Run, names: Sequence[str], values: Array, sds: Array, seen: tuple[Array, Array] | None = None
+    run: Run,
+    names: Sequence[str],
+    unit: str,
+    values: Array,
+    sds: Array,
+    seen: tuple[Array, Array] | None = None,
 ) -> list[Panel]:
     """Every column over time with its band; ``seen``: times and columns of the other log."""
     t = run.record.time_s
@@ -92,7 +96,7 @@ def _panels(
         there = np.isfinite(seen[1][:, k]) if seen is not None else np.zeros(1, dtype=bool)
         if seen is not None and there.any():
             traces.append(_other_log(seen[0][there], seen[1][there, k]))
-        panels.append(Panel(x_label="time (s)", y_label=name, traces=traces, spans=spans))
+        panels.append(Panel(x_label="time (s)", y_label=f"{name} ({unit})", traces=traces, spans=spans))
     return panels
 
 
@@ -132,17 +136,11 @@ def _track(run: Run) -> Figure:
 
 def _paper(run: Run) -> Figure:
     assert run.paper is not None
-    panels: list[Any] = []
-    for label, values in (
-        ("acceleration (m/s²)", run.paper.acceleration),
-        ("velocity (m/s)", run.paper.velocity),
-        ("position (m)", run.paper.position),
-    ):
-        traces = []
-        for k, name in enumerate("xyz"):
-            x, y = thinned(run.record.time_s, values[:, k])
-            traces.append(Trace(x=x, y=y, label=name))
-        panels.append(Panel(x_label="time (s)", y_label=label, traces=traces))
+    panels = []
+    for name, unit in (("acceleration", "m/s²"), ("velocity", "m/s"), ("position", "m")):
+        columns = [thinned(run.record.time_s, column) for column in getattr(run.paper, name).T]
+        traces = [Trace(x=x, y=y, label=axis) for axis, (x, y) in zip("xyz", columns, strict=True)]
+        panels.append(Panel(x_label="time (s)", y_label=f"{name} ({unit})", traces=traces))
     return Figure(
         id="paper",
         title="The paper's steps",

@@ -46,51 +46,32 @@ SAME_MOUNT = 15 * DEG
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well fixes that were left out are foretold.
+    """How well fixes that were left out are foretold."""
 
-    Attributes
-    ----------
-    count : int
-    rms_m : float
-        Of position, every coordinate; NaN without positions.
-    deviations : float
-        Rms in the deviations that were stated; every band is widened by it where it is more than 1.
-    """
-
-    count: int
-    rms_m: float
+    fixes: int
+    #: Of position, every coordinate; None without positions.
+    rms_m: float | None
+    #: Rms in the deviations that were stated; every band is widened by it where it is more than 1.
     deviations: float
 
 
 @dataclass(frozen=True)
 class Fused(Estimate):
-    """The smoothed motion, and what fusing told.
+    """The smoothed motion, and what fusing told."""
 
-    Attributes
-    ----------
-    clocks : Fit
-        From the comparison of the two logs before fusing.
-    offset : Offset
-        Of the fused motion itself: the final answer.
-    agree : bool
-        Whether clocks that agree explain both logs as well as an offset does (Bayesian information
-        criterion).
-    fixes : Fixes
-        With the noise and the weights they were found to have.
-    stray : int
-        Fixes beyond :data:`swimid.inertial.aiding.GATE` deviations.
-    lasting : float
-        What errors of the fixes that last widen every band by; 1 where each is off by itself.
-    held_out : HeldOut or None
-        None where there are too few fixes to leave some out.
-    """
-
+    #: From the comparison of the two logs before fusing.
     clocks: Fit
+    #: Of the fused motion itself: the final answer.
     offset: Offset
+    #: Whether clocks that agree explain both logs as well as an offset does (Bayesian information criterion).
     agree: bool
+    #: With the noise and the weights they were found to have.
     fixes: Fixes
+    #: Fixes beyond :data:`swimid.inertial.aiding.GATE` deviations.
     stray: int
+    #: What errors of the fixes that last widen every band by; 1 where each is off by itself.
     lasting: float
+    #: None where there are too few fixes to leave some out.
     held_out: HeldOut | None
 
 
@@ -242,13 +223,12 @@ def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    turns = np.isfinite(poses.angles) & poses.turned[:, None]
     noises = [alignment.noise(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
     rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
     weight, t = np.ones(len(poses.time_s)), setup.record.time_s
     offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD
     counted = (poses.time_s + min(offsets) - margin >= t[0]) & (poses.time_s + max(offsets) + margin <= t[-1])
-    return Fixes(poses.time_s, position, sd, poses.rotation, turns, rotation_sd, weight, weight, counted)
+    return Fixes(poses.time_s, position, poses.angles, sd, rotation_sd, weight, weight, counted)
 
 
 # ---------------------------------------------------------------- clocks and noise
@@ -389,10 +369,10 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
     NaN where it was not measured or lies outside the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
-    covariance = smoothed.errors.covariance
+    covariance, turns = smoothed.errors.covariance, fixes.turns
     for seen in aiding.against(fixes.unweighted(), smoothed.path):
         place = seen.kind == "position"
-        measured = np.isfinite(fixes.position[seen.fix]) if place else fixes.turns[seen.fix]
+        measured = np.isfinite(fixes.position[seen.fix]) if place else turns[seen.fix]
         columns = np.flatnonzero(measured) + (0 if place else 3)
         h = seen.sensitivity
         residual[seen.fix, columns] = seen.residual
@@ -485,13 +465,13 @@ def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:
     # stray fixes weigh as little as in the smoothing
     squares = (residual**2 / (variance + left_out.sd**2))[measured]
     places = residual[:, :3][measured[:, :3]]
-    rms = float(np.sqrt(np.mean(places**2))) if len(places) else np.nan
+    rms = float(np.sqrt(np.mean(places**2))) if len(places) else None
     return HeldOut(count, rms, float(np.sqrt(np.mean(squares))))
 
 
 def _foretold(held_out: HeldOut | None, poses: Poses) -> bool:
     """Whether fixes that were left out come out well enough to say that both logs move together."""
-    if held_out is None or not np.isfinite(held_out.rms_m) or held_out.deviations > FORETOLD:
+    if held_out is None or held_out.rms_m is None or held_out.deviations > FORETOLD:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)

@@ -20,30 +20,21 @@ LOWEST_HZ, SHARE = 0.3, 0.5
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the reference point at every sample.
+    """Motion of the reference point at every sample."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-    rotation : Rotation
-        Body to world.
-    position, velocity, body_velocity : ndarray, shape (n, 3)
-        World axes, world axes and body axes (surge, sway, heave); m and m/s.
-    rate : ndarray, shape (n, 3)
-        Turn rate, body axes, rad/s.
-    acceleration : ndarray, shape (n, 3)
-        Of the sensor, world axes, gravity removed, m/s^2.
-    position_sd, velocity_sd, body_velocity_sd, angle_sd : ndarray, shape (n, 3)
-        Standard deviations; angles are roll, pitch, yaw, rad.
-    """
-
+    #: Shape (n,).
     time_s: Array
+    #: Body to world.
     rotation: Rotation
+    #: Shape (n, 3). World axes, world axes and body axes (surge, sway, heave); m and m/s.
     position: Array
     velocity: Array
     body_velocity: Array
+    #: Shape (n, 3). Turn rate, body axes, rad/s.
     rate: Array
+    #: Shape (n, 3). Of the sensor, world axes, gravity removed, m/s^2.
     acceleration: Array
+    #: Shape (n, 3). Standard deviations; angles are roll, pitch, yaw, rad.
     position_sd: Array
     velocity_sd: Array
     body_velocity_sd: Array

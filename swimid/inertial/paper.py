@@ -22,22 +22,15 @@ Mode = Literal["marching", "receding", "rotating"]
 
 @dataclass(frozen=True)
 class PaperMotion:
-    """Motion by the paper's steps.
+    """Motion by the paper's steps."""
 
-    Attributes
-    ----------
-    acceleration, rate : ndarray, shape (n, 3)
-        Earth axes, Eqs 10 and 11.
-    velocity, position : ndarray, shape (n, 3)
-        Earth axes, Eqs 12 and 13, from rest at the origin.
-    removed_acceleration, removed_rate : ndarray, shape (3,)
-        The constant parts.
-    """
-
+    #: Shape (n, 3). Earth axes, Eqs 10 and 11.
     acceleration: Array
     rate: Array
+    #: Shape (n, 3). Earth axes, Eqs 12 and 13, from rest at the origin.
     velocity: Array
     position: Array
+    #: Shape (3,). The constant parts.
     removed_acceleration: Array
     removed_rate: Array
 

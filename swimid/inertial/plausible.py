@@ -76,20 +76,13 @@ def too_fast(velocity: Array, velocity_sd: Array, top_m_s: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Trust:
-    """When the band of a position leaves the limit.
+    """When the band of a position leaves the limit."""
 
-    Attributes
-    ----------
-    until_s : float or None
-        Time on the log's clock; None where it never does.
-    seconds : float or None
-        The same, counted from the end of the rest the log starts with (or from its start).
-    widest_m : float
-        Largest half-width of the 95 % band of the horizontal position.
-    """
-
+    #: Time on the log's clock; None where it never does.
     until_s: float | None
+    #: The same, counted from the end of the rest the log starts with (or from its start).
     seconds: float | None
+    #: Largest half-width of the 95 % band of the horizontal position.
     widest_m: float
 
 

@@ -24,34 +24,23 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class Record:
-    """Samples of one inertial unit, in the sensor's axes.
+    """Samples of one inertial unit, in the sensor's axes."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-    acceleration : ndarray, shape (n, 3)
-        Specific force, m/s^2.
-    rate : ndarray, shape (n, 3)
-        Turn rate, rad/s.
-    quaternion : ndarray, shape (n, 4), or None
-        w, x, y, z; sensor to world.
-    magnetic : ndarray, shape (n, 3), or None
-        Magnetic field, any unit.
-    filled_acceleration, filled_rate : ndarray of bool, shape (n,)
-        Samples that were not measured but bridged.
-    metadata : dict
-    name : str
-        The file's name, for messages.
-    """
-
+    #: Shape (n,).
     time_s: Array
+    #: Shape (n, 3). Specific force, m/s^2.
     acceleration: Array
+    #: Shape (n, 3). Turn rate, rad/s.
     rate: Array
+    #: Shape (n, 4). w, x, y, z; sensor to world.
     quaternion: Array | None = None
+    #: Shape (n, 3). Magnetic field, any unit.
     magnetic: Array | None = None
+    #: Shape (n,). Samples that were not measured but bridged.
     filled_acceleration: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     filled_rate: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    #: The file's name, for messages.
     name: str = "the log"
 
     def __post_init__(self) -> None:

@@ -104,20 +104,13 @@ def declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Res
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of the sensor.
+    """White noise of the sensor."""
 
-    Attributes
-    ----------
-    acceleration : float
-        Density, m/s^2/sqrt(Hz).
-    rate : float
-        Density, rad/s/sqrt(Hz).
-    source : str
-        "still periods", "given" or "data sheet".
-    """
-
+    #: Density, m/s^2/sqrt(Hz).
     acceleration: float
+    #: Density, rad/s/sqrt(Hz).
     rate: float
+    #: "still periods", "given" or "data sheet".
     source: str
 
 

@@ -17,35 +17,24 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Sensor:
-    """Error figures of an inertial unit; the defaults are those of the 3DM-GX1's class.
+    """Error figures of an inertial unit; the defaults are those of the 3DM-GX1's class."""
 
-    Attributes
-    ----------
-    acceleration_noise, rate_noise : float or None
-        White noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); None: from still periods, or where there
-        are none 0.4 mg/sqrt(Hz) and 3.5 deg/sqrt(h) (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012,
-        Table I).
-    acceleration_bias_sd, rate_bias_sd : float
-        Of a bias nobody has measured, m/s^2 and rad/s: 10 mg and 1 deg/s.
-    acceleration_drift, rate_drift : float
-        What a bias changes by in 100 s, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of
-        Shang et al.) and 0.02 deg/s.
-    scale_sd : float
-        Error of scale and alignment of both sensors, 0.5 %.
-    bending_sd : float
-        What a scale changes by with the reading itself (nonlinearity), both sensors, 0.2 %.
-    attitude_sd : float or None
-        Of attitudes in the log, or of the filter's, rad; None: 2 deg (Table I) and 1 deg.
-    """
-
+    #: White noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); None: from still periods, or where there are
+    #: none 0.4 mg/sqrt(Hz) and 3.5 deg/sqrt(h) (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
     acceleration_noise: float | None = None
     rate_noise: float | None = None
+    #: Of a bias nobody has measured, m/s^2 and rad/s: 10 mg and 1 deg/s.
     acceleration_bias_sd: float = 10 * MILLI_G
     rate_bias_sd: float = 1.0 * DEG
+    #: What a bias changes by in 100 s, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of Shang et
+    #: al.) and 0.02 deg/s.
     acceleration_drift: float = 0.2 * MILLI_G
     rate_drift: float = 0.02 * DEG
+    #: Error of scale and alignment of both sensors, 0.5 %.
     scale_sd: float = 0.005
+    #: What a scale changes by with the reading itself (nonlinearity), both sensors, 0.2 %.
     bending_sd: float = 0.002
+    #: Of attitudes in the log, or of the filter's, rad; None: 2 deg (Table I) and 1 deg.
     attitude_sd: float | None = None
 
     @classmethod

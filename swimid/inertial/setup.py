@@ -44,28 +44,17 @@ class Stillness:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """A record, and what is known of it.
-
-    Attributes
-    ----------
-    record : Record
-    options : TrackImuOptions
-    sensor : Sensor
-        As stated.
-    still : Stillness
-    mount : Mount
-    source : Source
-        Attitude before smoothing.
-    advance : callable
-        Called after each smoothing.
-    """
+    """A record, and what is known of it."""
 
     record: Record
     options: TrackImuOptions
+    #: As stated.
     sensor: Sensor
     still: Stillness
     mount: Mount
+    #: Attitude before smoothing.
     source: Source
+    #: Called after each smoothing.
     advance: Callable[[], Any] = lambda: None
 
     @property

@@ -59,37 +59,26 @@ CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias"
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """What the errors are errors of, at one instant; of a path, at every sample.
+    """What the errors are errors of, at one instant; of a path, at every sample."""
 
-    Attributes
-    ----------
-    rotation : Rotation
-        Sensor to world.
-    position, velocity : ndarray, shape (3,) or (n, 3)
-        Of the sensor, world axes.
-    acceleration_bias, rate_bias : ndarray, shape (3,) or (n, 3)
-    acceleration_scale, rate_scale : ndarray, shape (3, 3)
-        Errors of scale and alignment: this times the reading was taken off.
-    lever : ndarray, shape (3,)
-        From the sensor to the reference point, sensor axes, m.
-    mount : Rotation
-        Body to sensor.
-    tilt : ndarray, shape (2,)
-        Gravity's horizontal components in the world, over g.
-    clock_s : float
-        To add to the times of the other log.
-    """
-
+    #: Sensor to world.
     rotation: Rotation
+    #: Shape (3,) or (n, 3). Of the sensor, world axes.
     position: Array = field(default_factory=partial(np.zeros, 3))
     velocity: Array = field(default_factory=partial(np.zeros, 3))
+    #: Shape (3,) or (n, 3).
     acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
     rate_bias: Array = field(default_factory=partial(np.zeros, 3))
+    #: Shape (3, 3). Errors of scale and alignment: this times the reading was taken off.
     acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
+    #: Shape (3,). From the sensor to the reference point, sensor axes, m.
     lever: Array = field(default_factory=partial(np.zeros, 3))
+    #: Body to sensor.
     mount: Rotation = field(default_factory=Rotation.identity)
+    #: Shape (2,). Gravity's horizontal components in the world, over g.
     tilt: Array = field(default_factory=partial(np.zeros, 2))
+    #: To add to the times of the other log.
     clock_s: float = 0.0
 
     def corrected(self, error: Array) -> Self:
@@ -118,25 +107,17 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Nominal(State):
-    """A reckoned path at every sample.
+    """A reckoned path at every sample."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-    force : ndarray, shape (n, 3)
-        Specific force less its bias, sensor axes.
-    rate : ndarray, shape (n, 3)
-        Turn rate less its bias, sensor axes.
-    nodes : ndarray of int, shape (m,)
-        Rows at which its errors are followed.
-    states : int
-        How many errors are.
-    """
-
+    #: Shape (n,).
     time_s: Array
+    #: Shape (n, 3). Specific force less its bias, sensor axes.
     force: Array
+    #: Shape (n, 3). Turn rate less its bias, sensor axes.
     rate: Array
+    #: Shape (m,). Rows at which its errors are followed.
     nodes: np.ndarray
+    #: How many errors are.
     states: int
 
     @property
@@ -152,39 +133,25 @@ class Nominal(State):
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before anything is observed.
+    """What is known before anything is observed."""
 
-    Attributes
-    ----------
-    guide : Rotation
-        Sensor to world, n of them: the attitude to begin the search at.
-    state : State
-        At the first sample.
-    sd : mapping of str to float or to a sequence
-        Deviations of its parts; those of the sensor's errors are the sensor's.
-    """
-
+    #: Sensor to world, n of them: the attitude to begin the search at.
     guide: Rotation
+    #: At the first sample.
     state: State
+    #: Deviations of its parts; those of the sensor's errors are the sensor's.
     sd: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The corrected path, and the covariance of what is left of its errors.
+    """The corrected path, and the covariance of what is left of its errors."""
 
-    Attributes
-    ----------
-    path : Nominal
-        With the errors taken out.
-    errors : Errors
-        Of the last pass, at the nodes of the path.
-    origin : State
-        What a next pass would start from; the path it would be about is ``path``.
-    """
-
+    #: With the errors taken out.
     path: Nominal
+    #: Of the last pass, at the nodes of the path.
     errors: Errors
+    #: What a next pass would start from; the path it would be about is ``path``.
     origin: State
 
     def with_clock(self, clock_s: float) -> Smoothed:

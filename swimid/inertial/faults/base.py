@@ -12,23 +12,15 @@ from swimid.inertial.record import Array, Flags, Record
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one fault.
+    """What was found of one fault."""
 
-    Attributes
-    ----------
-    fault : str
-        Name of the fault, as in ``docs/imu.md``.
-    verdict : str
-        "handled": repaired; "noted": left as it is, said.
-    text : str
-        What was found and what was done, one sentence.
-    count : int
-        Samples concerned; 0 where it is not a matter of samples.
-    """
-
+    #: Name of the fault, as in ``docs/imu.md``.
     fault: str
+    #: "handled": repaired; "noted": left as it is, said.
     verdict: Literal["handled", "noted"]
+    #: What was found and what was done, one sentence.
     text: str
+    #: Samples concerned; 0 where it is not a matter of samples.
     count: int = 0
 
 
