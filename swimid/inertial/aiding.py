@@ -101,34 +101,33 @@ def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
 
 @dataclass(frozen=True)
 class Fixes(Poses):
-    """Poses from another log, on its own clock, with their noise; whole columns NaN where an axis never is."""
+    """Poses from another log, on its own clock, with their noise."""
 
-    #: Shape (3,), m; and rad.
-    position_sd: Array
-    rotation_sd: float
-    #: Shape (m,). Weight of each position and each attitude, at most 1: a stray one's deviation is larger by its
-    #: root.
-    place_weight: Array
-    turn_weight: Array
+    #: Shape (6,). Deviations of coordinates, m, and angles, rad.
+    noise: Array
+    #: Shape (m, 2). Weight of position and attitude, by which its variance is divided: below 1 for a stray one.
+    weight: Array
     #: Shape (m,). Those whose likelihood is compared between clocks.
     counted: np.ndarray
 
     @property
     def sd(self) -> Array:
         """Deviations of coordinates and angles, shape (m, 6); larger where a fix is stray."""
-        place = self.position_sd / np.sqrt(self.place_weight)[:, None]
-        turn = self.rotation_sd / np.sqrt(self.turn_weight)
-        return np.column_stack([place, turn, turn, turn])
+        return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
+
+    @property
+    def stray(self) -> np.ndarray:
+        """Which positions and attitudes are, shape (m, 2)."""
+        return self.weight < 1
 
     def take(self, rows: np.ndarray) -> Fixes:
         """Only these, shape (m,) of bool."""
-        each = ("time_s", "position", "angles", "place_weight", "turn_weight", "counted")
+        each = ("time_s", "position", "angles", "weight", "counted")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
     def unweighted(self) -> Fixes:
         """The same with none of them stray."""
-        weight = np.ones(len(self.time_s))
-        return replace(self, place_weight=weight, turn_weight=weight)
+        return replace(self, weight=np.ones_like(self.weight))
 
 
 def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:

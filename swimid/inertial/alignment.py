@@ -43,11 +43,6 @@ class Poses:
         return bool(self.measured.all())
 
     @property
-    def with_yaw(self) -> bool:
-        """Whether the yaw is there."""
-        return bool(self.measured[2])
-
-    @property
     def rotation(self) -> Rotation:
         """Body to world, m of them; angles that are not there or missing are 0."""
         return from_angles(*np.nan_to_num(self.angles).T)
@@ -125,13 +120,13 @@ def _by_turns(record: Record, source: Source, poses: Poses) -> Fit | None:
         name, rate, seen = "turn rates", record.rate, _wound(poses.rotation[rows])
     else:
         world = source.rotation.apply(record.rate)
-        name, rate = ("yaw", world[:, 2:]) if poses.with_yaw else ("pitch", record.rate)
+        name, rate = ("yaw", world[:, 2:]) if poses.measured[2] else ("pitch", record.rate)
         seen = poses.angles[rows][:, poses.measured]
     turned = strapdown.integral(record.time_s, rate - rate.mean(axis=0))
     found = clock.offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
     if found is None or poses.full:
         return None if found is None else _fitted(record, poses, found, name)
-    return Fit(found, name, None, float(np.sign(found.factors[0, 0])) if poses.with_yaw else 0.0)
+    return Fit(found, name, None, float(np.sign(found.factors[0, 0])) if poses.measured[2] else 0.0)
 
 
 def _by_path(record: Record, source: Source, poses: Poses) -> Fit | None:
@@ -188,7 +183,7 @@ def world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) ->
     seen one.
     """
     inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
-    if poses.with_yaw:
+    if poses.measured[2]:
         rows = np.flatnonzero(poses.turned & inside)
         near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         if not len(rows):

@@ -12,6 +12,7 @@ from swimid.inertial.record import GRAVITY_M_S2
 from swimid.inertial.rest import mean_accelerations
 from swimid.inertial.run import Run
 from swimid.inertial.sensor import BAND, DEG, MILLI_G
+from swimid.results import blocks
 from swimid.results.evidence import Check, check
 
 #: Innovations larger than this, in their own deviations (rms), say that something stated is wrong. Two rests
@@ -27,9 +28,8 @@ def checks(run: Run) -> list[Check]:
         check(f.fault.capitalize(), f.text, None if f.verdict != "handled" else False) for f in run.findings
     ]
     if run.impossible:
-        limit = "none; positions and velocities left empty"
-        value = "; ".join(run.impossible)
-        found.append(Check(name="Possible motion", value=value, limit=limit, verdict="fail"))
+        value, limit = "; ".join(run.impossible), "none; positions and velocities left empty"
+        found.append(blocks.check("Possible motion", value, limit, False, otherwise="fail"))
     return [*found, *_path(run), *_fusion(run), *_stroke(run)]
 
 
@@ -77,11 +77,10 @@ def _path(run: Run) -> Iterator[Check]:
         passed = bool(np.isfinite(speed).all()) and fastest <= top
         limit = f"taken as never above {top:g} m/s (--top-speed-m-s)"
         yield check("Top speed", f"{fastest:.2f} m/s", passed, limit)
-    yield from _innovations(run, "rest", "Rests agree with the motion", REST_LIMIT)
+    yield from _innovations("Rests agree with the motion", run.rest_score, REST_LIMIT)
 
 
-def _innovations(run: Run, kind: str, name: str, limit: float) -> Iterator[Check]:
-    size = run.score(kind)
+def _innovations(name: str, size: float | None, limit: float) -> Iterator[Check]:
     if size is not None:
         yield check(
             name, f"innovations {size:.2f} of their deviation (rms)", size <= limit, f"below {limit:g}"
@@ -100,27 +99,24 @@ def _fusion(run: Run) -> Iterator[Check]:
     agreed = not o.excludes_zero or run.options.clock_offset_s is not None
     yield check("Clock offset", value, agreed, "0 within the interval", text)
     for kind, name in (("position", "Positions"), ("orientation", "Angles")):
-        yield from _innovations(run, kind, f"{name} agree with the sensor", FIX_LIMIT)
+        yield from _innovations(f"{name} agree with the sensor", fused.smoothed.score(kind), FIX_LIMIT)
     count, stray = len(fused.fixes.time_s), fused.stray
     value = f"{stray} of {count} beyond {GATE:g} deviations"
     yield check("Stray fixes", value, stray <= FEW * count, f"at most {100 * FEW:.0f} %")
-    yield Check(
-        name="Errors of the fixes last",
-        value=f"the band is {fused.lasting:.2f} times as wide for it",
-        limit=f"below {LASTING:g}",
-        verdict="pass" if fused.lasting <= LASTING else "fail",
-        text="1 where each fix is off by itself. A wrong scale or marker makes errors that last.",
-    )
+    value = f"the band is {fused.lasting:.2f} times as wide for it"
+    text = "1 where each fix is off by itself. A wrong scale or marker makes errors that last."
+    passed, limit = fused.lasting <= LASTING, f"below {LASTING:g}"
+    yield blocks.check("Errors of the fixes last", value, limit, passed, otherwise="fail", text=text)
+    limit = f"below {FIX_LIMIT:g}; every band is widened by what is more than 1"
     held_out = fused.held_out
     if held_out is None:
-        text, verdict = "too few fixes to leave some out: the band is not held against any", "warn"
+        value = "too few fixes to leave some out: the band is not held against any"
+        yield blocks.check("Fixes left out", value, limit, False)
     else:
-        text = f"{held_out.fixes} foretold to {held_out.deviations:.2f} of their deviation (rms)"
-        if held_out.rms_m is not None:
-            text += f", {held_out.rms_m:.4f} m"
-        verdict = "pass" if held_out.deviations <= FIX_LIMIT else "fail"
-    limit = f"below {FIX_LIMIT:g}; every band is widened by what is more than 1"
-    yield Check(name="Fixes left out", value=text, limit=limit, verdict=verdict)
+        place = "" if held_out.rms_m is None else f", {held_out.rms_m:.4f} m"
+        value = f"{held_out.fixes} foretold to {held_out.deviations:.2f} of their deviation (rms){place}"
+        passed = held_out.deviations <= FIX_LIMIT
+        yield blocks.check("Fixes left out", value, limit, passed, otherwise="fail")
 
 
 def _stroke(run: Run) -> Iterator[Check]:
@@ -143,7 +139,7 @@ def _stroke(run: Run) -> Iterator[Check]:
 
 def warnings(run: Run) -> Iterator[tuple[str, str]]:
     """Code and text of everything to warn of."""
-    name, trust, fused, rest_score = run.record.name, run.trust, run.fused, run.score("rest")
+    name, trust, fused, rest_score = run.record.name, run.trust, run.fused, run.rest_score
     for finding in run.findings:
         if finding.verdict == "handled":
             yield "SWM080", f"{name}, {finding.fault}: {finding.text}"
@@ -201,7 +197,7 @@ def _fusion_warnings(run: Run, fused: Fused) -> Iterator[tuple[str, str]]:
     if fused.lasting > LASTING:
         text = (
             f"{name}: many fixes of the other log on end are off by the same (as fused they scatter "
-            f"by {np.max(fused.fixes.position_sd[:2]):.3g} m): the logs contradict each other, or its "
+            f"by {np.max(fused.fixes.noise[:2]):.3g} m): the logs contradict each other, or its "
             f"scale or marker is wrong; every band is widened by {fused.lasting:.1f}"
         )
         yield "SWM087", text

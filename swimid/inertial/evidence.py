@@ -111,7 +111,7 @@ def _facts(run: Run) -> dict[str, Any]:
         }
         return out
     assert run.motion is not None
-    bias, rest_score = run.bias, run.score("rest")
+    bias, rest_score = run.bias, run.rest_score
     if bias is not None:
         out["bias"] = {"acceleration_m_s2": bias[:3].tolist(), "rate_rad_s": bias[3:].tolist()}
     out["empty_share"] = float(np.mean(np.isnan(run.motion.velocity[:, 0])))
@@ -182,9 +182,9 @@ def _fusion(fused: Fused) -> dict[str, Any]:
             "clock_offset_95_s": [before.offset.low_s, before.offset.high_s],
             "explained": before.offset.explained,
         },
-        "fix_sd_m": fixes.position_sd.tolist(),
-        "fix_sd_rad": fixes.rotation_sd if fixes.turns.any() else None,
-        "innovation_rms": {k: float(np.sqrt(np.nanmean(v**2))) for k, v in scores.items()},
+        "fix_sd_m": fixes.noise[:3].tolist(),
+        "fix_sd_rad": float(fixes.noise[3]) if fixes.turns.any() else None,
+        "innovation_rms": {kind: fused.smoothed.score(kind) for kind in scores},
         "fixes_used": len(scores.get("position", ())),
         "fixes_stray": fused.stray,
         "clocks_agree": fused.agree,

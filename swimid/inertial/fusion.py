@@ -164,7 +164,7 @@ def run(setup: Setup, poses: Poses) -> Fused:
         ),
         agree=agree,
         fixes=trial.fixes,
-        stray=int(np.sum((trial.fixes.place_weight < 1) | (trial.fixes.turn_weight < 1))),
+        stray=int(np.sum(trial.fixes.stray.any(axis=1))),
         lasting=lasting,
         held_out=held_out,
     )
@@ -225,10 +225,10 @@ def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
             sd[axis] = PLANE_SD
     noises = [alignment.noise(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
     rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
-    weight, t = np.ones(len(poses.time_s)), setup.record.time_s
+    noise, weight, t = np.append(sd, [rotation_sd] * 3), np.ones((len(position), 2)), setup.record.time_s
     offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD
     counted = (poses.time_s + min(offsets) - margin >= t[0]) & (poses.time_s + max(offsets) + margin <= t[-1])
-    return Fixes(poses.time_s, position, poses.angles, sd, rotation_sd, weight, weight, counted)
+    return Fixes(poses.time_s, position, poses.angles, noise, weight, counted)
 
 
 # ---------------------------------------------------------------- clocks and noise
@@ -308,7 +308,7 @@ def _begin(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
     sd = {
         "position": 1.0 + float(np.max(np.nan_to_num(np.ptp(fixed, axis=0)))) if len(fixed) else 1.0,
         "velocity": 1.0,
-        "rotation": (0.05, 0.05, 0.05 if poses.with_yaw else 0.2),
+        "rotation": (0.05, 0.05, 0.05 if poses.measured[2] else 0.2),
         "lever": LEVER_SD if problem.options.lever_m is None else GIVEN_LEVER_SD,
         "mount": problem.mount_sd,
         "tilt": TILT_SD,
@@ -349,10 +349,7 @@ def _settled(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
     smoothed = begun.smoothed
     for turn in range(NOISE_TURNS):
         better = fixes if noise_known and not turn else _noise_seen(smoothed, fixes, setup.options.fix_sd_m)
-        change = np.log(
-            np.append(better.position_sd / fixes.position_sd, better.rotation_sd / fixes.rotation_sd)
-        )
-        if turn > 1 and np.nanmax(np.abs(change)) < SETTLED:
+        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < SETTLED:
             break
         fixes = better
         smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
@@ -382,7 +379,7 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
 
 def _measured(fixes: Fixes, residual: Array) -> np.ndarray:
     """Where a residual is of something measured, shape (m, 6); a plane taken for granted is not."""
-    plane = np.append(fixes.position_sd == PLANE_SD, np.zeros(3, dtype=bool))
+    plane = np.append(fixes.noise[:3] == PLANE_SD, np.zeros(3, dtype=bool))
     return np.asarray(np.isfinite(residual) & ~plane)
 
 
@@ -394,15 +391,17 @@ def _noise_seen(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fix
     Cauchy's kind): none is shut out, so that a path gone astray finds back.
     """
     residual, variance = _residuals(fixes, smoothed)
-    sd, place_weight = _noise_and_weight(residual[:, :3], variance[:, :3], fixes.position_sd)
-    known = (fixes.position_sd == PLANE_SD) | ~np.isfinite(sd) | (fix_sd_m is not None)
-    sd = np.where(known, fixes.position_sd, np.maximum(np.nan_to_num(sd), LEAST_M))
-    turn_sd, turn_weight = _noise_and_weight(residual[:, 3:], variance[:, 3:], np.full(3, fixes.rotation_sd))
-    turns = turn_sd[np.isfinite(turn_sd)]
-    rotation_sd = max(float(np.sqrt(np.mean(turns**2))), LEAST_RAD) if len(turns) else fixes.rotation_sd
-    return replace(
-        fixes, position_sd=sd, rotation_sd=rotation_sd, place_weight=place_weight, turn_weight=turn_weight
+    (place_sd, place), (turn_sd, turn) = (
+        _noise_and_weight(residual[:, half], variance[:, half], fixes.noise[half])
+        for half in (slice(3), slice(3, 6))
     )
+    usual = fixes.noise[:3]
+    known = (usual == PLANE_SD) | ~np.isfinite(place_sd) | (fix_sd_m is not None)
+    place_sd = np.where(known, usual, np.maximum(np.nan_to_num(place_sd), LEAST_M))
+    turns = turn_sd[np.isfinite(turn_sd)]
+    rotation_sd = max(float(np.sqrt(np.mean(turns**2))), LEAST_RAD) if len(turns) else fixes.noise[3]
+    noise = np.append(place_sd, [rotation_sd] * 3)
+    return replace(fixes, noise=noise, weight=np.column_stack([place, turn]))
 
 
 def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Array, Array]:
@@ -435,11 +434,9 @@ def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
 
 def _contradictions(trial: _Trial) -> list[str]:
     found = plausible.contradictions(trial.setup, trial.smoothed)
-    weights = trial.fixes.place_weight[np.isfinite(trial.fixes.position).any(axis=1)]
-    if len(weights) and np.mean(weights < 1) > 0.5:
-        found.append(
-            f"{100 * np.mean(weights < 1):.0f} % of the fixes lie beyond {aiding.GATE:g} deviations of it"
-        )
+    stray = trial.fixes.stray[np.isfinite(trial.fixes.position).any(axis=1), 0]
+    if len(stray) and np.mean(stray) > 0.5:
+        found.append(f"{100 * np.mean(stray):.0f} % of the fixes lie beyond {aiding.GATE:g} deviations of it")
     return found
 
 
@@ -487,8 +484,7 @@ def _lasting(trial: _Trial) -> float:
     """
     fixes = trial.fixes
     residual, _ = _residuals(fixes, trial.smoothed)
-    sound = np.repeat(np.column_stack([fixes.place_weight, fixes.turn_weight]) == 1, 3, axis=1)
-    kept = _measured(fixes, residual) & sound
+    kept = _measured(fixes, residual) & ~np.repeat(fixes.stray, 3, axis=1)
     longest = 1.0
     for left, rows in zip(residual.T, kept.T, strict=True):
         if rows.sum() < FEWEST_HELD_OUT:

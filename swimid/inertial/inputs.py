@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,16 @@ from swimid.errors import InputError
 from swimid.files.delimited import missing_column
 from swimid.files.provenance import path_of
 from swimid.inertial.alignment import Poses
-from swimid.inertial.record import ACCELERATION, MAGNETIC, QUATERNION, RATE, Array, Record, rotations
+from swimid.inertial.record import (
+    ACCELERATION,
+    CHANNELS,
+    MAGNETIC,
+    QUATERNION,
+    RATE,
+    Array,
+    Record,
+    rotations,
+)
 from swimid.logs import log, mapping, track_cleaning
 from swimid.logs.log import Log
 from swimid.logs.mapping import Mapping
@@ -42,28 +52,18 @@ def read_record(
     path = path_of(given)
     mapped = mapping.apply(rules, given, progress=progress)
     columns = mapped.columns
-    for name in (*ACCELERATION, *RATE):
+    for name in CHANNELS:
         if name not in columns:
             raise missing_column(name, list(columns), named, None, "an inertial log needs this column")
     if len(mapped) < FEWEST_SAMPLES:
-        raise InputError(f"has {len(mapped)} samples; at least {FEWEST_SAMPLES} are needed", file=path)
-
-    def together(names: tuple[str, ...]) -> Array | None:
-        return np.column_stack([columns[name] for name in names]) if set(names) <= set(columns) else None
-
-    acceleration, rate = together(ACCELERATION), together(RATE)
-    assert acceleration is not None
-    assert rate is not None
-    record = Record(
-        columns[log.TIME],
-        acceleration,
-        rate,
-        together(QUATERNION),
-        together(MAGNETIC),
-        metadata=mapped.metadata,
-        name=path.name,
-    )
-    return record, mapped.notes
+        text = f"has {len(mapped)} samples; at least {FEWEST_SAMPLES} are needed"
+        raise InputError(text, file=path)
+    groups = (ACCELERATION, RATE, QUATERNION, MAGNETIC)
+    there: list[Any] = [
+        np.column_stack([columns[name] for name in group]) if set(group) <= set(columns) else None
+        for group in groups
+    ]
+    return Record(columns[log.TIME], *there, metadata=mapped.metadata, name=path.name), mapped.notes
 
 
 def read_poses(read: Log) -> Poses:

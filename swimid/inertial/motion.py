@@ -61,14 +61,24 @@ def of_attitude(
 
 def at_reference(smoothed: Smoothed) -> Motion:
     """Carry path and covariance from the sensor to the reference point."""
-    path = smoothed.path
+    path, covariance = smoothed.path, smoothed.errors.covariance
     body = path.rotation * path.mount
-    arm = path.rotation.apply(path.lever)
-    swing = path.rotation.apply(np.cross(path.rate, path.lever))
-    position, velocity = path.position + arm, path.velocity + swing
-    body_velocity = body.inv().apply(velocity)
-    place, speed, body_speed, turn = _jacobians(smoothed, velocity, body)
-    covariance = smoothed.errors.covariance
+    position = path.position + path.rotation.apply(path.lever)
+    velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
+    # at the nodes, of position, velocity and turn with respect to the states
+    rows = path.nodes
+    rate, rotation = path.rate[rows], path.rotation[rows]
+    matrix = rotation.as_matrix()
+    by_place, by_speed, by_turn = np.zeros((3, len(rows), 3, path.states))
+    by_place[:, :, P] = by_speed[:, :, V] = by_turn[:, :, T] = np.eye(3)
+    by_place[:, :, T] = -cross_matrix(rotation.apply(path.lever))
+    by_speed[:, :, T] = -cross_matrix(rotation.apply(np.cross(rate, path.lever)))
+    by_speed[:, :, BG] = matrix @ cross_matrix(path.lever)
+    if path.states > ALONE:
+        by_place[:, :, LEVER] = by_turn[:, :, MOUNT] = matrix
+        by_speed[:, :, LEVER] = matrix @ cross_matrix(rate)
+    to_body = np.swapaxes(body[rows].as_matrix(), 1, 2)
+    by_body_speed = to_body @ (by_speed + cross_matrix(velocity[rows]) @ by_turn)
 
     def sd(jacobian: Array) -> Array:
         variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
@@ -79,38 +89,14 @@ def at_reference(smoothed: Smoothed) -> Motion:
         body,
         position,
         velocity,
-        body_velocity,
+        body.inv().apply(velocity),
         path.mount.inv().apply(path.rate),
         path.acceleration,
-        sd(place),
-        sd(speed),
-        sd(body_speed),
-        sd(turn),
+        sd(by_place),
+        sd(by_speed),
+        sd(by_body_speed),
+        sd(turn_to_angles(body[rows]) @ by_turn),
     )
-
-
-def _jacobians(smoothed: Smoothed, velocity: Array, body: Rotation) -> tuple[Array, Array, Array, Array]:
-    """Of position, velocity, body velocity and angles with respect to the states, at the nodes."""
-    path, rows, states = smoothed.path, smoothed.path.nodes, smoothed.path.states
-    m = len(rows)
-    turn = path.rotation[rows].as_matrix()
-    rate, lever = path.rate[rows], path.lever
-    place = np.zeros((m, 3, states))
-    place[:, :, P] = np.eye(3)
-    place[:, :, T] = -cross_matrix(path.rotation[rows].apply(lever))
-    speed = np.zeros((m, 3, states))
-    speed[:, :, V] = np.eye(3)
-    speed[:, :, T] = -cross_matrix(path.rotation[rows].apply(np.cross(rate, lever)))
-    speed[:, :, BG] = turn @ cross_matrix(lever)
-    turned = np.zeros((m, 3, states))
-    turned[:, :, T] = np.eye(3)
-    if states > ALONE:
-        place[:, :, LEVER] = turn
-        speed[:, :, LEVER] = turn @ cross_matrix(rate)
-        turned[:, :, MOUNT] = turn
-    to_body = np.swapaxes(body[rows].as_matrix(), 1, 2)
-    body_speed = to_body @ (speed + cross_matrix(velocity[rows]) @ turned)
-    return place, speed, body_speed, turn_to_angles(body[rows]) @ turned
 
 
 def surge_within_stroke(motion: Motion, cutoff_hz: float) -> Array:

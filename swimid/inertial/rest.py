@@ -27,15 +27,11 @@ LARGEST_RATE = 20 * np.sqrt(3) * np.pi / 180
 
 @dataclass(frozen=True)
 class Rest:
-    """One still stretch, rows ``first`` to ``last`` (not included).
-
-    ``declared`` where the user named it; ``at`` is "start", "end" or "between".
-    """
+    """One still stretch, rows ``first`` to ``last`` (not included); ``at`` is "start", "end" or "between"."""
 
     first: int
     last: int
     at: str
-    declared: bool = False
 
     @property
     def rows(self) -> slice:
@@ -98,7 +94,7 @@ def declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Res
                     file=record.name,
                     hint="name a stretch in which the robot rests, or leave --still out",
                 )
-            found.append(Rest(int(first), int(last), _place(int(first), int(last), len(record)), True))
+            found.append(Rest(int(first), int(last), _place(int(first), int(last), len(record))))
     return found
 
 

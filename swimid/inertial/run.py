@@ -53,10 +53,10 @@ class Run(Setup):
         path = None if self.smoothed is None else self.smoothed.path
         return None if path is None else np.concatenate([path.acceleration_bias[-1], path.rate_bias[-1]])
 
-    def score(self, kind: str) -> float | None:
-        """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
-        seen = None if self.smoothed is None else self.smoothed.errors.scores.get(kind)
-        return None if seen is None else float(np.sqrt(np.nanmean(seen**2)))
+    @property
+    def rest_score(self) -> float | None:
+        """Innovations at rests, in their deviations, rms."""
+        return None if self.smoothed is None else self.smoothed.score("rest")
 
     @property
     def body_to_sensor(self) -> Rotation:

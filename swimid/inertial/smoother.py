@@ -159,6 +159,11 @@ class Smoothed:
         path, origin = replace(self.path, clock_s=clock_s), replace(self.origin, clock_s=clock_s)
         return replace(self, path=path, origin=origin)
 
+    def score(self, kind: str) -> float | None:
+        """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
+        seen = self.errors.scores.get(kind)
+        return None if seen is None else float(np.sqrt(np.nanmean(seen**2)))
+
     def widened(self, factor: float) -> Smoothed:
         """The same with all deviations times ``factor``."""
         errors = replace(self.errors, covariance=self.errors.covariance * factor**2)
