@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.inertial.alignment import Poses
 from swimid.inertial.attitude import QUATERNIONS
-from swimid.inertial.errorstate import ALONE, BG, CLOCK, LEVER, MOUNT, Observation, P, T, V, cross_matrix
+from swimid.inertial.errorstate import Observation, cross_matrix, jacobian
 from swimid.inertial.record import Array, resampled
 from swimid.inertial.rest import Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
@@ -40,18 +40,20 @@ def _stillness(setup: Setup, path: Nominal) -> list[Observation]:
     """Zero velocity at rest (Skog et al. 2010), and the gyroscope's bias wherever it is still."""
     record, still = setup.record, setup.still
     found = []
-    unit, wide = np.eye(path.states), np.full(3, REST_SPEED_SD)
+    wide = np.full(3, REST_SPEED_SD)
+    by_velocity = jacobian(path.states, 3, velocity=np.eye(3))
+    by_bias = jacobian(path.states, 3, rate_bias=np.eye(3))
     for rest in still.found:
         nodes = rest_nodes(rest, path)
         for node in _spaced(path, nodes, EVERY_S) if rest in still.used else ():
-            found.append(Observation(int(node), "rest", -path.velocity[path.nodes[node]], unit[V], wide))
+            found.append(Observation(int(node), "rest", -path.velocity[path.nodes[node]], by_velocity, wide))
         if not len(nodes):
             continue
         duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
         middle = int(nodes[len(nodes) // 2])
         seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[path.nodes[middle]]
         sd = np.hypot(still.noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
-        found.append(Observation(middle, "gyroscope at rest", seen, unit[BG], np.full(3, sd)))
+        found.append(Observation(middle, "gyroscope at rest", seen, by_bias, np.full(3, sd)))
     return found
 
 
@@ -69,7 +71,7 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
     own = source.kind == QUATERNIONS
     memory = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s))) if own else FILTER_MEMORY_S
     wide = np.full(axes.stop, setup.attitude_sd * np.sqrt(2 * memory))
-    h = np.eye(path.states)[T][axes]
+    h = jacobian(path.states, 3, rotation=np.eye(3))[axes]
     return [Observation(int(n), "attitude", turn, h, wide) for n, turn in zip(nodes, off, strict=True)]
 
 
@@ -80,7 +82,8 @@ def speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
     pulled to rest by the number of samples.
     """
     nodes = _spaced(path, np.arange(len(path.nodes)), 1.0)
-    h, wide = np.eye(path.states)[V], np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
+    h = jacobian(path.states, 3, velocity=np.eye(3))
+    wide = np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
     velocity = path.velocity[path.nodes]
     return [Observation(int(node), "top speed", -velocity[node], h, wide) for node in nodes]
 
@@ -92,9 +95,8 @@ def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
     for first, last in pairwise(np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))):
         along, v = direction[first:last], path.velocity[first:last]
         node = min(int(np.searchsorted(path.nodes, (first + last) // 2)), len(path.nodes) - 1)
-        h = np.zeros((1, path.states))
-        h[0, V] = along.mean(axis=0)
-        h[0, T] = np.cross(along, v).mean(axis=0)
+        by_turn = np.cross(along, v).mean(axis=0)
+        h = jacobian(path.states, 1, velocity=along.mean(axis=0), rotation=by_turn)
         off = -np.array([np.mean(np.sum(along * v, axis=1))])
         yield Observation(node, f"no {AXES[axis]}", off, h, np.array([setup.options.mean_sd_m_s]))
 
@@ -105,7 +107,7 @@ class Fixes(Poses):
 
     #: Shape (6,). Deviations of coordinates, m, and angles, rad.
     noise: Array
-    #: Shape (m, 2). Weight of position and attitude, by which its variance is divided: below 1 for a stray one.
+    #: Shape (m, 2). What the variance of position and attitude is divided by: below 1 for a stray one.
     weight: Array
     #: Shape (m,). Those whose likelihood is compared between clocks.
     counted: np.ndarray
@@ -132,7 +134,6 @@ class Fixes(Poses):
 
 def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
     """Every fix within a path as an observation of its errors; not used beyond ``gate`` deviations."""
-    states = path.states
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
     inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
@@ -142,35 +143,39 @@ def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observatio
     turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
-    matrices, arms = rotation.as_matrix(), cross_matrix(lever)
-    turns = seen.turns[inside]
-    turned = _turned(seen.rotation[inside], turns, rotation * path.mount) if turns.any() else None
+    matrices = rotation.as_matrix()
     place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
-    by_place = np.zeros((len(inside), 3, states))
-    by_place[:, :, P] = np.eye(3)
-    by_place[:, :, V] = np.eye(3) * (when - path.node_s[node])[:, None, None]
-    by_place[:, :, T] = -arms
-    if states > ALONE:
-        by_place[:, :, LEVER] = matrices
-        by_place[:, :, CLOCK] = velocity + np.cross(spin, lever)
-    away = seen.position[inside] - place - lever
-    measured, counted = np.isfinite(away), seen.counted[inside].tolist()
+    by_place = jacobian(
+        path.states,
+        *place.shape,
+        position=np.eye(3),
+        velocity=np.eye(3) * (when - path.node_s[node])[:, None, None],
+        rotation=-cross_matrix(lever),
+        lever=matrices,
+        clock_s=(velocity + np.cross(spin, lever))[:, :, None],
+    )
+    away, counted = seen.position[inside] - place - lever, seen.counted[inside].tolist()
+    kinds = [("position", away, np.isfinite(away), by_place, place_sd)]
+    turns = seen.turns[inside]
+    if turns.any():
+        told = turns.any(axis=0)
+        off, by_turn = _turned(seen.rotation[inside], turns, rotation * path.mount)
+        off, by_turn = off[:, told], by_turn[:, told]
+        by_angle = jacobian(
+            path.states,
+            *off.shape,
+            rotation=by_turn,
+            mount=by_turn @ matrices,
+            clock_s=by_turn @ spin[:, :, None],
+        )
+        kinds.append(("orientation", off, turns[:, told], by_angle, turn_sd[:, told]))
     found = []
     for k, index in enumerate(inside.tolist()):
-        there = measured[k]
-        told = (gate, counted[k], index)
-        if there.any():
-            off, h, sd = away[k, there], by_place[k, there], place_sd[k, there]
-            found.append(Observation(int(node[k]), "position", off, h, sd, *told))
-        axes = turns[k]
-        if turned is not None and axes.any():
-            off, by_turn, sd = turned[0][k, axes], turned[1][k][axes], turn_sd[k, axes]
-            h = np.zeros((len(off), states))
-            h[:, T] = by_turn
-            if states > ALONE:
-                h[:, MOUNT] = by_turn @ matrices[k]
-                h[:, CLOCK] = by_turn @ spin[k]
-            found.append(Observation(int(node[k]), "orientation", off, h, sd, *told))
+        for kind, off, measured, h, sd in kinds:
+            there = measured[k]
+            if there.any():
+                values = (off[k, there], h[k, there], sd[k, there])
+                found.append(Observation(int(node[k]), kind, *values, gate, counted[k], index))
     return found
 
 

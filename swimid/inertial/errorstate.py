@@ -17,15 +17,36 @@ from threadpoolctl import threadpool_limits
 
 from swimid.inertial.record import Array
 
-P, V, T = slice(0, 3), slice(3, 6), slice(6, 9)
-BA, BG = slice(9, 12), slice(12, 15)
-#: Errors of scale and alignment of accelerometer and gyroscope, matrices by rows.
-SA, SG = slice(15, 24), slice(24, 33)
-LEVER, MOUNT, TILT, CLOCK = slice(33, 36), slice(36, 39), slice(39, 41), 41
+#: Where the error of each part of the state lies; scales are matrices by rows.
+PARTS = {
+    "position": slice(0, 3),
+    "velocity": slice(3, 6),
+    "rotation": slice(6, 9),
+    "acceleration_bias": slice(9, 12),
+    "rate_bias": slice(12, 15),
+    "acceleration_scale": slice(15, 24),
+    "rate_scale": slice(24, 33),
+    "lever": slice(33, 36),
+    "mount": slice(36, 39),
+    "tilt": slice(39, 41),
+    "clock_s": slice(41, 42),
+}
 #: States without and with another log.
 ALONE, FUSED = 33, 42
 #: States that move from node to node by themselves; the others stay or wander.
 MOVING = 9
+
+
+def jacobian(states: int, *shape: int, **by: Array) -> Array:
+    """Derivatives with respect to the states, shape (*shape, states), from those with respect to its parts.
+
+    Parts that are no states, without another log, are left out.
+    """
+    out = np.zeros((*shape, states))
+    for name, values in by.items():
+        if PARTS[name].stop <= states:
+            out[..., PARTS[name]] = values
+    return out
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from swimid.inertial.checks import checks
-from swimid.inertial.errorstate import LEVER
+from swimid.inertial.errorstate import PARTS
 from swimid.inertial.figures import figures
 from swimid.inertial.fusion import Fused
 from swimid.inertial.run import Run
@@ -148,7 +148,8 @@ def _mounting(run: Run) -> dict[str, Any]:
         path = run.fused.smoothed.path
         out["body_to_sensor_rotation_vector_rad"] = run.body_to_sensor.as_rotvec().tolist()
         out["lever_m"] = (-run.body_to_sensor.inv().apply(path.lever)).tolist()
-        out["lever_sd_m"] = np.sqrt(np.diag(run.fused.smoothed.errors.covariance[-1])[LEVER]).tolist()
+        variance = np.diag(run.fused.smoothed.errors.covariance[-1])
+        out["lever_sd_m"] = np.sqrt(variance[PARTS["lever"]]).tolist()
         out["world_tilt_rad"] = path.tilt.tolist()
     return out
 

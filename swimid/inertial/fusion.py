@@ -14,7 +14,7 @@ from swimid.inertial.aiding import Fixes
 from swimid.inertial.alignment import Fit, Poses
 from swimid.inertial.alone import Estimate, likeliest_class, shown_class
 from swimid.inertial.clock import Offset
-from swimid.inertial.errorstate import CLOCK, FUSED, Observation
+from swimid.inertial.errorstate import FUSED, PARTS, Observation
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Array
 from swimid.inertial.sensor import BAND, DEG, Sensor
@@ -423,7 +423,8 @@ def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
     ]
     widening = max(float(np.sqrt(np.mean(np.concatenate(scores) ** 2))), 1.0) if scores else 1.0
     value = float(smoothed.path.clock_s)
-    sd = widening * float(np.sqrt(smoothed.errors.covariance[-1][CLOCK, CLOCK]))
+    clock_s = PARTS["clock_s"].start
+    sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, clock_s, clock_s]))
     return replace(
         clocks.offset, value_s=value, stderr_s=sd, low_s=value - BAND * sd, high_s=value + BAND * sd
     )

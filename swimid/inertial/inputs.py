@@ -13,7 +13,6 @@ from swimid.files.provenance import path_of
 from swimid.inertial.alignment import Poses
 from swimid.inertial.record import (
     ACCELERATION,
-    CHANNELS,
     MAGNETIC,
     QUATERNION,
     RATE,
@@ -52,18 +51,26 @@ def read_record(
     path = path_of(given)
     mapped = mapping.apply(rules, given, progress=progress)
     columns = mapped.columns
-    for name in CHANNELS:
+    for name in (*ACCELERATION, *RATE):
         if name not in columns:
             raise missing_column(name, list(columns), named, None, "an inertial log needs this column")
     if len(mapped) < FEWEST_SAMPLES:
         text = f"has {len(mapped)} samples; at least {FEWEST_SAMPLES} are needed"
         raise InputError(text, file=path)
-    groups = (ACCELERATION, RATE, QUATERNION, MAGNETIC)
-    there: list[Any] = [
-        np.column_stack([columns[name] for name in group]) if set(group) <= set(columns) else None
-        for group in groups
-    ]
-    return Record(columns[log.TIME], *there, metadata=mapped.metadata, name=path.name), mapped.notes
+
+    def together(names: tuple[str, ...]) -> Any:
+        return np.column_stack([columns[name] for name in names]) if set(names) <= set(columns) else None
+
+    record = Record(
+        columns[log.TIME],
+        together(ACCELERATION),
+        together(RATE),
+        together(QUATERNION),
+        together(MAGNETIC),
+        metadata=mapped.metadata,
+        name=path.name,
+    )
+    return record, mapped.notes
 
 
 def read_poses(read: Log) -> Poses:

@@ -9,7 +9,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial.aiding import turn_to_angles
-from swimid.inertial.errorstate import ALONE, BG, LEVER, MOUNT, P, T, V, cross_matrix
+from swimid.inertial.errorstate import cross_matrix, jacobian
 from swimid.inertial.record import Array, resampled
 from swimid.inertial.smoother import Smoothed
 
@@ -69,14 +69,17 @@ def at_reference(smoothed: Smoothed) -> Motion:
     rows = path.nodes
     rate, rotation = path.rate[rows], path.rotation[rows]
     matrix = rotation.as_matrix()
-    by_place, by_speed, by_turn = np.zeros((3, len(rows), 3, path.states))
-    by_place[:, :, P] = by_speed[:, :, V] = by_turn[:, :, T] = np.eye(3)
-    by_place[:, :, T] = -cross_matrix(rotation.apply(path.lever))
-    by_speed[:, :, T] = -cross_matrix(rotation.apply(np.cross(rate, path.lever)))
-    by_speed[:, :, BG] = matrix @ cross_matrix(path.lever)
-    if path.states > ALONE:
-        by_place[:, :, LEVER] = by_turn[:, :, MOUNT] = matrix
-        by_speed[:, :, LEVER] = matrix @ cross_matrix(rate)
+    shape = (path.states, len(rows), 3)
+    arm, swing = rotation.apply(path.lever), rotation.apply(np.cross(rate, path.lever))
+    by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_matrix(arm), lever=matrix)
+    by_speed = jacobian(
+        *shape,
+        velocity=np.eye(3),
+        rotation=-cross_matrix(swing),
+        rate_bias=matrix @ cross_matrix(path.lever),
+        lever=matrix @ cross_matrix(rate),
+    )
+    by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
     to_body = np.swapaxes(body[rows].as_matrix(), 1, 2)
     by_body_speed = to_body @ (by_speed + cross_matrix(velocity[rows]) @ by_turn)
 

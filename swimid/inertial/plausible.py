@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial.aiding import GATE, REST_RATE_SD, REST_SPEED_SD, rest_nodes
-from swimid.inertial.errorstate import BA, BG, SA, T, V, cross_matrix
+from swimid.inertial.errorstate import PARTS, cross_matrix, jacobian
 from swimid.inertial.record import Array, Record
 from swimid.inertial.rest import Rest
 from swimid.inertial.sensor import BAND, DEG
@@ -31,8 +31,8 @@ def contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
         return ["the smoothing came to no numbers"]
     found = [_contradiction(record, rest, size) for rest, size in _doubted(setup, smoothed)]
     away = _tilt_between(smoothed.path.rotation, source.rotation)
-    spread = smoothed.errors.covariance[:, T, T]
-    own = float(np.mean(np.trace(spread[:, :2, :2], axis1=1, axis2=2)))
+    tilt = slice(PARTS["rotation"].start, PARTS["rotation"].start + 2)
+    own = float(np.mean(np.trace(smoothed.errors.covariance[:, tilt, tilt], axis1=1, axis2=2)))
     off = float(np.sqrt(np.mean(away**2)))
     limit = GATE * float(np.sqrt(2 * setup.attitude_sd**2 + own))
     if off > limit:
@@ -114,17 +114,18 @@ def _off_rest(record: Record, smoothed: Smoothed, rest: Rest) -> float:
         return 0.0
     middle = int(nodes[len(nodes) // 2])
     covariance = errors.covariance[middle]
+    variance = np.diag(covariance)
     velocity = path.velocity[rest.rows].mean(axis=0)
-    moving = np.abs(velocity) / np.sqrt(np.diag(covariance)[V] + REST_SPEED_SD**2)
+    moving = np.abs(velocity) / np.sqrt(variance[PARTS["velocity"]] + REST_SPEED_SD**2)
     rate = path.rate[rest.rows].mean(axis=0)
-    turning = np.abs(rate) / np.sqrt(np.diag(covariance)[BG] + REST_RATE_SD**2)
+    turning = np.abs(rate) / np.sqrt(variance[PARTS["rate_bias"]] + REST_RATE_SD**2)
     duration = max(float(path.time_s[rest.last - 1] - path.time_s[rest.first]), record.step_s)
     acceleration = path.acceleration[rest.rows].mean(axis=0)
     force = path.rotation[rest.rows].apply(path.force[rest.rows]).mean(axis=0)
     turn = path.rotation[int(path.nodes[middle])].as_matrix()
-    h = np.zeros((3, len(covariance)))
-    h[:, T], h[:, BA] = -cross_matrix(force), -turn
-    h[:, SA] = -np.kron(turn, record.acceleration[rest.rows].mean(axis=0))
+    by_scale = np.kron(turn, record.acceleration[rest.rows].mean(axis=0))
+    by_turn = -cross_matrix(force)
+    h = jacobian(path.states, 3, rotation=by_turn, acceleration_bias=-turn, acceleration_scale=-by_scale)
     spread = np.diag(h @ covariance @ h.T) + 2 * (REST_SPEED_SD / duration) ** 2
     return float(np.max([moving, turning, np.abs(acceleration) / np.sqrt(spread)]))
 

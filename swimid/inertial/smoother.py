@@ -18,24 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import errorstate, strapdown
-from swimid.inertial.errorstate import (
-    ALONE,
-    BA,
-    BG,
-    CLOCK,
-    LEVER,
-    MOUNT,
-    MOVING,
-    SA,
-    SG,
-    TILT,
-    Errors,
-    Observation,
-    P,
-    T,
-    V,
-    cross_matrix,
-)
+from swimid.inertial.errorstate import ALONE, MOVING, PARTS, Errors, Observation, cross_matrix, jacobian
 from swimid.inertial.record import GRAVITY_M_S2, Array, Record, resampled
 from swimid.inertial.rest import Noise
 from swimid.inertial.sensor import DRIFT_TIME_S, Sensor
@@ -47,12 +30,6 @@ NODE_S, MOST_NODES = 0.02, 20_000
 GAP_STEPS, HIDDEN_S, RHYTHM_S = 1.5, 0.1, 0.5
 #: Turns of linearising and smoothing; biases and attitude settle in two.
 PASSES = 3
-#: Where the error of each part of a :class:`State` lies.
-PARTS = {
-    "position": P, "velocity": V, "rotation": T, "acceleration_bias": BA, "rate_bias": BG,
-    "acceleration_scale": SA, "rate_scale": SG, "lever": LEVER, "mount": MOUNT, "tilt": TILT,
-    "clock_s": slice(CLOCK, CLOCK + 1),
-}  # fmt: skip
 #: The parts that change from sample to sample.
 CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
 
@@ -213,7 +190,7 @@ def run(
         errors = errorstate.smooth(mean, covariance, transition, driving, observe(path), defect)
         # constant biases by their means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
-        begin[BA.start : SG.stop] = mean[BA.start : SG.stop]
+        begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now, path = now.corrected(begin), _corrected(record, path, errors)
     return Smoothed(path, errors, now)
 
@@ -250,8 +227,10 @@ def _about(record: Record, origin: State, path: Nominal) -> Nominal:
 def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
     """The path, and the readings it was reckoned from, without their errors."""
     x = resampled(path.time_s, path.node_s, errors.mean)
-    force = path.force - x[:, BA] - record.acceleration @ x[-1, SA].reshape(3, 3).T
-    rate = path.rate - x[:, BG] - record.rate @ x[-1, SG].reshape(3, 3).T
+    bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
+    scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
+    force = path.force - bias_a - record.acceleration @ scale_a.T
+    rate = path.rate - bias_w - record.rate @ scale_w.T
     return replace(path.corrected(x), force=force, rate=rate)
 
 
@@ -290,19 +269,19 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
-    f = np.zeros((len(dt), states, states))
-    f[:, P, V] = np.eye(3)
-    f[:, V, T] = -cross_matrix(mean(path.rotation.apply(path.force)))
-    f[:, V, BA] = f[:, T, BG] = -mean(turn)
-    f[:, V, SA] = -turn_by(record.acceleration)
-    f[:, T, SG] = -turn_by(record.rate)
-    if states > ALONE:
-        f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
-    f *= dt[:, :, None]
-    moving = f[:, :MOVING, :MOVING]
-    square = moving @ f[:, :MOVING]
-    transition = np.broadcast_to(np.eye(states), f.shape).copy()
-    transition[:, :MOVING] += f[:, :MOVING] + square / 2 + moving @ square / 6
+    by_force, by_bias = -cross_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
+    by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
+    by_tilt = -GRAVITY_M_S2 * np.eye(3)[:, :2]
+    place = jacobian(states, len(dt), 3, velocity=np.eye(3))
+    speed = jacobian(
+        states, len(dt), 3, rotation=by_force, acceleration_bias=by_bias, acceleration_scale=by_scale_a,
+        tilt=by_tilt,
+    )  # fmt: skip
+    angle = jacobian(states, len(dt), 3, rate_bias=by_bias, rate_scale=by_scale_w)
+    f = np.concatenate([place, speed, angle], axis=1) * dt[:, :, None]
+    square = f[:, :, :MOVING] @ f
+    transition = np.tile(np.eye(states), (len(dt), 1, 1))
+    transition[:, :MOVING] += f + square / 2 + f[:, :, :MOVING] @ square / 6
     velocity = strapdown.integral(t, path.acceleration)
     position = strapdown.integral(t, velocity)
     first, last = rows[:-1], rows[1:]
