@@ -39,22 +39,24 @@ def known(setup: Setup, path: Nominal) -> list[Observation]:
 def _stillness(setup: Setup, path: Nominal) -> list[Observation]:
     """Zero velocity at rest (Skog et al. 2010), and the gyroscope's bias wherever it is still."""
     record, still = setup.record, setup.still
-    found = []
+    observations = []
     wide = np.full(3, REST_SPEED_SD)
     by_velocity = jacobian(path.states, 3, velocity=np.eye(3))
     by_bias = jacobian(path.states, 3, rate_bias=np.eye(3))
-    for rest in still.found:
+    for rest in still.stretches:
         nodes = rest_nodes(rest, path)
-        for node in _spaced(path, nodes, EVERY_S) if rest in still.used else ():
-            found.append(Observation(int(node), "rest", -path.velocity[path.nodes[node]], by_velocity, wide))
+        for node in _spaced(path, nodes, EVERY_S) if rest in still.rests else ():
+            observations.append(
+                Observation(int(node), "rest", -path.velocity[path.nodes[node]], by_velocity, wide)
+            )
         if not len(nodes):
             continue
         duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
         middle = int(nodes[len(nodes) // 2])
         seen = record.rate[rest.rows].mean(axis=0) - path.rate_bias[path.nodes[middle]]
         sd = np.hypot(still.noise.rate / np.sqrt(max(duration, record.step_s)), REST_RATE_SD)
-        found.append(Observation(middle, "gyroscope at rest", seen, by_bias, np.full(3, sd)))
-    return found
+        observations.append(Observation(middle, "gyroscope at rest", seen, by_bias, np.full(3, sd)))
+    return observations
 
 
 def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
@@ -169,14 +171,14 @@ def against(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observatio
             clock_s=by_turn @ spin[:, :, None],
         )
         kinds.append(("orientation", off, turns[:, told], by_angle, turn_sd[:, told]))
-    found = []
+    observations = []
     for k, index in enumerate(inside.tolist()):
         for kind, off, measured, h, sd in kinds:
             there = measured[k]
             if there.any():
                 values = (off[k, there], h[k, there], sd[k, there])
-                found.append(Observation(int(node[k]), kind, *values, gate, counted[k], index))
-    return found
+                observations.append(Observation(int(node[k]), kind, *values, gate, counted[k], index))
+    return observations
 
 
 def _nearest(times: Array, when: Array) -> np.ndarray:

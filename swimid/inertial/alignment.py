@@ -85,10 +85,10 @@ def fit_clocks(record: Record, source: Source, poses: Poses) -> list[Fit]:
     NoTrustworthyResult
         When nothing in the two logs moves together.
     """
-    found = [fit for fit in (_by_turns(record, source, poses), _by_path(record, source, poses)) if fit]
-    good = [fit for fit in found if fit.offset.explained >= LEAST_EXPLAINED]
+    fits = [fit for fit in (_by_turns(record, source, poses), _by_path(record, source, poses)) if fit]
+    good = [fit for fit in fits if fit.offset.explained >= LEAST_EXPLAINED]
     if not good:
-        best = max((fit.offset.explained for fit in found), default=0.0)
+        best = max((fit.offset.explained for fit in fits), default=0.0)
         raise NoTrustworthyResult(
             f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
             "their clocks cannot be set",
@@ -123,10 +123,10 @@ def _by_turns(record: Record, source: Source, poses: Poses) -> Fit | None:
         name, rate = ("yaw", world[:, 2:]) if poses.measured[2] else ("pitch", record.rate)
         seen = poses.angles[rows][:, poses.measured]
     turned = strapdown.integral(record.time_s, rate - rate.mean(axis=0))
-    found = clock.offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
-    if found is None or poses.full:
-        return None if found is None else _fitted(record, poses, found, name)
-    return Fit(found, name, None, float(np.sign(found.factors[0, 0])) if poses.measured[2] else 0.0)
+    offset = clock.offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
+    if offset is None or poses.full:
+        return None if offset is None else _fitted(record, poses, offset, name)
+    return Fit(offset, name, None, float(np.sign(offset.factors[0, 0])) if poses.measured[2] else 0.0)
 
 
 def _by_path(record: Record, source: Source, poses: Poses) -> Fit | None:
@@ -134,8 +134,8 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Fit | None:
     if not axes.any():
         return None
     way, seen = _way(record, source), poses.position[:, axes]
-    found = clock.offset(record.time_s, way, poses.time_s, seen, slow_s=SLOW_WAY_S)
-    return None if found is None else Fit(found, "path")
+    offset = clock.offset(record.time_s, way, poses.time_s, seen, slow_s=SLOW_WAY_S)
+    return None if offset is None else Fit(offset, "path")
 
 
 def _wound(rotation: Rotation) -> Array:
@@ -212,7 +212,7 @@ def _way(record: Record, source: Source) -> Array:
     return clock.without_slow(record.time_s, way, SLOW_WAY_S)
 
 
-def noise(values: Array, least: float) -> float:
+def white_noise_sd(values: Array, least: float) -> float:
     """Deviation of a channel's white noise, from its third differences (robust), at least ``least``.
 
     The variance of a third difference of white noise is 20 times its own.

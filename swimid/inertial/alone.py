@@ -35,7 +35,7 @@ class Estimate:
     impossible: list[str]
 
 
-def judged(setup: Setup) -> Estimate:
+def estimate(setup: Setup) -> Estimate:
     """The likeliest motion, with the class of the sensor taken from the log and every rest tested.
 
     The errors of a better class come first; those of a consumer's chip are taken where they make the
@@ -47,12 +47,12 @@ def judged(setup: Setup) -> Estimate:
     wrong = doubts = plausible.contradictions(setup, smoothed)
     reasons: list[str] = []
     for dropped in range(1, MOST_DROPPED + 1):
-        if not doubts or not believed.still.used:
+        if not doubts or not believed.still.rests:
             break
         worst = plausible.worst(believed, smoothed)
         if worst is None or dropped == MOST_DROPPED:
             reasons.append("no rest is used")
-            believed = believed.without(believed.still.used)
+            believed = believed.without(believed.still.rests)
         else:
             rest, reason = worst
             reasons.append(reason)
@@ -63,7 +63,7 @@ def judged(setup: Setup) -> Estimate:
         return Estimate(whole[0], setup.still, whole[1], [], wrong)
     findings = shown_class(setup.sensor, sensor)
     if wrong:
-        all_rests, used = len(setup.still.used), len(believed.still.used)
+        all_rests, used = len(setup.still.rests), len(believed.still.rests)
         text = f"{'; '.join(reasons)}: {all_rests - used} of {all_rests} not used"
         findings.append(Finding("rests", "handled", text))
     return Estimate(smoothed, believed.still, sensor, findings, [])
@@ -94,17 +94,17 @@ def likeliest_class(
 
 
 def _by_class(setup: Setup) -> tuple[Smoothed, Sensor]:
-    stated = run(setup, setup.sensor)
-    best, shown = likeliest_class(stated, setup.sensor, lambda other: run(setup, other, stated, 1))
-    return (best, shown) if best is stated else (run(setup, shown, best, smoother.PASSES - 1), shown)
+    stated = smooth(setup, setup.sensor)
+    best, shown = likeliest_class(stated, setup.sensor, lambda other: smooth(setup, other, stated, 1))
+    return (best, shown) if best is stated else (smooth(setup, shown, best, smoother.PASSES - 1), shown)
 
 
-def run(
+def smooth(
     setup: Setup, sensor: Sensor, after: Smoothed | None = None, passes: int = smoother.PASSES
 ) -> Smoothed:
     """The likeliest motion for a class of sensor, from the origin of the world."""
     source, still, top_m_s = setup.source, setup.still, setup.options.top_speed_m_s
-    at_rest = bool(still.used) and still.used[0].first == 0
+    at_rest = bool(still.rests) and still.rests[0].first == 0
     yaw_sd = (sensor.attitude_sd or QUATERNION_SD) if source.heading else ZERO_SD
     mount = setup.mount.rotation
     state = State(
@@ -120,6 +120,6 @@ def run(
         return [*aiding.known(setup, path), *aiding.speed_limit(top_m_s, path)]
 
     prior = Prior(source.rotation, state, sd)
-    smoothed = smoother.run(setup.record, prior, sensor, still.noise, observe, after=after, passes=passes)
+    smoothed = smoother.smooth(setup.record, prior, sensor, still.noise, observe, after=after, passes=passes)
     setup.advance()
     return smoothed

@@ -23,34 +23,34 @@ REST_LIMIT, FIX_LIMIT = 2.0, FORETOLD
 
 def checks(run: Run) -> list[Check]:
     """The checks of a run."""
-    found = [_still(run), _gravity(run), _tilt(run)]
-    found += [
+    listed = [_still(run), _gravity(run), _tilt(run)]
+    listed += [
         check(f.fault.capitalize(), f.text, None if f.verdict != "handled" else False) for f in run.findings
     ]
     if run.impossible:
         value, limit = "; ".join(run.impossible), "none; positions and velocities left empty"
-        found.append(blocks.check("Possible motion", value, limit, False, otherwise="fail"))
-    return [*found, *_path(run), *_fusion(run), *_stroke(run)]
+        listed.append(blocks.check("Possible motion", value, limit, False, otherwise="fail"))
+    return [*listed, *_path(run), *_fusion(run), *_stroke(run)]
 
 
 def _still(run: Run) -> Check:
     t = run.record.time_s
-    seconds = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.found)
-    used = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.used)
+    seconds = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.stretches)
+    used = sum(float(t[r.last - 1] - t[r.first]) for r in run.still.rests)
     noise = run.still.noise
     value = (
-        f"{len(run.still.found)}, {seconds:.1f} s; {used:.1f} s of them taken as rest; noise "
+        f"{len(run.still.stretches)}, {seconds:.1f} s; {used:.1f} s of them taken as rest; noise "
         f"{noise.acceleration / MILLI_G:.2f} mg/√Hz, {60 * noise.rate / DEG:.2f} deg/√h ({noise.source})"
     )
-    return check("Still periods", value, bool(run.still.found), "at least one")
+    return check("Still periods", value, bool(run.still.stretches), "at least one")
 
 
 def _gravity(run: Run) -> Check:
-    size = float(np.mean(np.linalg.norm(mean_accelerations(run.record, run.still.found), axis=1)))
+    size = float(np.mean(np.linalg.norm(mean_accelerations(run.record, run.still.stretches), axis=1)))
     off = abs(size / GRAVITY_M_S2 - 1)
     # the 95 % band of the bias and scale of the sensor's class
     share = BAND * float(np.hypot(run.sensor.acceleration_bias_sd / GRAVITY_M_S2, run.sensor.scale_sd))
-    value = f"{size:.3f} m/s²" + (" at rest" if run.still.found else " on average")
+    value = f"{size:.3f} m/s²" + (" at rest" if run.still.stretches else " on average")
     return check("Gravity", value, off <= share, f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %")
 
 
@@ -149,7 +149,7 @@ def warnings(run: Run) -> Iterator[tuple[str, str]]:
             "empty. Name the true rests with --still, or fuse a camera log (--with)"
         )
         yield "SWM086", text
-    if not run.still.found:
+    if not run.still.stretches:
         text = (
             f"{name}: no still period found; the biases are known to data-sheet accuracy only. Let the robot "
             "rest for some seconds before and after a run, or name a rest with --still"

@@ -87,7 +87,7 @@ class Errors:
 
 
 @threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size
-def smooth(
+def smooth_errors(
     start_mean: Array,
     start: Array,
     transition: Array,

@@ -41,7 +41,7 @@ VQF = (
 
 def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
     """The log of a run with its evidence."""
-    columns, data, found = run.columns(), _facts(run), checks(run)
+    columns, data, checked = run.columns(), _facts(run), checks(run)
     kept = {k: v for k, v in run.record.metadata.items() if isinstance(v, int | float | str | bool)}
     head = {
         **kept,
@@ -57,8 +57,8 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
     evidence = Evidence(
         verb="track imu",
         title=f"Motion of {run.record.name}",
-        verdict=_verdict(run, found),
-        checks=found,
+        verdict=_verdict(run, checked),
+        checks=checked,
         tables=_tables(run, data),
         figures=figures(run),
         notices=blocks.notices(notices),
@@ -68,7 +68,7 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
     )
     return Logged(
         "track imu",
-        _summary(run, data, found),
+        _summary(run, data, checked),
         data,
         evidence=evidence,
         document=Log(Path(run.record.name).with_suffix(".csv"), metadata, log.numeric(columns), None),
@@ -90,9 +90,9 @@ def _facts(run: Run) -> dict[str, Any]:
                 "from_s": float(t[r.first]),
                 "to_s": float(t[r.last - 1]),
                 "at": r.at,
-                "used_as_rest": r in run.still.used,
+                "used_as_rest": r in run.still.rests,
             }
-            for r in run.still.found
+            for r in run.still.stretches
         ],
         "noise": {
             "acceleration_m_s2_per_rt_hz": run.still.noise.acceleration,
@@ -197,7 +197,7 @@ def _fusion(fused: Fused) -> dict[str, Any]:
 # ---------------------------------------------------------------- for readers
 
 
-def _summary(run: Run, data: dict[str, Any], found: Sequence[Check]) -> str:
+def _summary(run: Run, data: dict[str, Any], checked: Sequence[Check]) -> str:
     """The run for the terminal: what can be trusted first."""
     lines = [
         f"{run.record.name}: {data['samples']} samples over {data['duration_s']:.1f} s, method "
@@ -210,7 +210,7 @@ def _summary(run: Run, data: dict[str, Any], found: Sequence[Check]) -> str:
             f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
             f"rms, ± {BAND * run.surge_osc_sd:.4f}"
         )
-    for check in found:
+    for check in checked:
         limit = f"  ({check.limit})" if check.limit else ""
         lines.append(f"  {check.verdict:4}  {check.name}: {check.value}{limit}")
     return "\n".join(lines)
@@ -237,11 +237,11 @@ def _reach(run: Run) -> str:
     )
 
 
-def _verdict(run: Run, found: Sequence[Check]) -> Verdict:
-    doubts = dict.fromkeys(c.name.lower() for c in found if c.verdict in ("warn", "fail"))
+def _verdict(run: Run, checked: Sequence[Check]) -> Verdict:
+    doubts = dict.fromkeys(c.name.lower() for c in checked if c.verdict in ("warn", "fail"))
     text = _reach(run)[0].upper() + _reach(run)[1:]
     text += f". Look at: {', '.join(doubts)}." if doubts else "."
-    if any(c.verdict == "fail" for c in found):
+    if any(c.verdict == "fail" for c in checked):
         return Verdict(level="bad", text=text)
     return Verdict(level="caution" if doubts or run.paper is not None else "good", text=text)
 

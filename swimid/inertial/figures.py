@@ -22,12 +22,12 @@ def figures(run: Run) -> list[Figure]:
     """The figures of a run."""
     if run.paper is not None:
         return [_paper(run)]
-    found = run.motion
-    assert found is not None
+    motion = run.motion
+    assert motion is not None
     seen = None
     if run.poses is not None and run.fused is not None:
         seen = (run.poses.time_s + run.fused.offset.value_s, run.poses.position)
-    turn = np.column_stack(angles(found.rotation)) / DEG
+    turn = np.column_stack(angles(motion.rotation)) / DEG
     dots = "" if seen is None else "; dots are what the other log saw"
     out = [
         Figure(
@@ -35,14 +35,14 @@ def figures(run: Run) -> list[Figure]:
             title="Body velocity",
             caption="Surge, sway and heave with the 95 % band; rests shaded. Good: a band narrow against the "
             "motion.",
-            panels=_panels(run, AXES, "m/s", found.body_velocity, found.body_velocity_sd),
+            panels=_panels(run, AXES, "m/s", motion.body_velocity, motion.body_velocity_sd),
         ),
         Figure(
             id="position",
             title="Position",
             caption=f"Position with its 95 % band{dots}. Good: dots inside the band, and a band that ends "
             "before the way does.",
-            panels=_panels(run, "xyz", "m", found.position, found.position_sd, seen),
+            panels=_panels(run, "xyz", "m", motion.position, motion.position_sd, seen),
         ),
         _growth(run),
         Figure(
@@ -50,12 +50,12 @@ def figures(run: Run) -> list[Figure]:
             title="Attitude",
             caption="Roll, pitch (nose up) and yaw with the 95 % band. Good: roll and pitch come back after "
             "the run.",
-            panels=_panels(run, ANGLES, "deg", turn, found.angle_sd / DEG),
+            panels=_panels(run, ANGLES, "deg", turn, motion.angle_sd / DEG),
         ),
         _track(run),
     ]
     if run.surge_osc is not None and run.surge_osc_sd is not None:
-        sd = np.full((len(found.time_s), 1), run.surge_osc_sd)
+        sd = np.full((len(motion.time_s), 1), run.surge_osc_sd)
         out.append(
             Figure(
                 id="oscillation",
@@ -83,7 +83,7 @@ def _panels(
 ) -> list[Panel]:
     """Every column over time with its band; ``seen``: times and columns of the other log."""
     t = run.record.time_s
-    spans = [Span(start=float(t[r.first]), end=float(t[r.last - 1]), label="rest") for r in run.still.used]
+    spans = [Span(start=float(t[r.first]), end=float(t[r.last - 1]), label="rest") for r in run.still.rests]
     panels = []
     for k, name in enumerate(names):
         value, sd = values[:, k], sds[:, k]

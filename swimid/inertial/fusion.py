@@ -106,7 +106,7 @@ class _Trial:
         return self.smoothed.errors.likelihood
 
 
-def run(setup: Setup, poses: Poses) -> Fused:
+def estimate(setup: Setup, poses: Poses) -> Fused:
     """Set the clocks, place the sensor, and smooth both logs together.
 
     An offset between the clocks has to earn its place: clocks that agree compete with every offset found, and
@@ -137,8 +137,8 @@ def run(setup: Setup, poses: Poses) -> Fused:
     )
     trial, offset, agree = _set_clocks(problem, clocks)
     wrong = _contradictions(trial)
-    if wrong and setup.still.used:
-        fewer = replace(problem, still=setup.still.without(setup.still.used))
+    if wrong and setup.still.rests:
+        fewer = replace(problem, still=setup.still.without(setup.still.rests))
         again = _set_clocks(fewer, clocks)
         if not _contradictions(again[0]):
             (trial, offset, agree), problem = again, fewer
@@ -216,14 +216,14 @@ def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
     """
     fix_sd_m = setup.options.fix_sd_m
     position = poses.position.copy()
-    sd = np.array([alignment.noise(position[:, k], LEAST_M) for k in range(3)])
+    sd = np.array([alignment.white_noise_sd(position[:, k], LEAST_M) for k in range(3)])
     # between sparse fixes the third difference holds motion too: the start is no more than a centimetre
     sd = np.minimum(sd, 0.01) if fix_sd_m is None else np.full(3, fix_sd_m)
     for axis in (1, 2):
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    noises = [alignment.noise(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
+    noises = [alignment.white_noise_sd(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
     rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
     noise, weight, t = np.append(sd, [rotation_sd] * 3), np.ones((len(position), 2)), setup.record.time_s
     offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD
@@ -336,7 +336,7 @@ def _fuse(
     def observe(path: Nominal) -> list[Observation]:
         return [*aiding.known(setup, path), *aiding.against(fixes, path, gate)]
 
-    smoothed = smoother.run(
+    smoothed = smoother.smooth(
         setup.record, prior, sensor, setup.still.noise, observe, states=FUSED, after=after, passes=passes
     )
     setup.advance()
@@ -434,11 +434,13 @@ def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
 
 
 def _contradictions(trial: _Trial) -> list[str]:
-    found = plausible.contradictions(trial.setup, trial.smoothed)
+    contradictions = plausible.contradictions(trial.setup, trial.smoothed)
     stray = trial.fixes.stray[np.isfinite(trial.fixes.position).any(axis=1), 0]
     if len(stray) and np.mean(stray) > 0.5:
-        found.append(f"{100 * np.mean(stray):.0f} % of the fixes lie beyond {aiding.GATE:g} deviations of it")
-    return found
+        contradictions.append(
+            f"{100 * np.mean(stray):.0f} % of the fixes lie beyond {aiding.GATE:g} deviations of it"
+        )
+    return contradictions
 
 
 def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:

@@ -15,7 +15,7 @@ from swimid.inertial.smoother import Smoothed
 
 #: Slower than this is no motion within a stroke where no stroke is found, Hz; with one: this share of its
 #: frequency.
-LOWEST_HZ, SHARE = 0.3, 0.5
+LOWEST_HZ, STROKE_SHARE = 0.3, 0.5
 
 
 @dataclass(frozen=True)

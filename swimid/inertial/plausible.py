@@ -21,7 +21,7 @@ from swimid.inertial.smoother import Smoothed
 
 #: A position is trusted while its 95 % band is narrower than this, m, or than this share of the distance
 #: travelled, whichever is more.
-WIDTH_M, SHARE = 0.1, 0.1
+TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
 
 
 def contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
@@ -29,18 +29,18 @@ def contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
     record, source = setup.record, setup.source
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing came to no numbers"]
-    found = [_contradiction(record, rest, size) for rest, size in _doubted(setup, smoothed)]
+    sentences = [_contradiction(record, rest, size) for rest, size in _doubted(setup, smoothed)]
     away = _tilt_between(smoothed.path.rotation, source.rotation)
     tilt = slice(PARTS["rotation"].start, PARTS["rotation"].start + 2)
     own = float(np.mean(np.trace(smoothed.errors.covariance[:, tilt, tilt], axis1=1, axis2=2)))
     off = float(np.sqrt(np.mean(away**2)))
     limit = GATE * float(np.sqrt(2 * setup.attitude_sd**2 + own))
     if off > limit:
-        found.append(
+        sentences.append(
             f"its tilt departs from that of the {source.kind} by {off / DEG:.0f} deg rms, "
             f"where {limit / DEG:.0f} deg is {GATE:g} deviations"
         )
-    return found
+    return sentences
 
 
 def worst(setup: Setup, smoothed: Smoothed) -> tuple[Rest, str] | None:
@@ -54,7 +54,7 @@ def worst(setup: Setup, smoothed: Smoothed) -> tuple[Rest, str] | None:
 
 def _doubted(setup: Setup, smoothed: Smoothed) -> list[tuple[Rest, float]]:
     """Rests at which the smoothed motion is not at rest, beyond :data:`GATE` deviations."""
-    sizes = [(rest, _off_rest(setup.record, smoothed, rest)) for rest in setup.still.used]
+    sizes = [(rest, _off_rest(setup.record, smoothed, rest)) for rest in setup.still.rests]
     return [(rest, size) for rest, size in sizes if size > GATE]
 
 
@@ -98,7 +98,7 @@ def reach(time_s: Array, position: Array, position_sd: Array, moving_from_s: flo
     """
     half = BAND * np.max(position_sd[:, :2], axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position[:, :2], axis=0).T))])
-    beyond = np.flatnonzero(~(half <= np.maximum(WIDTH_M, SHARE * travelled)))
+    beyond = np.flatnonzero(~(half <= np.maximum(TRUSTED_WIDTH_M, TRUSTED_SHARE * travelled)))
     widest = float(np.nanmax(half)) if np.isfinite(half).any() else np.inf
     if not len(beyond):
         return Trust(None, None, widest)

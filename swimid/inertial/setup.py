@@ -32,14 +32,14 @@ BELIEVED = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none"
 class Stillness:
     """Still stretches, which of them are rests, and the noise they tell."""
 
-    found: list[Rest]
-    used: list[Rest]
+    stretches: list[Rest]
+    rests: list[Rest]
     noise: Noise
 
     def without(self, rests: list[Rest]) -> Stillness:
         """The same less some rests, which tell nothing then."""
-        found, used = ([r for r in some if r not in rests] for some in (self.found, self.used))
-        return replace(self, found=found, used=used)
+        stretches, left = ([r for r in some if r not in rests] for some in (self.stretches, self.rests))
+        return replace(self, stretches=stretches, rests=left)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Setup:
     @property
     def still_rate(self) -> Array:
         """Turn rate of the sensor in its still stretches, rad/s, shape (3,)."""
-        return attitude.still_rate(self.record, self.still.found)
+        return attitude.still_rate(self.record, self.still.stretches)
 
     @property
     def body(self) -> Record:
@@ -90,7 +90,7 @@ class Setup:
         """The same less some rests, with the attitude a filter makes then."""
         still, source = self.still.without(rests), self.source
         if source.kind != QUATERNIONS:
-            source = attitude.estimate(self.record, still.found)
+            source = attitude.estimate(self.record, still.stretches)
         return replace(self, still=still, source=source)
 
 
@@ -99,9 +99,9 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
     sensor = Sensor.of(options)
     still = _stillness(record, sensor, options)
     mount, findings = mounting.settle(
-        record, still.found, options.mount_deg, level_at_rest=options.level_at_rest
+        record, still.stretches, options.mount_deg, level_at_rest=options.level_at_rest
     )
-    source = attitude.estimate(record, still.found)
+    source = attitude.estimate(record, still.stretches)
     known = Setup(record=record, options=options, sensor=sensor, still=still, mount=mount, source=source)
     return known, findings
 

@@ -152,7 +152,7 @@ def gravity(tilt: Array) -> Array:
     return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
-def run(
+def smooth(
     record: Record,
     prior: Prior,
     sensor: Sensor,
@@ -187,7 +187,7 @@ def run(
             path = _about(record, now, path)
         transition, defect = _transitions(record, path)
         mean = prior.state.less(now)[:states]
-        errors = errorstate.smooth(mean, covariance, transition, driving, observe(path), defect)
+        errors = errorstate.smooth_errors(mean, covariance, transition, driving, observe(path), defect)
         # constant biases by their means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]

@@ -126,7 +126,7 @@ def _begun(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     body = setup.body
     readings = np.hstack([body.rate, body.acceleration]).T
     stroke = rhythm.find(body.time_s, dict(zip((*RATE, *ACCELERATION), readings, strict=True)))
-    cutoff = motion.LOWEST_HZ if stroke is None else motion.SHARE * stroke.beat.frequency_hz
+    cutoff = motion.LOWEST_HZ if stroke is None else motion.STROKE_SHARE * stroke.beat.frequency_hz
     return Run(**vars(setup), findings=findings, poses=poses, stroke=stroke, cutoff_hz=cutoff)
 
 
@@ -137,7 +137,7 @@ def _by_paper(run: Run) -> Run:
 
 
 def _by_smoother(run: Run, setup: Setup) -> Run:
-    estimate = alone.judged(setup) if run.poses is None else fusion.run(setup, run.poses)
+    estimate = alone.estimate(setup) if run.poses is None else fusion.estimate(setup, run.poses)
     run = replace(
         run,
         sensor=estimate.sensor,
@@ -194,6 +194,6 @@ def _reach(run: Run, moved: Motion) -> plausible.Trust | None:
     """How far the path of a unit alone can be trusted."""
     if run.fused is not None:
         return None
-    first = run.still.used[0] if run.still.used and run.still.used[0].first == 0 else None
+    first = run.still.rests[0] if run.still.rests and run.still.rests[0].first == 0 else None
     moving_from = run.record.time_s[0 if first is None else first.last - 1]
     return plausible.reach(moved.time_s, moved.position, moved.position_sd, float(moving_from))

@@ -47,6 +47,6 @@ def mend(record: Record) -> tuple[Record, list[Finding]]:
     """
     findings: list[Finding] = []
     for fault in FAULTS:
-        record, found = fault.check(record)
-        findings += found
+        record, new = fault.check(record)
+        findings += new
     return record, findings

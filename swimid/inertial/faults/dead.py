@@ -20,7 +20,7 @@ MOST = 0.3
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Refuse a dead accelerometer or gyroscope axis; bridge stuck samples; leave a dead compass aside."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     values = record.channels
     stuck = np.column_stack([_stuck(record, column) for column in values.T])
     for name, column, share in zip(CHANNELS, values.T, stuck.mean(axis=0), strict=True):
@@ -38,17 +38,17 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     if count:
         which = ", ".join(name for name, flags in zip(CHANNELS, stuck.T, strict=True) if flags.any())
         text = f"{count} samples stuck at one value in {which}, bridged"
-        found.append(Finding(NAME, "handled", text, count))
+        findings.append(Finding(NAME, "handled", text, count))
         record = bridged(record, stuck)
     field, q = record.magnetic, record.quaternion
     if field is not None and (not np.isfinite(field).all() or np.any(np.ptp(field, axis=0) == 0)):
-        found.append(Finding(NAME, "handled", "the magnetometer is dead or has holes, not used"))
+        findings.append(Finding(NAME, "handled", "the magnetometer is dead or has holes, not used"))
         record = replace(record, magnetic=None)
     if q is not None and (not np.isfinite(q).all() or np.ptp(q, axis=0).max() == 0 or _unnormed(q)):
         text = "the quaternions are constant, have holes or are not of length 1, not used"
-        found.append(Finding(NAME, "handled", text))
+        findings.append(Finding(NAME, "handled", text))
         record = replace(record, quaternion=None)
-    return record, found
+    return record, findings
 
 
 def _unnormed(q: np.ndarray) -> bool:
@@ -62,7 +62,7 @@ def _stuck(record: Record, values: np.ndarray) -> np.ndarray:
     least = max(round(STUCK_S / record.step_s), STUCK_SAMPLES)
     long = [(first, last) for first, last in runs(same) if last - first >= least]
     for first, last in long:
-        # at a level the channel often shows, it may just be quiet
+        # at a level the channel often shows, it may just be at rest
         inside = np.zeros(len(values), dtype=bool)
         inside[max(first - 1, 0) : last] = True
         if not inside.all() and np.mean(values[~inside] == values[first]) < 0.01:
