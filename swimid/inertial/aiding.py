@@ -10,12 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial.alignment import Poses
-from swimid.inertial.attitude import QUATERNIONS
 from swimid.inertial.errorstate import Observation, cross_matrix, jacobian
 from swimid.inertial.record import Array, resampled
 from swimid.inertial.rest import Rest
 from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
-from swimid.inertial.setup import Setup
+from swimid.inertial.setup import QUATERNIONS, Setup
 from swimid.inertial.smoother import Nominal
 from swimid.logs.rotation import angles
 

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
 from swimid.inertial import clock, strapdown
-from swimid.inertial.attitude import Source
 from swimid.inertial.clock import Offset
 from swimid.inertial.record import Array, Record, resampled
+from swimid.inertial.setup import Source
 from swimid.logs.rotation import angles, from_angles
 
 #: Slower than this is drift, s: of an integrated gyroscope, of a twice integrated accelerometer.

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.inertial import attitude, mounting, rest
-from swimid.inertial.attitude import QUATERNIONS, Source
+from swimid.inertial import mounting, rest
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.mounting import Mount
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Array, Record
+from swimid.inertial.record import Array, Record, resampled, rotations
 from swimid.inertial.rest import Noise, Rest
 from swimid.inertial.sensor import (
     FILTER_SD,
@@ -24,8 +23,22 @@ from swimid.inertial.sensor import (
     Sensor,
 )
 
+#: An attitude that the log itself brings.
+QUATERNIONS = "quaternion columns"
 #: Where found rests lie that count as rests of the body and not only of its noise, by ``--rest``.
 BELIEVED = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
+
+
+@dataclass(frozen=True)
+class Source:
+    """An attitude at every sample."""
+
+    #: Sensor to world, n of them.
+    rotation: Rotation
+    #: Whether its yaw is held by something (a compass, the sensor's own filter).
+    heading: bool
+    #: "quaternion columns", "gyroscope and accelerometer", "gyroscope, accelerometer and magnetometer".
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -66,7 +79,7 @@ class Setup:
     @property
     def still_rate(self) -> Array:
         """Turn rate of the sensor in its still stretches, rad/s, shape (3,)."""
-        return attitude.still_rate(self.record, self.still.stretches)
+        return _still_rate(self.record, self.still.stretches)
 
     @property
     def body(self) -> Record:
@@ -90,7 +103,7 @@ class Setup:
         """The same less some rests, with the attitude a filter makes then."""
         still, source = self.still.without(rests), self.source
         if source.kind != QUATERNIONS:
-            source = attitude.estimate(self.record, still.stretches)
+            source = _attitude(self.record, still.stretches)
         return replace(self, still=still, source=source)
 
 
@@ -101,7 +114,7 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
     mount, findings = mounting.settle(
         record, still.stretches, options.mount_deg, level_at_rest=options.level_at_rest
     )
-    source = attitude.estimate(record, still.stretches)
+    source = _attitude(record, still.stretches)
     known = Setup(record=record, options=options, sensor=sensor, still=still, mount=mount, source=source)
     return known, findings
 
@@ -120,3 +133,39 @@ def _stillness(record: Record, sensor: Sensor, options: TrackImuOptions) -> Stil
         "given" if given else base.source,
     )
     return Stillness(still, used, noise)
+
+
+def _attitude(record: Record, rests: list[Rest]) -> Source:
+    """The attitude to start from.
+
+    Quaternion columns are taken as they are. Without them the offline form of VQF (Laidig and Seel
+    2023, doi:10.1016/j.inffus.2022.10.014), which runs forwards and backwards, makes it from turn rates,
+    accelerations and, where there is one, the magnetic field; the yaw of the first sample is then 0,
+    or magnetic where there is a field.
+    """
+    if record.quaternion is not None:
+        return Source(rotations(record.quaternion), True, QUATERNIONS)
+    import vqf
+
+    t, step = record.time_s, record.step_s
+    even = bool(np.ptp(np.diff(t)) < 1e-3 * step)
+    grid = t if even else np.arange(t[0], t[-1] + step, step)
+    readings = [record.rate - _still_rate(record, rests), record.acceleration, record.magnetic]
+    if not even:
+        readings = [None if values is None else resampled(grid, t, values) for values in readings]
+    told = vqf.offlineVQF(*(None if v is None else np.ascontiguousarray(v) for v in readings), step)
+    rotation = rotations(np.asarray(told["quat6D" if record.magnetic is None else "quat9D"]))
+    if not even:
+        rotation = Slerp(grid, rotation)(np.clip(t, grid[0], grid[-1]))
+    if record.magnetic is None:
+        yaw = rotation[0].as_euler("ZYX")[0]
+        return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
+    # VQF's world is east-north-up; yaw is counted from x, which is east
+    return Source(rotation, True, "gyroscope, accelerometer and magnetometer")
+
+
+def _still_rate(record: Record, rests: list[Rest]) -> Array:
+    """Turn rate of the still stretches, the median of their means, shape (3,); 0 where there are none."""
+    if not rests:
+        return np.zeros(3)
+    return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))

@@ -9,6 +9,10 @@ import numpy as np
 
 from swimid.inertial.record import Array, Flags, Record
 
+#: Turns of gravity are seen between means over this long, s, so many of them apart: about a second, long
+#: enough that accelerations weigh less than turns.
+BLOCK_S, BLOCKS = 0.3, 3
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -38,7 +42,7 @@ def bridged(record: Record, bad: Flags) -> Record:
     )
 
 
-def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Array]:
+def up_turning(record: Record) -> tuple[Array, Array, Array]:
     """How the direction of gravity turns in the sensor, as accelerometer and gyroscope see it.
 
     Returns
@@ -49,15 +53,13 @@ def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Arra
         That vector, and the integral of the turn rate over each window: the change should be
         ``-turned x up``.
     """
-    size = max(round(2 * half_s / record.step_s), 1)
+    size = max(round(BLOCK_S / record.step_s), 1)
     m = len(record) // size
     if m < 8:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
+        return (np.zeros((0, 3)),) * 3
     block = record.acceleration[: m * size].reshape(m, size, 3).mean(axis=1)
-    norm = np.linalg.norm(block, axis=1, keepdims=True)
-    up = block / np.maximum(norm, 1e-9)
+    up = block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-9)
     turn = np.concatenate([[np.zeros(3)], np.cumsum(record.rate[: m * size], axis=0)]) * record.step_s
     centres = turn[size // 2 : m * size : size][:m]
-    # over about a second: long enough that accelerations weigh less than turns
-    lag = max(round(0.9 / (2 * half_s)), 1)
-    return up[lag:] - up[:-lag], 0.5 * (up[lag:] + up[:-lag]), centres[lag:] - centres[:-lag]
+    before, after = slice(-BLOCKS), slice(BLOCKS, None)
+    return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]
