@@ -75,9 +75,6 @@ CHIP_NAME = "a consumer's chip (biases of 30 mg, scales off by 1.5 %)"
 WARMING_NAME = (
     "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)"
 )
-#: Noise densities where nothing tells: m/s^2/sqrt(Hz), rad/s/sqrt(Hz).
-SHEET_ACCELERATION_NOISE = 0.4 * MILLI_G
-SHEET_RATE_NOISE = 3.5 * DEG / 60.0
 #: Deviation of an attitude: the sensor's own, the filter's (rad).
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
 #: How long an error of such an attitude lasts at least, s: so many seconds count as one measurement.

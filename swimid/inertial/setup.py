@@ -15,16 +15,12 @@ from swimid.inertial.mounting import Mount
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Array, Record, resampled, rotations
 from swimid.inertial.rest import Noise, Rest
-from swimid.inertial.sensor import (
-    FILTER_SD,
-    QUATERNION_SD,
-    SHEET_ACCELERATION_NOISE,
-    SHEET_RATE_NOISE,
-    Sensor,
-)
+from swimid.inertial.sensor import DEG, FILTER_SD, MILLI_G, QUATERNION_SD, Sensor
 
 #: An attitude that the log itself brings.
 QUATERNIONS = "quaternion columns"
+#: Noise where nothing tells it.
+DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
 #: Where found rests lie that count as rests of the body and not only of its noise, by ``--rest``.
 BELIEVED = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
 
@@ -125,7 +121,7 @@ def _stillness(record: Record, sensor: Sensor, options: TrackImuOptions) -> Stil
     free = [r for r in rest.find(record) if not any(r.first < d.last and d.first < r.last for d in named)]
     used = sorted([*named, *(r for r in free if r.at in BELIEVED[options.rests])], key=lambda r: r.first)
     still = sorted([*named, *free], key=lambda r: r.first)
-    base = rest.noise(record, still) or Noise(SHEET_ACCELERATION_NOISE, SHEET_RATE_NOISE, "data sheet")
+    base = rest.noise(record, still) or DATA_SHEET
     given = sensor.acceleration_noise is not None or sensor.rate_noise is not None
     noise = Noise(
         base.acceleration if sensor.acceleration_noise is None else sensor.acceleration_noise,
