@@ -299,7 +299,7 @@ def _warn(run: Run, notes: list[str]) -> None:
     if run.doubt:
         warn("SWM033", f"{name}: {run.doubt}")
     if run.stroke is not None and run.contradicted:
-        low, high = run.stroke.interval_hz
+        low, high = run.stroke.beat.interval_hz
         warn(
             "SWM032",
             f"{name}: the metadata says frequency_hz {run.stated_hz:g}, {run.stroke.channel} beats at "

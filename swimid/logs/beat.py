@@ -52,7 +52,6 @@ class Beat:
         Part of the variance about the drift that the fundamental explains.
     cycles : float
         How many the record holds.
-    amplitude_stderr : float
     """
 
     frequency_hz: float
@@ -60,7 +59,6 @@ class Beat:
     amplitude: float
     share: float
     cycles: float = np.inf
-    amplitude_stderr: float = 0.0
 
     @property
     def interval_hz(self) -> tuple[float, float]:
@@ -303,20 +301,10 @@ def _fitted(
 
 def _beat(found: _Candidate, duration: float) -> Beat:
     """Frequency and amplitude with their errors from the amplitudes in windows."""
-    time, amplitude, frequency = found.time_s, found.amplitude, found.frequency_hz
-    turned = np.unwrap(np.angle(amplitude))
-    slope, stderr = _slope(time, turned, np.abs(amplitude))
-    size = np.abs(amplitude)
-    spread = float(np.std(size, ddof=1)) * np.sqrt(1.5 / len(size))
-    cycles = (frequency + slope / (2 * np.pi)) * duration
-    return Beat(
-        frequency + slope / (2 * np.pi),
-        stderr / (2 * np.pi),
-        float(np.mean(size)),
-        found.share,
-        cycles,
-        spread,
-    )
+    size = np.abs(found.amplitude)
+    slope, stderr = _slope(found.time_s, np.unwrap(np.angle(found.amplitude)), size)
+    frequency = found.frequency_hz + slope / (2 * np.pi)
+    return Beat(frequency, stderr / (2 * np.pi), float(np.mean(size)), found.share, frequency * duration)
 
 
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:

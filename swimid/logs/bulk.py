@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +15,7 @@ from pyarrow import csv
 from pyarrow import parquet as pq
 
 from swimid.files import atomic, yamlio
+from swimid.files.delimited import worked_ahead
 from swimid.logs.log import PARQUET_ENDINGS
 
 #: Samples a piece.
@@ -60,13 +60,9 @@ def write(
         stream.write((",".join(columns) + "\n").encode())
         # Printing numbers is the slow part, and runs beside itself; the pieces stay in order.
         with ThreadPoolExecutor(WORKERS) as pool:
-            waiting: deque[tuple[int, Future[pa.Buffer]]] = deque()
-            for table in _tables(columns, schema):
-                waiting.append((len(table), pool.submit(_printed, table)))
-                if len(waiting) > WORKERS:
-                    _append(stream, waiting, step)
-            while waiting:
-                _append(stream, waiting, step)
+            for count, text in worked_ahead(pool, _printed, _tables(columns, schema), WORKERS):
+                stream.write(text)
+                step(count)
 
 
 def _tables(columns: Mapping[str, NDArray[np.float64]], schema: pa.Schema) -> Iterator[pa.Table]:
@@ -76,15 +72,7 @@ def _tables(columns: Mapping[str, NDArray[np.float64]], schema: pa.Schema) -> It
         yield pa.Table.from_arrays(piece, schema=schema)
 
 
-def _printed(table: pa.Table) -> pa.Buffer:
+def _printed(table: pa.Table) -> tuple[int, pa.Buffer]:
     sink = pa.BufferOutputStream()
     csv.write_csv(table, sink, csv.WriteOptions(include_header=False))
-    return sink.getvalue()
-
-
-def _append(
-    stream: IO[bytes], waiting: deque[tuple[int, Future[pa.Buffer]]], step: Callable[[int], None]
-) -> None:
-    count, text = waiting.popleft()
-    stream.write(text.result())
-    step(count)
+    return len(table), sink.getvalue()

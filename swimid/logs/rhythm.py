@@ -108,11 +108,6 @@ class Rhythm:
         return "; ".join(said)
 
     @property
-    def interval_hz(self) -> tuple[float, float]:
-        """95 % interval of the stroke frequency, Hz."""
-        return self.beat.interval_hz
-
-    @property
     def period_s(self) -> tuple[float, float]:
         """Period and its standard error, s."""
         period = 1.0 / self.beat.frequency_hz

@@ -328,7 +328,7 @@ def _slope(time: Array, values: Array) -> Estimate:
 def _path_speed(track: Track, begin: float, end: float) -> Estimate | None:
     rows = (track.time_s >= begin) & (track.time_s <= end)
     time, good = track.time_s[rows], track.measured[rows]
-    cleaning = Cleaning(good, ~good & False, ~good & False, 0, [], gaps(time, good), 0.0)
+    cleaning = Cleaning(good, ~good & False, ~good & False, 0, [], gaps(time, good))
     found = track_speed.speed(time, list(track.raw[:, rows]), cleaning)
     return None if found is None else _positive(found.path)
 

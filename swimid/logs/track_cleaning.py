@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -53,8 +54,6 @@ class Cleaning:
         Rows where it goes on elsewhere for good.
     gaps : list of (float, float)
         Start and end of the stretches without a good sample, s.
-    scale_m : float
-        Median deviation of a step from the expected one: what jumps are measured against.
     """
 
     good: Flags
@@ -63,7 +62,17 @@ class Cleaning:
     jumps: int
     offset_rows: list[int]
     gaps: list[tuple[float, float]]
-    scale_m: float
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of repeats, jumps and samples that jumped."""
+        repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
+        return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
+
+    @property
+    def longest_gap_s(self) -> float:
+        """The longest gap, s; 0 without one."""
+        return max((end - start for start, end in self.gaps), default=0.0)
 
 
 def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
@@ -98,14 +107,14 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     rows = np.flatnonzero(known & ~repeated)
     jumped = np.zeros(len(time_s), dtype=bool)
     offsets: list[int] = []
-    jumps, scale = 0, 0.0
+    jumps = 0
     if len(rows) > WINDOW:
-        stays, elsewhere, scale = _jumps(time_s[rows], place[rows])
+        stays, elsewhere = _jumps(time_s[rows], place[rows])
         jumped[rows[~stays]] = True
         offsets = [int(rows[k]) for k in elsewhere]
         jumps = len(runs(~stays)) + len(offsets)
     good = known & ~repeated & ~jumped
-    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), scale)
+    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good))
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
@@ -143,8 +152,8 @@ def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
     return found
 
 
-def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
-    """Samples that stay, samples at which the track goes on elsewhere, and the scale of a step."""
+def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
+    """Samples that stay, and samples at which the track goes on elsewhere."""
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
     usual_s = float(np.median(steps_s))
     velocity = steps / steps_s[:, None]
@@ -160,7 +169,7 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
     limit = OUTLYING * local * np.minimum(longer, GAP)
     outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)
     if not outlying.any():
-        return np.ones(len(time), dtype=bool), [], scale
+        return np.ones(len(time), dtype=bool), []
     starts = np.concatenate(([0], np.flatnonzero(outlying) + 1))
     ends = np.concatenate((starts[1:], [len(time)]))
 
@@ -174,12 +183,11 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
     for piece in chain:
         stays[starts[piece] : ends[piece]] = True
     elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
-    return stays, elsewhere, scale
+    return stays, elsewhere
 
 
-def _chain(sizes: NDArray[np.int64], goes_on: object, cost: float) -> list[int]:
+def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
     """The pieces that keep most samples, each break of the track paid for."""
-    assert callable(goes_on)
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):

@@ -38,23 +38,17 @@ class TrackSpeed:
         Mean of the velocity along the straight line from start to end; m/s.
     naive_m_s : float
         Mean of ``|dx/dt|`` over all samples as they stand in the file.
-    straightness : float
-        Line over path: 1 on a straight path without sway.
     noise_m : float
         Standard deviation of a coordinate about the smoothed path.
     covered_s : float
         Time without the gaps.
-    velocity : ndarray, shape (n, d)
-        Smoothed velocity at every sample, NaN where no good one is; m/s.
     """
 
     path: Estimate
     line: Estimate
     naive_m_s: float
-    straightness: float
     noise_m: float
     covered_s: float
-    velocity: Array
 
 
 def naive(time_s: Array, positions: list[Array]) -> float:
@@ -123,10 +117,8 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
         path,
         line,
         naive(time_s, positions),
-        min(line.value / path.value, 1.0) if path.value > 0 else float("nan"),
         float(np.sqrt(squares / max(count, 1))),
         covered,
-        velocity,
     )
 
 

@@ -62,39 +62,26 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-_SPELLINGS = {
-    "sec": "s",
-    "secs": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "millis": "ms",
-    "milliseconds": "ms",
-    "micros": "us",
-    "usec": "us",
-    "nsec": "ns",
-    "nanoseconds": "ns",
-    "metre": "m",
-    "metres": "m",
-    "meter": "m",
-    "meters": "m",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "dps": "deg/s",
-    "rps": "rev/s",
-    "gs": "g",
-    "gee": "g",
-    "gauss": "G",
-    "knots": "kn",
-    "N m": "Nm",
-    "N·m": "Nm",
-    "N*m": "Nm",
-    "C": "degC",
-    "°C": "degC",
-    "celsius": "degC",
+#: Every unit, whatever it measures.
+KNOWN = frozenset(name for table in UNITS.values() for name in table)
+#: Other spellings of a unit.
+_SPELLED = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "millis", "milliseconds"),
+    "us": ("micros", "usec"),
+    "ns": ("nsec", "nanoseconds"),
+    "m": ("metre", "metres", "meter", "meters"),
+    "rad": ("radians",),
+    "deg": ("degree", "degrees", "°"),
+    "deg/s": ("dps",),
+    "rev/s": ("rps",),
+    "g": ("gs", "gee"),
+    "G": ("gauss",),
+    "kn": ("knots",),
+    "Nm": ("N m", "N·m", "N*m"),
+    "degC": ("C", "°C", "celsius"),
 }
+_SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
 
 def canonical(unit: str) -> str:
@@ -109,13 +96,12 @@ def canonical(unit: str) -> str:
     text = text.replace("meters per second", "m/s").replace("sec", "s") if "/" in text else text
     for power, over in ((" s-2", "/s2"), (" s-1", "/s"), ("*s-2", "/s2"), ("*s-1", "/s"), ("/s/s", "/s2")):
         text = text.replace(power, over)
-    known = {name for table in UNITS.values() for name in table}
     for spelled in (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower()):
-        if spelled in known:
+        if spelled in KNOWN:
             return spelled
     top, over, below = text.partition("/")
     joined = f"{_SPELLINGS.get(top.lower(), top)}/{below}" if over else text
-    return joined if joined in known else text
+    return joined if joined in KNOWN else text
 
 
 def measured(column: str) -> str | None:

@@ -35,12 +35,6 @@ def reader_of(path: Path, options: Options) -> Reader:
         When the file cannot be read or the format asked for does not exist.
     """
     known = readers()
-    if options.kind is not None:
-        if options.kind not in known:
-            raise InputError(
-                f"there is no reader '{options.kind}'", file=path, hint=suggestion(options.kind, list(known))
-            )
-        return known[options.kind]
     try:
         with path.open("rb") as stream:
             head = stream.read(512)
@@ -49,11 +43,14 @@ def reader_of(path: Path, options: Options) -> Reader:
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
     if not head:
         raise InputError("is empty", file=path)
-    for reader in known.values():
-        if any(head.startswith(magic) for magic in reader.magic):
-            return reader
-    ending = path.suffix.lower()
-    return next((r for r in known.values() if ending in r.endings), known["delimited"])
+    if options.kind is None:
+        begins = [r for r in known.values() if r.magic and head.startswith(r.magic)]
+        ends = [r for r in known.values() if path.suffix.lower() in r.endings]
+        return [*begins, *ends, known["delimited"]][0]
+    if options.kind not in known:
+        hint = suggestion(options.kind, list(known))
+        raise InputError(f"there is no reader '{options.kind}'", file=path, hint=hint)
+    return known[options.kind]
 
 
 def open_source(given: str | Path | Log, options: Options | None = None) -> Source:
