@@ -127,18 +127,17 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
 
 
 def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
+    """Samples that are the same as the one before, but for a robot at rest."""
     rows = np.flatnonzero(known)
-    found = np.zeros(len(time_s), dtype=bool)
+    repeated = np.zeros(len(time_s), dtype=bool)
     if len(rows) < 3:
-        return found
+        return repeated
     before, after = pose[rows[:-1]], pose[rows[1:]]
     same = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    if not same.any():
-        return found
-    found[rows[1:]] = same
+    repeated[rows[1:]] = same
     distinct = rows[np.concatenate(([True], ~same))]
-    if len(distinct) < 3:
-        return found
+    if len(distinct) < 3 or not same.any():
+        return repeated
     # A robot at rest repeats itself as well; it goes on from where it was.
     usual_s = float(np.median(np.diff(time_s[rows])))
     usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
@@ -148,8 +147,8 @@ def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
             continue
         away = float(np.linalg.norm(place[rows[end + 1]] - place[rows[end]]))
         if away <= NEAR * usual_m:
-            found[rows[first + 1 : end + 1]] = False
-    return found
+            repeated[rows[first + 1 : end + 1]] = False
+    return repeated
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:

@@ -87,9 +87,8 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     .. [2] Efron, B., Tibshirani, R. J. (1993). An Introduction to the Bootstrap. Chapman & Hall.
     """
     place = np.column_stack(positions)
-    velocity = np.full(place.shape, np.nan)
     rng = np.random.default_rng(0)
-    weights = np.zeros(len(time_s))
+    velocity, weights = np.full(place.shape, np.nan), np.zeros(len(time_s))
     squares, count, excess = 0.0, 0, 0.0
     stretches = _stretches(time_s, cleaning)
     if not stretches:
@@ -111,11 +110,9 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     along = np.linalg.norm(velocity[used], axis=1)
     mean = weights[used] @ velocity[used] / covered
     direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    path = mean_of_blocks(along, weights[used], -excess / covered)
-    line = mean_of_blocks(velocity[used] @ direction, weights[used], 0.0)
     return TrackSpeed(
-        path,
-        line,
+        mean_of_blocks(along, weights[used], -excess / covered),
+        mean_of_blocks(velocity[used] @ direction, weights[used]),
         naive(time_s, positions),
         float(np.sqrt(squares / max(count, 1))),
         covered,
