@@ -4,7 +4,7 @@
 ``plot``, ``figures`` and ``section`` show logs, ``options`` are those of the verbs. Import: ``foreign``
 (one module per format), ``mapping``, ``units``, ``guessing`` and ``guess_mapping`` (a mapping drafted),
 ``import_log``, ``examine``, ``imported`` (its result), ``bulk``. Of samples: ``sampling``, ``time_order``,
-``plausible``, ``derivative``, ``rotation``, ``interval``. Of tracks: ``track_cleaning``, ``track_speed``,
+``plausible``, ``derivative``, ``rotation``. Of tracks: ``track_cleaning``, ``track_speed``,
 ``course``, ``projection``, ``swimming``. Of strokes: ``beat`` (its frequency), ``rhythm`` (from all
-channels), ``stated_beat``.
+channels).
 """

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from swimid.logs import rhythm
 from swimid.logs.log import TIME, Log, runs
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import longest_even, usual_step
+from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import warn
 from swimid.results import blocks, numbers
 from swimid.results.evidence import MAX_POINTS, Figure, Mark, Panel, Span, Trace, thinned
@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 MAX_PANELS = 12
 #: More gaps than this are drawn by the longest of them.
 MAX_SPANS = 60
-#: A pause longer than this many sample times is a gap.
-PAUSE = 6.0
 #: Heading arrows along a track.
 ARROWS = 24
 #: Channels whose spectra are drawn, and how far beyond the stroke.
@@ -49,12 +47,6 @@ def figures(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]
 
 def _signals(record: Log) -> dict[str, Array]:
     return {name: values for name, values in record.columns.items() if name != TIME}
-
-
-def pauses(time: Array) -> NDArray[np.int64]:
-    """Samples after which nothing was logged for longer than :data:`PAUSE` sample times."""
-    steps = np.diff(time) if len(time) > 3 else np.empty(0)
-    return np.flatnonzero(steps > PAUSE * usual_step(time))
 
 
 def missing(time: Array, values: Array) -> list[tuple[float, float]]:

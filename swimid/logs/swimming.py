@@ -12,9 +12,9 @@ from scipy import stats
 
 from swimid.logs import rhythm, track_speed
 from swimid.logs.beat import Beat
-from swimid.logs.interval import Estimate, mean_of_blocks
 from swimid.logs.log import runs
 from swimid.logs.track_cleaning import Cleaning, gaps
+from swimid.logs.track_speed import Estimate, mean_of_blocks
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

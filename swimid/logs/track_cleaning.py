@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import quantum
+from swimid.logs.sampling import PAUSE, pauses, quantum
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,8 +29,6 @@ FASTER, ALIKE = 2.0, 5
 FEW, FEW_SHARE = 12, 0.05
 #: Pieces between jumps that are looked back upon for where the track goes on.
 LOOK_BACK = 100
-#: A pause longer than this many sample times is a gap.
-GAP = 6.0
 #: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
 #: after a frozen one the track goes on more than so many usual steps away.
 LONG_HOLD, NEAR = 5.0, 3.0
@@ -118,12 +116,9 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Stretches without a good sample that are longer than :data:`GAP` sample times, s."""
+    """Pauses between good samples (:func:`swimid.logs.sampling.pauses`), s."""
     times = time_s[good]
-    if len(times) < 3:
-        return []
-    steps = np.diff(times)
-    return [(float(times[k]), float(times[k + 1])) for k in np.flatnonzero(steps > GAP * np.median(steps))]
+    return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
 def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
@@ -165,7 +160,7 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
     alike = ndimage.median_filter(velocity, size=(ALIKE, 1), mode="nearest")
     fastest = float(np.percentile(np.linalg.norm(alike, axis=1), 99))
     longer = np.maximum(steps_s / usual_s, 1.0)
-    limit = OUTLYING * local * np.minimum(longer, GAP)
+    limit = OUTLYING * local * np.minimum(longer, PAUSE)
     outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)
     if not outlying.any():
         return np.ones(len(time), dtype=bool), []

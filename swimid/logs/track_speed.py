@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate
+from scipy import interpolate, stats
 
-from swimid.logs.interval import Estimate, mean_of_blocks
 from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
@@ -24,6 +23,19 @@ STRENGTHS = np.logspace(-4, 6, 11)
 FOLDS = 5
 #: Samples that suffice to choose it.
 ENOUGH = 600
+
+
+#: Blocks whose means tell how sure the mean of all is.
+BLOCKS = 12
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its 95 % interval, in one unit; NaN ends where nothing tells how sure it is."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -49,6 +61,32 @@ class TrackSpeed:
     naive_m_s: float
     noise_m: float
     covered_s: float
+
+
+def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
+    """Weighted mean with Student's interval over the means of :data:`BLOCKS` blocks of equal weight.
+
+    Parameters
+    ----------
+    values, weights : ndarray, shape (n,)
+        In the order of time; ``weights`` the time each value stands for, not all 0.
+    shift : float
+        A correction of the mean, as uncertain as it is large.
+    """
+    value = float(weights @ values / weights.sum())
+    block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
+    totals = np.bincount(block, weights, BLOCKS)
+    held = totals > 0
+    means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
+    half = 0.0  # of the block means; what noise adds is as uncertain as it is large
+    if len(means) > 1:
+        # neighbouring blocks are not independent: their correlation widens the interval
+        off = means - means.mean()
+        together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
+        widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
+        half = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+    half = float(np.hypot(half, shift))
+    return Estimate(value + shift, value + shift - half, value + shift + half)
 
 
 def naive(time_s: Array, positions: list[Array]) -> float:
@@ -77,7 +115,7 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     Every stretch between gaps is smoothed by a cubic spline; how smooth, cross-validation on the
     longest tells [1]_. Noise lengthens a path: the smoothed path with its own noise put
     on is smoothed again, and what that adds is taken off (parametric bootstrap [2]_). The interval is
-    that of :func:`swimid.logs.interval.mean_of_blocks`: it holds noise and the
+    that of :func:`mean_of_blocks`: it holds noise and the
     unsteadiness of the swimming.
 
     References
@@ -100,7 +138,7 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = _weights(t)
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # the time that each sample stands for
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -160,9 +198,3 @@ def _strength(t: Array, x: Array) -> Array:
             spline = interpolate.make_smoothing_spline(unit[~out], x[~out], lam=lam)
             errors[k] += np.sum((spline(unit[out]) - x[out]) ** 2, axis=0)
     return STRENGTHS[np.argmin(errors, axis=0)]
-
-
-def _weights(t: Array) -> Array:
-    """Time that each sample stands for (trapezoidal rule)."""
-    steps = np.diff(t)
-    return 0.5 * (np.concatenate((steps, [0.0])) + np.concatenate(([0.0], steps)))
