@@ -30,7 +30,7 @@ KNOWN = 0.8
 FALSE_ALARM = 0.01
 #: A beat explains at least this share of what moves faster than the drift; beside a harmonic larger than
 #: itself at least the lower one.
-SHARE, FAINTEST = 0.1, 0.02
+MIN_SHARE, FAINTEST = 0.1, 0.02
 #: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
 TOGETHER = 0.03
 #: Peaks of the spectrum that are looked at.
@@ -161,7 +161,7 @@ def find_beats(
     found = [beat for beat in examined if beat is not None]
     limit = FALSE_ALARM / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in found if chance < limit]
-    large = [beat for beat in sure if beat.share >= SHARE]
+    large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)

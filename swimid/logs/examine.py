@@ -95,7 +95,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     InputError
         No sample has a time, or the clock starts again within the log.
     NoTrustworthyResult
-        Fewer samples of a cleaned track than :data:`swimid.logs.track_speed.FEWEST` stay of many.
+        Fewer samples of a cleaned track than :data:`swimid.logs.track_speed.MIN_SAMPLES` stay of many.
     """
     name, columns = source.path.name, source.columns
     order = _in_order(source)
@@ -103,7 +103,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: {note}")
     if order.changed:
         _keep(columns, order.index)
-        warn("SWM057", f"{name}: rows {order.told}")
+        warn("SWM057", f"{name}: rows {order.summary}")
     _cut(columns, options, source)
     _to_metres(columns, options, source)
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
@@ -208,7 +208,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     if not out.any():
         return
     good = int(cleaning.good.sum())
-    if len(out) >= 2 * track_speed.FEWEST and good < track_speed.FEWEST:
+    if len(out) >= 2 * track_speed.MIN_SAMPLES and good < track_speed.MIN_SAMPLES:
         raise NoTrustworthyResult(
             f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track",
             hint="--raw keeps them all; is this a track of positions in metres?",

@@ -10,8 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs import bulk, log
 from swimid.logs import figures as log_figures
+from swimid.logs import log
 from swimid.logs.examine import Examined
 from swimid.logs.log import Log
 from swimid.logs.logged import Logged
@@ -76,7 +76,7 @@ class Imported(Logged):
 
     def _write(self, path: Path) -> list[Path]:
         with self.progress(f"writing {path.name}", total=len(self.log)) as step:
-            bulk.write(path, self.log.columns, self.log.metadata, step=step)
+            log.write_numbers(path, self.log.columns, self.log.metadata, step=step)
         return [path]
 
 

@@ -7,6 +7,7 @@ before the header hold YAML ``key: value`` metadata. Columns carry their unit as
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -19,7 +20,15 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, first_line
 from swimid.files import atomic, yamlio
-from swimid.files.delimited import MISSING, column_names, head, missing_column, number, number_hint
+from swimid.files.delimited import (
+    MISSING,
+    column_names,
+    head,
+    missing_column,
+    number,
+    number_hint,
+    worked_ahead,
+)
 from swimid.logs import plausible
 from swimid.notices import warn
 
@@ -28,6 +37,8 @@ if TYPE_CHECKING:
 
 TIME = "t_s"
 PARQUET_ENDINGS = (".parquet", ".pq")
+#: Samples written at once, and pieces printed beside each other.
+ROWS, WORKERS = 100_000, min(os.cpu_count() or 1, 4)
 #: What a function that reads a log takes: its path, or the log itself.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -500,9 +511,8 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     """
     import pandas as pd
 
-    path = Path(path)
+    path, lines = Path(path), _metadata_lines(metadata or {})
     frame = pd.DataFrame(dict(columns))
-    lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
     with atomic.replacing(path) as temporary:
         if path.suffix.lower() in PARQUET_ENDINGS:
             import pyarrow.parquet as pq
@@ -514,3 +524,61 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
             with open(temporary, "w", encoding="utf-8", newline="\n") as stream:
                 stream.writelines(f"# {line}\n" for line in lines)
                 frame.to_csv(stream, index=False, lineterminator="\n")
+
+
+def write_numbers(
+    path: str | Path,
+    columns: Mapping[str, NDArray[np.float64]],
+    metadata: Mapping[str, Any],
+    *,
+    step: Callable[[int], None] = lambda amount: None,
+) -> None:
+    """Write a log of numbers piece by piece, whole or not at all; what :func:`write` is for few samples.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        ``t_s`` first. NaN becomes an empty cell, every other number keeps its last bit.
+    step : callable
+        Called with the number of samples of each piece.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    from pyarrow import csv
+    from pyarrow import parquet as pq
+
+    path, lines = Path(path), _metadata_lines(metadata)
+    stored = {b"swimid": "\n".join(lines).encode()} if path.suffix.lower() in PARQUET_ENDINGS else None
+    schema = pa.schema([(name, pa.float64()) for name in columns], metadata=stored)
+
+    def piece(start: int) -> pa.Table:
+        rows = slice(start, start + ROWS)
+        return pa.Table.from_arrays(
+            [pa.array(v[rows], from_pandas=True) for v in columns.values()], schema=schema
+        )
+
+    def printed(table: pa.Table) -> tuple[int, pa.Buffer]:
+        sink = pa.BufferOutputStream()
+        csv.write_csv(table, sink, csv.WriteOptions(include_header=False))
+        return len(table), sink.getvalue()
+
+    tables = map(piece, range(0, len(columns[TIME]), ROWS))
+    with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
+        if stored is not None:
+            # Measured numbers hardly ever repeat: a dictionary of them only costs time.
+            with pq.ParquetWriter(stream, schema, use_dictionary=False, write_statistics=False) as writer:
+                for table in tables:
+                    writer.write_table(table)
+                    step(len(table))
+            return
+        stream.writelines(f"# {line}\n".encode() for line in lines)
+        stream.write((",".join(columns) + "\n").encode())
+        # Printing numbers is the slow part, and runs beside itself; the pieces stay in order.
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for count, text in worked_ahead(pool, printed, tables, WORKERS):
+                stream.write(text)
+                step(count)
+
+
+def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
+    return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]

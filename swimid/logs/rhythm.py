@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from swimid.logs.beat import FEWEST_CYCLES, SHARE, TOLERANCE, Beat, find_beats, multiple
+from swimid.logs.beat import FEWEST_CYCLES, MIN_SHARE, TOLERANCE, Beat, find_beats, multiple
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -43,11 +43,11 @@ FASTEST_STROKE_HZ = 20.0
 #: Rate above which a channel is averaged before its beat is sought, Hz.
 FASTEST_HZ = 60.0
 #: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
-WHOLE, MOST = 0.8, 20_000
+WHOLE, MAX_SAMPLES = 0.8, 20_000
 #: Highest harmonic reported, and how many standard errors its amplitude must exceed: noise, whose amplitude
 #: is Rayleigh's, does so in one of a hundred records.
 HARMONICS = 5
-CLEAR = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
+HARMONIC_Z = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
             beat
             for beat in beats
             if not multiple(beat, chosen)
-            and (beat.amplitude**2 >= SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
+            and (beat.amplitude**2 >= MIN_SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
         ]
         if against:
             found[name] = max(against, key=lambda beat: beat.amplitude)
@@ -294,7 +294,10 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     """A channel not faster than a stroke needs: its longest stretch, evenly; or all of it, with its gaps."""
     time, even = longest_even(time_s, values, FASTEST_HZ)
     there = np.isfinite(values)
-    if len(time) < WHOLE * there.sum() <= MOST and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0:
+    if (
+        len(time) < WHOLE * there.sum() <= MAX_SAMPLES
+        and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0
+    ):
         time, even = time_s[there], values[there]
     known = np.isfinite(even)
     if known.sum() < 16 or np.ptp(even[known]) == 0:
@@ -324,4 +327,4 @@ def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
     stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))
     amplitudes = np.hypot(weights[4::2], weights[5::2])
     harmonics = [Harmonic(k, float(size), stderr) for k, size in zip(orders, amplitudes, strict=True)]
-    return [one for one in harmonics if one.order == 1 or one.amplitude > CLEAR * stderr]
+    return [one for one in harmonics if one.order == 1 or one.amplitude > HARMONIC_Z * stderr]

@@ -12,7 +12,7 @@ PAUSE = 6.0
 #: A step within this share of a whole number of sample times lies on the grid.
 ON_GRID = 0.15
 #: Fewer steps on the grid than this share: the record is not uniformly sampled.
-ENOUGH = 0.8
+UNIFORM_SHARE = 0.8
 #: Root-mean-square jitter, in sample times, from which on it is worth a warning.
 NOTABLE_JITTER = 0.05
 #: Steps a record needs before its stamps may be explained by rounding.
@@ -53,7 +53,7 @@ class Rate:
     @property
     def uniform(self) -> bool:
         """Whether a constant rate describes the record at all."""
-        return self.on_grid >= ENOUGH
+        return self.on_grid >= UNIFORM_SHARE
 
 
 def usual_step(time_s: np.ndarray) -> float:
@@ -150,7 +150,7 @@ def _rounded_grid(time_s: np.ndarray, starts: Sequence[float]) -> tuple[float, n
             size = min(n, size + size // 2)
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
-        if np.mean(np.diff(number) == 1) < ENOUGH:
+        if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
             continue  # any rounded stamps lie on the grid of their unit, with many samples missing
         off = time_s - origin - step * number
         # The line is fitted: its own error comes on top of half a unit.

@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Blocks a track without a stroke is cut into, and the most of any track: of more strokes several make one.
-PLAIN, MOST = 20, 200
+PLAIN, MAX_BLOCKS = 20, 200
 #: Measured samples a window needs.
 SHORTEST = 12
 #: Blocks a steady part has at least, as many as tell a trend from their scatter.
-FEWEST = 5
+MIN_BLOCKS = 5
 #: A block slower than this share of the cruise (the 90th percentile) belongs to start, coasting or rest.
 CRUISE = 0.5
 #: A steady part changes its speed by no more than this share from its start to its end, or by chance;
@@ -36,7 +36,7 @@ START, STOP = 1 / 2, 1 / 3
 #: Strokes that tell one amplitude.
 STROKES = 2.0
 #: An amplitude stands clear where it is so many times its standard error, and the track's own error.
-CLEAR = 3.0
+AMPLITUDE_Z = 3.0
 #: A point that is never slower than this share of its mean speed has a course at all times.
 SLOWEST = 0.2
 #: A point whose course turns by more than this between blocks (rad) is no swimmer under way.
@@ -146,7 +146,7 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke, each taken as an arc of a circle. The steady part is in the longest run of blocks that are not
     slower than half of the cruise. Its start and its end are cut off by the marginal standard error rule
     [1]_: as few blocks as leave the mean of the rest as sure as can be, within one standard error. What is
-    left must hold :data:`FEWEST` blocks, and its speed must not change but by chance or by :data:`LEVEL`.
+    left must hold :data:`MIN_BLOCKS` blocks, and its speed must not change but by chance or by :data:`LEVEL`.
 
     References
     ----------
@@ -260,7 +260,7 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
     if not known.any():
         return _Blocks(*(np.zeros(0),) * 2, np.zeros((2, 0)), np.zeros(0))
     begin, end = max(begin, float(time[known][0])), min(end, float(time[known][-1]))
-    length = period * max(math.ceil((end - begin) / period / MOST), 1)
+    length = period * max(math.ceil((end - begin) / period / MAX_BLOCKS), 1)
     edges = end - length * np.arange(int((end - begin) / length + 1e-6), -1, -1)
     place = np.array([np.interp(edges, time[known], row[known]) for row in path])
     step = float(np.median(np.diff(time)))
@@ -279,14 +279,14 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
 
 def _steady(blocks: _Blocks) -> tuple[float, float] | None:
     """Start and end of the steady part, s; None where there is none."""
-    if len(blocks.speed) < FEWEST:
+    if len(blocks.speed) < MIN_BLOCKS:
         return None
     under_way = blocks.speed >= CRUISE * float(np.percentile(blocks.speed, 90))
     first, end = max(runs(under_way).tolist(), key=lambda run: run[1] - run[0])
     first += _transient(blocks.speed[first:end], START)
     end -= _transient(blocks.speed[first:end][::-1], STOP)
     middle, speed = blocks.middle[first:end], blocks.speed[first:end]
-    if len(speed) < FEWEST or not _level(_change(middle, speed), float(speed.mean())):
+    if len(speed) < MIN_BLOCKS or not _level(_change(middle, speed), float(speed.mean())):
         return None
     half = 0.5 * float(blocks.duration[first])
     return float(middle[0]) - half, float(middle[-1]) + half
@@ -358,7 +358,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
     found = {}
     for name, values in channels.items():
         amplitude = _amplitude(time, np.where(track.measured, values, np.nan), begin, end, frequency)
-        least = CLEAR * (track.error if name == "sway" else track.angle_error)
+        least = AMPLITUDE_Z * (track.error if name == "sway" else track.angle_error)
         if amplitude is not None and amplitude.value >= least:
             found[name] = amplitude
     return found
@@ -403,7 +403,7 @@ def _amplitude(time: Array, values: Array, begin: float, end: float, frequency: 
     if not sizes:
         return None
     mean, error = float(np.mean(sizes)), math.sqrt(float(np.mean(np.square(errors))))
-    if mean < CLEAR * error:
+    if mean < AMPLITUDE_Z * error:
         return None
     if len(sizes) < 3:
         half = 1.96 * error / math.sqrt(len(sizes))

@@ -60,7 +60,7 @@ class Order:
         return any(self.counts.values())
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """What was done to how many rows, in words."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 

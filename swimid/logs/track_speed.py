@@ -12,17 +12,17 @@ from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
 #: Samples of a stretch without a gap that a speed needs.
-FEWEST = 12
+MIN_SAMPLES = 12
 #: Samples smoothed at once; a longer stretch is cut.
-LONGEST = 1500
+MAX_STRETCH = 1500
 #: Samples in all that are smoothed; of more only every so many are taken.
-MOST = 60_000
+MAX_SAMPLES = 60_000
 #: Smoothness tried, the weight of the squared curvature at one sample a unit of time.
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
 #: Samples that suffice to choose it.
-ENOUGH = 600
+TUNING_SAMPLES = 600
 
 
 #: Blocks whose means tell how sure the mean of all is.
@@ -131,7 +131,7 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     stretches = _stretches(time_s, cleaning)
     if not stretches:
         return None
-    longest = max(stretches, key=len)[:ENOUGH]
+    longest = max(stretches, key=len)[:TUNING_SAMPLES]
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]
@@ -160,8 +160,8 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     """Rows of the stretches without a gap or a jump, each long enough and not too long."""
     rows = np.flatnonzero(cleaning.good)
-    rows = rows[:: max(len(rows) // MOST, 1)]
-    if len(rows) < FEWEST:
+    rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
+    if len(rows) < MIN_SAMPLES:
         return []
     ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
     cuts = [
@@ -169,8 +169,8 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     ]
     found = []
     for stretch in np.split(rows, cuts):
-        pieces = max(int(np.ceil(len(stretch) / LONGEST)), 1)
-        found += [part for part in np.array_split(stretch, pieces) if len(part) >= FEWEST]
+        pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)
+        found += [part for part in np.array_split(stretch, pieces) if len(part) >= MIN_SAMPLES]
     return found
 
 

@@ -9,27 +9,7 @@ from swimid.errors import suggestion
 _G = 9.80665  # standard gravity, ISO 80000-3
 _RPM = 2 * math.pi / 60
 
-#: What each ending of a column's name measures, longest endings first when matched.
-SUFFIXES: dict[str, str] = {
-    "s": "time",
-    "m": "length",
-    "rad": "angle",
-    "m_s": "speed",
-    "m_s2": "acceleration",
-    "rad_s": "turn rate",
-    "rad_s2": "angular acceleration",
-    "N": "force",
-    "Nm": "torque",
-    "kg": "mass",
-    "T": "magnetic flux density",
-    "V": "voltage",
-    "A": "current",
-    "W": "power",
-    "Pa": "pressure",
-    "Hz": "frequency",
-    "degC": "temperature",
-}
-#: Factor to SI of every unit, by what it measures.
+#: Factor to SI of every unit, by what it measures; the unit of SI first.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
@@ -62,6 +42,8 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
+#: What each ending of a column's name measures: ``m_s`` for m/s.
+SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
 #: Every unit, whatever it measures.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
 #: Other spellings of a unit.
