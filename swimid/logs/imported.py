@@ -204,22 +204,21 @@ def _columns(found: Examined, rules: Mapping | None) -> Table:
         if rules.time is not None:
             origin = rules.time.source if rules.time.source is not None else f"rate {rules.time.rate_hz}"
             sources[log.TIME] = str(origin), rules.time.unit, str(rules.time.origin)
-    rows: list[dict[str, blocks.Cell]] = []
-    for name, values in found.columns.items():
-        source, scale, offset = sources.get(name, (name, "1", "0"))
-        low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-        rows.append(
-            {
-                "column": name,
-                "source": source,
-                "factor or unit": scale,
-                "offset": offset,
-                "smallest": None if np.isnan(low) else low,
-                "largest": None if np.isnan(low) else high,
-                "missing": int(np.count_nonzero(np.isnan(values))),
-            }
-        )
-    return blocks.table("columns", "Columns", rows)
+    return Table(
+        id="columns",
+        title="Columns",
+        columns=["column", "source", "factor or unit", "offset", "smallest", "largest", "missing"],
+        rows=[
+            [name, *sources.get(name, (name, "1", "0")), *_ends(values), int(np.isnan(values).sum())]
+            for name, values in found.columns.items()
+        ],
+    )
+
+
+def _ends(values: Array) -> list[float | None]:
+    """The smallest and the largest value."""
+    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+    return [None, None] if np.isnan(low) else [low, high]
 
 
 def _speeds(found: Examined) -> list[Table]:
@@ -247,29 +246,34 @@ def _strokes(found: Examined) -> list[Table]:
     caption = f"Period {numbers.measured(*stroke.period_s, 's')}, over {stroke.beat.cycles:.3g} cycles."
     if stroke.maybe_double:
         caption += " It may be twice the stroke: no channel that swings sideways is there."
-    harmonics: list[dict[str, blocks.Cell]] = [
-        {
-            "harmonic": f"{harmonic.order} ×",
-            "frequency (Hz)": harmonic.order * stroke.beat.frequency_hz,
-            "amplitude": harmonic.amplitude,
-            "standard error": harmonic.stderr,
-        }
-        for harmonic in stroke.harmonics
+    tables = [
+        Table(
+            id="stroke",
+            title=f"Stroke and harmonics in {stroke.channel}",
+            columns=["harmonic", "frequency (Hz)", "amplitude", "standard error"],
+            rows=[
+                [f"{h.order} ×", h.order * stroke.beat.frequency_hz, h.amplitude, h.stderr]
+                for h in stroke.harmonics
+            ],
+            caption=caption,
+        ),
+        Table(
+            id="stroke-channels",
+            title="Beat of every channel",
+            columns=[
+                "channel",
+                "frequency (Hz)",
+                "standard error (Hz)",
+                "amplitude",
+                "share of the variance",
+            ],
+            rows=[
+                [name, beat.frequency_hz, beat.stderr_hz, beat.amplitude, beat.share]
+                for name, beat in stroke.channels.items()
+            ],
+        ),
     ]
-    channels: list[dict[str, blocks.Cell]] = [
-        {
-            "channel": name,
-            "frequency (Hz)": beat.frequency_hz,
-            "standard error (Hz)": beat.stderr_hz,
-            "amplitude": beat.amplitude,
-            "share of the variance": beat.share,
-        }
-        for name, beat in stroke.channels.items()
-    ]
-    tables = [blocks.table("stroke", f"Stroke and harmonics in {stroke.channel}", harmonics, caption)]
-    if len(channels) > 1:
-        tables.append(blocks.table("stroke-channels", "Beat of every channel", channels))
-    return tables
+    return tables if len(stroke.channels) > 1 else tables[:1]
 
 
 def _frequency(stroke: Rhythm) -> str:
@@ -300,7 +304,28 @@ def _methods(found: Examined) -> list[str]:
 
 def _facts(found: Examined, proof: Evidence) -> dict[str, Any]:
     """The result for machines."""
-    time = found.time_s
+    time, unit = found.time_s, found.unit
+    cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
+    track = speeds = way = None
+    if cleaning is not None:
+        track = {
+            "cleaned": found.cleaned,
+            **cleaning.counts,
+            "goes_on_elsewhere": len(cleaning.offset_rows),
+            "gaps_s": [list(gap) for gap in cleaning.gaps],
+        }
+    if speed is not None:
+        speeds = {
+            f"path_{unit}_s": speed.path.value,
+            "path_ci95": [speed.path.low, speed.path.high],
+            f"line_{unit}_s": speed.line.value,
+            "line_ci95": [speed.line.low, speed.line.high],
+            f"naive_{unit}_s": speed.naive_m_s,
+            f"noise_{unit}": speed.noise_m,
+            "covered_s": speed.covered_s,
+        }
+    if line is not None:
+        way = {"direction": line.direction.tolist(), "extent": line.extent, "across_rms": line.across}
     return {
         "file": str(found.path),
         "samples": len(time),
@@ -310,16 +335,10 @@ def _facts(found: Examined, proof: Evidence) -> dict[str, Any]:
         "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
         "rows": found.order.counts,
         "notes": found.notes,
-        "track": _track_facts(found),
-        "speed": _speed_facts(found),
-        "stroke": _stroke_facts(found),
-        "line": None
-        if found.projection is None
-        else {
-            "direction": [float(part) for part in found.projection.direction],
-            "extent": found.projection.extent,
-            "across_rms": found.projection.across,
-        },
+        "track": track,
+        "speed": speeds,
+        "stroke": {"unknown": found.unknown} if stroke is None else _stroke_facts(stroke, found.against),
+        "line": way,
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
@@ -330,37 +349,7 @@ def _rate(time_s: Array) -> float | None:
     return 1 / step if step > 0 else None
 
 
-def _track_facts(found: Examined) -> dict[str, Any] | None:
-    cleaning = found.cleaning
-    if cleaning is None:
-        return None
-    return {
-        "cleaned": found.cleaned,
-        **cleaning.counts,
-        "goes_on_elsewhere": len(cleaning.offset_rows),
-        "gaps_s": [list(gap) for gap in cleaning.gaps],
-    }
-
-
-def _speed_facts(found: Examined) -> dict[str, Any] | None:
-    speed, unit = found.speed, found.unit
-    if speed is None:
-        return None
-    return {
-        f"path_{unit}_s": speed.path.value,
-        "path_ci95": [speed.path.low, speed.path.high],
-        f"line_{unit}_s": speed.line.value,
-        "line_ci95": [speed.line.low, speed.line.high],
-        f"naive_{unit}_s": speed.naive_m_s,
-        f"noise_{unit}": speed.noise_m,
-        "covered_s": speed.covered_s,
-    }
-
-
-def _stroke_facts(found: Examined) -> dict[str, Any]:
-    stroke = found.stroke
-    if stroke is None:
-        return {"unknown": found.unknown}
+def _stroke_facts(stroke: Rhythm, against: str | None) -> dict[str, Any]:
     return {
         "frequency_hz": stroke.beat.frequency_hz,
         "stderr_hz": stroke.beat.stderr_hz,
@@ -372,7 +361,7 @@ def _stroke_facts(found: Examined) -> dict[str, Any]:
         "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
         "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
         "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
-        "contradiction": found.against,
+        "contradiction": against,
     }
 
 

@@ -258,12 +258,11 @@ class TrialSet:
             raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
         logs, plain = [], []
         for number, trial in enumerate(trials, start=1):
-            held, called = trial.get("log"), str(trial.get("id", f"trial {number}"))
-            if held is not None and not isinstance(held, Log | str | Path):
-                held = Log.from_frame(held, name=called)
-            logs.append(held if isinstance(held, Log) else None)
-            log = {} if held is None else {"log": called if isinstance(held, Log) else str(held)}
-            plain.append({"id": called, **trial, **log})
+            log, called = trial.get("log"), str(trial.get("id", f"trial {number}"))
+            file = log is None or isinstance(log, str | Path)
+            logs.append(None if file else log if isinstance(log, Log) else Log.from_frame(log, name=called))
+            name_of_log = {} if log is None else {"log": str(log) if file else called}
+            plain.append({"id": called, **trial, **name_of_log})
         given = {"format": FORMAT, "experiment": experiment, "robot": robot, **keys}
         if plain:
             given["trials"] = plain
