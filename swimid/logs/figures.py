@@ -49,23 +49,26 @@ def _signals(record: Log) -> dict[str, Array]:
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
-def missing(time: Array, values: Array) -> list[tuple[float, float]]:
-    """Stretches between two samples that lack what lies between them, s."""
-    blank = np.add(runs(np.isnan(values)), [-1, 0])
-    ends = np.vstack([blank, np.add.outer(pauses(time), [0, 1])]).clip(0, len(time) - 1)
+def missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
+    """Stretches between two samples that lack what lies between them, s; pauses are ``after`` samples."""
+    empty = np.isnan(values)
+    blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
+    ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)
     return sorted({(float(time[first]), float(time[last])) for first, last in ends})
 
 
-def _broken(time: Array, values: Array) -> tuple[Array, Array]:
+def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
     """The samples with an empty one in every pause, so that no line is drawn across it."""
-    after = pauses(time)
-    middle = 0.5 * (time[after] + time[np.minimum(after + 1, len(time) - 1)])
+    if not len(after):
+        return time, values
+    middle = 0.5 * (time[after] + time[after + 1])
     return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
 
 
 def channels(logs: Sequence[Log]) -> Figure:
     """The channels over time, those of several logs over each other, gaps shaded."""
     names, several = _names(logs), len(logs) > 1
+    after = [pauses(record.time_s) for record in logs]
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in _signals(record).items():
@@ -77,11 +80,13 @@ def channels(logs: Sequence[Log]) -> Figure:
     for channel in order[:MAX_PANELS]:
         traces, gaps = [], []
         for number, record, values in by_channel[channel]:
-            x, y = thinned(*_broken(record.time_s, values))
+            x, y = thinned(*_broken(record.time_s, values, after[number]))
             label, group = (names[number], number) if several else ("", None)
             traces.append(Trace(x=x, y=y, label=label, group=group))
             label = f"missing in {names[number]}" if several else "missing"
-            gaps += [Span(start=a, end=b, label=label) for a, b in missing(record.time_s, values)]
+            gaps += [
+                Span(start=a, end=b, label=label) for a, b in missing(record.time_s, values, after[number])
+            ]
         longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
         panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
@@ -127,8 +132,8 @@ def track(logs: Sequence[Log]) -> Figure | None:
             continue
         across = up
         x, y = record["x_m"], record[up]
-        step = len(x) // MAX_POINTS + 1
-        line = (_broken(record.time_s, values)[1][::step] for values in (x, y))
+        step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
+        line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
         traces.append(Trace(**dict(zip("xy", line, strict=True)), label=name if several else "path"))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         if len(there) and not several:

@@ -209,7 +209,12 @@ def _columns(found: Examined, rules: Mapping | None) -> Table:
         title="Columns",
         columns=["column", "source", "factor or unit", "offset", "smallest", "largest", "missing"],
         rows=[
-            [name, *sources.get(name, (name, "1", "0")), *_ends(values), int(np.isnan(values).sum())]
+            [
+                name,
+                *sources.get(name, (name, "1", "0")),
+                *_ends(values),
+                int(np.count_nonzero(np.isnan(values))),
+            ]
             for name, values in found.columns.items()
         ],
     )

@@ -66,10 +66,10 @@ def usual_step(time_s: np.ndarray) -> float:
     return float(np.median(steps)) if len(steps) else float("nan")
 
 
-def pauses(time_s: np.ndarray) -> np.ndarray:
+def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
     """Samples after which there is none for longer than :data:`PAUSE` sample times."""
     steps = np.diff(time_s) if len(time_s) > 2 else np.empty(0)
-    return np.flatnonzero(steps > PAUSE * usual_step(time_s))
+    return np.flatnonzero(steps > PAUSE * (usual_step(time_s) if step_s is None else step_s))
 
 
 @dataclass(frozen=True)
@@ -278,8 +278,9 @@ def longest_even(
     known = np.flatnonzero(np.isfinite(values))
     t, x = time_s[known], values[known]
     if len(t) > 1:
-        block = max(int(1 / (fastest_hz * float(np.median(np.diff(t))))), 1)
-        cuts = pauses(t) + 1
+        step = usual_step(t)
+        block = max(int(1 / (fastest_hz * step)), 1)
+        cuts = pauses(t, step) + 1
         t, x = max(zip(np.split(t, cuts), np.split(x, cuts), strict=True), key=lambda part: len(part[0]))
         if block > 1 and len(t) > 1:
             count = min(len(t) // block, most)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from swimid.logs import figures as log_figures
 from swimid.logs import log
 from swimid.logs.log import Log
+from swimid.logs.sampling import pauses
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader
@@ -48,10 +49,10 @@ def section(path: Path, record: Log, evidence: Evidence | None) -> Section:
 
 
 def _summary(record: Log, channels: dict[str, NDArray[np.float64]]) -> Grid:
-    rows = []
+    rows, after = [], pauses(record.time_s)
     for name, values in channels.items():
         known = values[np.isfinite(values)]
-        gaps = log_figures.missing(record.time_s, values)
+        gaps = log_figures.missing(record.time_s, values, after)
         told = (
             numbers.number(float(known.min()) if len(known) else None),
             numbers.number(float(known.max()) if len(known) else None),
