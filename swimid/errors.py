@@ -118,6 +118,11 @@ class Interrupted(NoTrustworthyResult):
     exit_status = 130
 
 
+def first_line(error: BaseException) -> str:
+    """What an error of a library says, in one line."""
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     """The allowed word most like ``word``, or None where none is close.
 

@@ -172,7 +172,7 @@ def warnings(run: Run) -> Iterator[tuple[str, str]]:
     if run.doubt:
         yield "SWM033", f"{name}: {run.doubt}"
     if run.stroke is not None and run.contradicted:
-        low, high = run.stroke.interval_hz
+        low, high = run.stroke.beat.interval_hz
         text = (
             f"{name}: the metadata says frequency_hz {run.stated_hz:g}, {run.stroke.channel} beats at "
             f"{run.stroke.beat.frequency_hz:.4g} Hz (95 %: {low:.4g} ... {high:.4g})"

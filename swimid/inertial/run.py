@@ -85,7 +85,7 @@ class Run(Setup):
         stroke, stated = self.stroke, self.stated_hz
         if stroke is None or stated is None:
             return False
-        low, high = stroke.interval_hz
+        low, high = stroke.beat.interval_hz
         off = abs(stated / stroke.beat.frequency_hz - 1)
         if stroke.maybe_double and abs(2 * stated / stroke.beat.frequency_hz - 1) < FREQUENCY_SHARE:
             return False

@@ -10,8 +10,8 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.logs import swimming
-from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
+from swimid.logs.track_speed import Estimate
 from swimid.notices import warn
 from swimid.results import numbers
 from swimid.results.evidence import Check, Figure, Mark, Table, check
