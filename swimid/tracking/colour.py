@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from typing import Any
 
 import cv2
@@ -189,15 +190,5 @@ def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float)
 
 def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
     """HSV, on OpenCV's 8-bit scale but not rounded, of one BGR colour (0 .. 255)."""
-    blue, green, red = (float(c) for c in bgr)
-    largest, smallest = max(red, green, blue), min(red, green, blue)
-    chroma = largest - smallest
-    if chroma <= 0:
-        return np.array([0.0, 0.0, largest])
-    if largest == red:
-        sector = ((green - blue) / chroma) % 6
-    elif largest == green:
-        sector = (blue - red) / chroma + 2
-    else:
-        sector = (red - green) / chroma + 4
-    return np.array([30 * sector, 255 * chroma / largest, largest])
+    hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
+    return np.array([_TURN * hue, 255 * saturation, value])

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from swimid.tracking.colour import ColourModel, mean_hsv
+from swimid.tracking.rawtrack import FULL
 
 #: Pixels about a blob that are looked at for its rim and its background.
 MARGIN = 8
@@ -41,6 +42,8 @@ class Blob:
         Mean colour, OpenCV scale.
     at_edge : bool
         It touches the edge of the picture, so its centre is biased inwards.
+    status : int
+        How it was found, as in :class:`RawTrack`.
     """
 
     x: float
@@ -51,6 +54,11 @@ class Blob:
     confidence: float
     hsv: NDArray[np.float64]
     at_edge: bool
+    status: int = FULL
+
+    def away(self, x: float, y: float) -> float:
+        """Distance of its centre from a place, px."""
+        return math.hypot(self.x - x, self.y - y)
 
     @property
     def radius(self) -> float:
@@ -82,6 +90,11 @@ class Patch:
     bottom: int
     clipped: bool
 
+    def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
+        """Its box in picture pixels, for the place of the mask's corner and the step of its pixels."""
+        x, y = origin
+        return x + step * self.left, y + step * self.top, x + step * self.right, y + step * self.bottom
+
 
 @njit(cache=True)
 def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # noqa: C901 # pragma: no cover
@@ -92,11 +105,8 @@ def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-de
     picture pixel is projected on the axis from mean background to mean core colour; that
     opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
     """
-    core = np.zeros(3)
-    back = np.zeros(3)
-    square = np.zeros(3)
-    n_core = 0
-    n_back = 0
+    core, back, square = np.zeros(3), np.zeros(3), np.zeros(3)
+    n_core = n_back = 0
     for mi in range(inner.shape[0]):
         for mj in range(inner.shape[1]):
             if inner[mi, mj]:
@@ -245,12 +255,11 @@ def measure(
     far = cv2.dilate(near, _KERNEL5 if step < 3 else _KERNEL3)
     part = window[step * y0 : step * y1, step * x0 : step * x1]
     column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
-    if not math.isfinite(column):
+    if not math.isfinite(column) or contrast < max(
+        MIN_CONTRAST_LEVELS, MIN_CONTRAST_SIGMA * min(scatter, 15.0)
+    ):
         return None
-    if contrast < max(MIN_CONTRAST_LEVELS, MIN_CONTRAST_SIGMA * min(scatter, 15.0)):
-        return None
-    left, top = origin[0] + step * patch.left, origin[1] + step * patch.top
-    right, bottom = origin[0] + step * patch.right, origin[1] + step * patch.bottom
+    left, top, right, bottom = patch.box(origin, step)
     # Blocks that do not fill up at the right and lower side are not looked at.
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)

@@ -13,13 +13,31 @@ from numpy.typing import NDArray
 from swimid.files import atomic, yamlio
 from swimid.results.result import Result
 from swimid.tracking import setup as setup_format
+from swimid.tracking.pictures import SEEN, write_text
 from swimid.tracking.propose import Passed
-from swimid.tracking.reader import Frame
 from swimid.tracking.run import Run
 from swimid.tracking.setup import Setup
 
 #: Pictures on the contact sheet, and the width of each.
 _SHEET, _SHEET_WIDTH = 4, 640
+
+
+#: Lines of a drafted setup.
+FACING = (
+    "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
+    "facing: auto",
+)
+POSE = (
+    "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
+    "# tail, or with the name of a robot whose file names markers like these.",
+    "# robot: sealion",
+)
+NO_SCALE = (
+    "# Without a scale positions are in pixels. One of:",
+    "# scale: {metres_per_pixel: 0.0015}",
+    "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
+    "# scale: {points_px: [four corners], points_m: [the same corners]}",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +64,7 @@ class SetupDraft(Result):
         if self.sheet is None:
             return [path]
         picture = path.with_suffix(".markers.png")
-        ok, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
-        assert ok
+        _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
         with atomic.replacing(picture) as temporary:
             temporary.write_bytes(data.tobytes())
         return [path, picture]
@@ -76,7 +93,6 @@ def text_of(
     ]
     for marker, remark in zip(setup.markers, remarks, strict=True):
         hsv = marker.colour_range()
-        low, high = marker.area_px or (12.0, 1e5)
         found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
         lines += [
             f"  - name: {marker.name}",
@@ -84,49 +100,27 @@ def text_of(
             "    # Hue runs from the first to the second angle, through 0 for red.",
             f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
             f"value: {_list(hsv.value)}}}",
-            f"    area_px: [{low:g}, {high:g}]",
+            f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
         ]
         if marker.number > 1:
-            lines += [
-                f"    # They are named {marker.names[0]}, {marker.names[1]}, ...",
-                f"    number: {marker.number}",
-            ]
+            lines += [f"    # They are named {marker.names[0]}, {marker.names[1]}, ..."]
+            lines += [f"    number: {marker.number}"]
         if marker.start_px is not None:
             lines += [f"    start_px: [{', '.join(_list(place) for place in marker.start_px)}]"]
+    tail = f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"
+    rate = f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240"
     lines += [f"# Passed over: {colour}" for colour in passed]
-    lines += ["# The head marker gives the position, head and tail together the heading."]
-    lines += [f"head: {setup.head or setup.marker_names[0]}"]
-    lines += [f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"]
     lines += [
+        "# The head marker gives the position, head and tail together the heading.",
+        f"head: {setup.head_name}",
+        tail,
         "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
         f"plane: {setup.plane}",
-    ]
-    if setup.plane == "vertical":
-        lines += [
-            "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
-            f"facing: {setup.facing}",
-        ]
-    lines += [
-        "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
-        "# tail, or with the name of a robot whose file names markers like these.",
-        "# robot: sealion",
-    ]
-    if setup.scale is not None:
-        lines += ["scale:"]
-        lines += [
-            f"  {line}"
-            for line in yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True)).splitlines()
-        ]
-    else:
-        lines += [
-            "# Without a scale positions are in pixels. One of:",
-            "# scale: {metres_per_pixel: 0.0015}",
-            "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
-            "# scale: {points_px: [four corners], points_m: [the same corners]}",
-        ]
-    lines += [
+        *(FACING if setup.plane == "vertical" else ()),
+        *POSE,
+        *(NO_SCALE if setup.scale is None else _scale(setup.scale)),
         "# True frame rate, where the container's stamps are wrong.",
-        f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240",
+        rate,
         "# Longest dropout that is bridged, s.",
         f"max_gap_s: {setup.max_gap_s:g}",
     ]
@@ -138,37 +132,36 @@ def text_of(
     return "\n".join(lines) + "\n"
 
 
+def _scale(scale: setup_format.Scale) -> list[str]:
+    keys = yamlio.dumps_flat(scale.model_dump(mode="json", exclude_none=True))
+    return ["scale:", *(f"  {line}" for line in keys.splitlines())]
+
+
 def _list(values: Any) -> str:
     return "[" + ", ".join(f"{v:g}" for v in values) + "]"
 
 
-def sheet_of(run: Run, setup: Setup) -> NDArray[np.uint8]:
+def sheet_of(run: Run) -> NDArray[np.uint8]:
     """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
-    tiles = []
-    everywhere = np.atleast_1d(run.track.found.all(axis=0))
-    ranked = sorted(run.kept, key=lambda k: (not (k < len(everywhere) and everywhere[k]), k))
+    tiles, track = [], run.track
+    ranked = sorted(run.kept, key=lambda k: (not (k < len(track.times) and track.found[:, k].all()), k))
     for index in sorted(ranked[:_SHEET]):
-        frame = run.kept[index].copy()
+        frame = run.kept[index]
         factor = _SHEET_WIDTH / frame.shape[1]
         tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-        for box in setup.ignore_px:
+        for box in run.setup.ignore_px:
             corners = [round(factor * v) for v in box]
             cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
             cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-        for i, name in enumerate(run.track.names):
-            if index < len(everywhere) and run.track.found[i, index]:
-                x, y = factor * run.track.x[i, index], factor * run.track.y[i, index]
-                radius = round(factor * float(np.sqrt(run.track.area[i, index] / np.pi))) + 5
-                cv2.circle(tile, (round(x), round(y)), radius, (0, 159, 230), 2, cv2.LINE_AA)
-                _label(tile, name, (round(x) + radius + 3, round(y) + 4))
-        _label(tile, f"frame {index}", (8, tile.shape[0] - 8))
+        for i, name in enumerate(track.names):
+            if index < len(track.times) and track.found[i, index]:
+                x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+                radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
+                cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+                write_text(tile, name, (x + radius + 3, y + 4), 0.5)
+        write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
     while len(tiles) % 2:
         tiles.append(np.zeros_like(tiles[0]))
     sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
     return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def _label(image: Frame, text: str, where: tuple[int, int]) -> None:
-    for shade, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, shade, width, cv2.LINE_AA)

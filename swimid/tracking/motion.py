@@ -66,7 +66,7 @@ def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
 
     ``scene``, shape (2, n), px, is how far the scene itself is shifted in each frame.
     """
-    i = track.names.index(name)
+    i = track.row(name)
     seen = track.found[i]
     if seen.mean() < LEAST_SHARE:
         return Range(0.0, 1.0, math.nan)
@@ -126,7 +126,7 @@ def distance(track: RawTrack, one: str, other: str) -> Distance | None:
     turns by no more than a body bends. The same homography changes the markers' areas; what of it they do
     not show is no view of a plane.
     """
-    i, j = track.names.index(one), track.names.index(other)
+    i, j = track.row(one), track.row(other)
     both = track.found[i] & track.found[j] & ~track.at_edge[i] & ~track.at_edge[j]
     if both.sum() < FEWEST:
         return None

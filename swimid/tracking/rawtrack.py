@@ -74,6 +74,10 @@ class RawTrack:
         """
         return self.seen & ~self.at_edge
 
+    def row(self, name: str) -> int:
+        """The row of a marker."""
+        return self.names.index(name)
+
     def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Centre of a marker where it was measured, else NaN, two arrays of shape (n,), px."""
         cut = self.at_edge[marker]
@@ -100,9 +104,7 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
     if not seen.any():
         return
     # Cut by the edge of the picture, a marker has neither its size nor, being narrow, its colour.
-    whole = seen & ~track.at_edge[marker]
-    if not whole.any():
-        whole = seen
+    whole = track.found[marker] if track.found[marker].any() else seen
     usual = np.median(looks[whole], axis=0)
     turn = 2 * np.pi * looks[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
@@ -118,15 +120,13 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
         about = seen[max(start - 15, 0) : end + 15]
         flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
         part = slice(start, end)
-        look = start + np.flatnonzero(whole[part])
+        look = whole[part]
         stranger = False
-        if len(look) and end - start < STRANGER_SHARE * seen.sum():
-            ratio = float(np.median(area[look])) / usual_area
-            stranger = (
-                float(np.mean(alike[look])) < 0.5
-                or not 0.25 < ratio < 4
-                or (float(np.median(confidence[look])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
-            )
+        if look.any() and end - start < STRANGER_SHARE * seen.sum():
+            ratio = float(np.median(area[part][look])) / usual_area
+            faint = float(np.median(confidence[part][look])) < 0.6 * usual_confidence
+            stranger = float(np.mean(alike[part][look])) < 0.5 or not 0.25 < ratio < 4
+            stranger = stranger or (faint and not 0.5 < ratio < 2)
         if (flash and end - start < seen.sum()) or stranger:
             for values in (track.x, track.y, track.area):
                 values[marker, part] = np.nan

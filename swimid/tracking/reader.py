@@ -69,8 +69,9 @@ class _Container:
 
     def read(self) -> Frame | None:
         """The next frame, into the memory of the one before; None after the last."""
-        ok, frame = self._capture.read() if self._frame is None else self._capture.read(self._frame)
+        ok, frame = self._capture.read(self._frame)
         if not ok or frame is None:
+            self._capture.release()
             return None
         self._frame = np.asarray(frame, np.uint8)
         self.position += 1
@@ -83,16 +84,10 @@ class _Container:
 
     def claims(self) -> tuple[float, int, int]:
         """Mean rate in Hz, number of frames (0 where there is none) and rotation tag in degrees."""
-        count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
-        return (
-            rate if np.isfinite(rate) and rate > 0 else 0.0,
-            int(count) if 0 < count < 1e9 else 0,
-            int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)),
-        )
-
-    def close(self) -> None:
-        """Give the decoder back."""
-        self._capture.release()
+        properties = (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_ORIENTATION_META)
+        rate, count, rotation = (self._capture.get(key) for key in properties)
+        rate = rate if np.isfinite(rate) and rate > 0 else 0.0
+        return rate, int(count) if 0 < count < 1e9 else 0, int(rotation)
 
 
 class Video:
@@ -121,32 +116,15 @@ class Video:
         self.path = Path(path)
         # On few cores decoding uses them all; threads for small images only cost.
         cv2.setNumThreads(1)
-        self._source: _Container | Stills
-        if is_sequence(self.path):
-            self._source = Stills(self.path, apply_rotation=apply_rotation)
-        else:
-            self._source = _Container(self.path, apply_rotation=apply_rotation)
+        kind = Stills if is_sequence(self.path) else _Container
+        self._source: _Container | Stills = kind(self.path, apply_rotation=apply_rotation)
         self._first = self._source.read()
         if self._first is None:
-            self._source.close()
-            raise InputError(
-                "no frame of this file can be decoded",
-                file=self.path,
-                frame=0,
-                hint="check that a player plays it",
-            )
+            hint = "check that a player plays it"
+            raise InputError("no frame of this file can be decoded", file=self.path, frame=0, hint=hint)
         self.first_stamp_s = self._source.stamp_s
         height, width = self._first.shape[:2]
-        rate, count, rotation = self._source.claims()
-        self.info = VideoInfo(
-            path=self.path,
-            width=width,
-            height=height,
-            frame_rate_hz=rate,
-            frames=count,
-            rotation_deg=rotation,
-            files=tuple(self._source.files),
-        )
+        self.info = VideoInfo(self.path, width, height, *self._source.claims(), tuple(self._source.files))
         self._rate = frame_rate_hz
         self._stamps: list[float] = []
         self._positions: list[int] = []
@@ -176,40 +154,7 @@ class Video:
                 time = self._stamps[-1] - self.first_stamp_s
             yield time, frame
             frame = self._source.read()
-        self._source.close()
-        self._check_length(len(self._stamps))
-
-    def times(self) -> NDArray[np.float64]:
-        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
-
-        Stamps that stand still or run backwards are replaced by even steps, with a warning.
-        """
-        count = len(self._stamps)
-        if self._rate:
-            positions = np.array(self._positions, dtype=float)
-            return (positions - positions[:1]) / self._rate
-        stamps = np.array(self._stamps) - (self._stamps[0] if count else 0.0)
-        steps = np.diff(stamps)
-        if count > 1 and np.any(steps <= 0):
-            rate = self.info.frame_rate_hz
-            bad = int(np.argmax(steps <= 0)) + 1
-            if not rate:
-                raise InputError(
-                    "its frames carry no usable time stamps",
-                    file=self.path,
-                    frame=bad,
-                    hint="give the true frame rate with --fps",
-                )
-            warn(
-                "SWM043",
-                f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
-                f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
-            )
-            return np.arange(count) / rate
-        return stamps
-
-    def _check_length(self, count: int) -> None:
-        claimed = self.info.frames
+        count, claimed = len(self._stamps), self.info.frames
         # Some containers count one or two frames more than they hold.
         if len(self.info.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
             warn(
@@ -217,6 +162,66 @@ class Video:
                 f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "
                 f"cut after frame {count - 1}",
             )
+
+    def times(self) -> NDArray[np.float64]:
+        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
+
+        Stamps that stand still or run backwards are replaced by even steps, with a warning.
+        """
+        if self._rate:
+            positions = np.array(self._positions, dtype=float)
+            return (positions - positions[:1]) / self._rate
+        stamps = np.array(self._stamps)
+        stamps -= stamps[:1]
+        backwards, rate = np.diff(stamps) <= 0, self.info.frame_rate_hz
+        if not backwards.any():
+            return stamps
+        bad = int(np.argmax(backwards)) + 1
+        if not rate:
+            hint = "give the true frame rate with --fps"
+            raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
+        warn(
+            "SWM043",
+            f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
+            f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
+        )
+        return np.arange(len(stamps)) / rate
+
+
+def reduced(frame: Frame, width: int) -> Frame:
+    """A copy of a picture, at most ``width`` px wide."""
+    factor = max(frame.shape[1] / width, 1.0)
+    if factor == 1:
+        return frame.copy()
+    small = cv2.resize(frame, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+class FrameKeeper:
+    """Keeps some frames spread evenly over a video of unknown length.
+
+    Parameters
+    ----------
+    most : int
+        As soon as more are kept every second one is dropped.
+    every : int
+        At first every so many frames are kept.
+    width : int, optional
+        They are reduced to this width.
+    """
+
+    def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
+        self.kept: dict[int, Frame] = {}
+        self._most, self._every, self._width = most, every, width
+
+    def take(self, index: int, frame: Frame) -> None:
+        """Look at the next frame; a copy is kept now and then."""
+        if index % self._every:
+            return
+        self.kept[index] = reduced(frame, self._width or frame.shape[1])
+        if len(self.kept) > self._most:
+            self._every *= 2
+            self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
 
 
 def irregular(times: NDArray[np.float64]) -> tuple[float, float]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -45,7 +45,11 @@ class Stills:
     files : list of path
     position : int
         Place of the picture last read in the series: a missing one leaves its place.
+    stamp_s : float
+        NaN: pictures carry no time.
     """
+
+    stamp_s = math.nan
 
     def __init__(self, path: Path, *, apply_rotation: bool = True) -> None:
         self.path = path
@@ -54,7 +58,7 @@ class Stills:
         self._flags = cv2.IMREAD_COLOR if apply_rotation else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         self._next = 0
         self._bad: list[str] = []
-        self._size: tuple[int, int] | None = None
+        self._size: tuple[int, ...] | None = None
         self.position = 0
 
     def read(self) -> NDArray[np.uint8] | None:
@@ -72,11 +76,11 @@ class Stills:
             if frame is None:
                 self._bad.append(file.name)
                 continue
-            size = (frame.shape[1], frame.shape[0])
-            self._size = self._size or size
-            if size != self._size:
+            self._size = self._size or frame.shape
+            if frame.shape != self._size:
+                here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, self._size))
                 raise InputError(
-                    f"is {size[0]} x {size[1]} pixels, those before it are {self._size[0]} x {self._size[1]}",
+                    f"is {here} pixels, those before it are {before}",
                     file=file,
                     hint="all pictures of a film have one size; name them by a pattern (%05d.png) where "
                     "others lie beside them",
@@ -92,17 +96,9 @@ class Stills:
             self._bad = []
         return None
 
-    @property
-    def stamp_s(self) -> float:
-        """NaN: pictures carry no time."""
-        return math.nan
-
     def claims(self) -> tuple[float, int, int]:
         """No rate, the number of pictures, no rotation."""
         return 0.0, len(self.files), 0
-
-    def close(self) -> None:
-        """Nothing is held open."""
 
 
 def check_output(path: Path, output: Path) -> None:
@@ -116,15 +112,11 @@ def check_output(path: Path, output: Path) -> None:
 def _listed(path: Path) -> list[Path]:
     """The pictures in order."""
     if path.is_dir():
-        files = [
-            f
-            for f in path.iterdir()
-            if f.suffix.lower() in ENDINGS and not f.name.startswith(".") and f.is_file()
-        ]
+        files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
+        files = [f for f in files if not f.name.startswith(".")]
         if not files:
-            raise InputError(
-                "is a folder without pictures", file=path, hint=f"it may hold {', '.join(ENDINGS)}"
-            )
+            hint = f"it may hold {', '.join(ENDINGS)}"
+            raise InputError("is a folder without pictures", file=path, hint=hint)
         series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
         if len(series) > 1:
             found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
@@ -142,14 +134,15 @@ def _listed(path: Path) -> list[Path]:
     before, after = path.name.split(holders[0])
     width = int(re.sub(r"\D", "", holders[0]) or 0)
     # printf fills up to the width, and writes longer numbers in full.
-    digits = rf"(?:\d{{{width}}}|[1-9]\d{{{width},}})" if width else r"\d+"
+    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})" if width else r"(\d+)"
     name = re.compile(re.escape(before) + digits + re.escape(after))
-    files = [f for f in path.parent.iterdir() if name.fullmatch(f.name)]
-    if not files:
+    matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
+    numbered = [(int(match.group(1)), file) for match, file in matches if match]
+    if not numbered:
         raise InputError(
             "no picture has a name like this", file=path, hint="check the pattern, and the folder"
         )
-    return sorted(files, key=lambda f: int(f.name[len(before) : len(f.name) - len(after)]))
+    return [file for _, file in sorted(numbered)]
 
 
 def _numbers(name: str) -> list[int]:
@@ -164,7 +157,7 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     if len(counting) != 1:
         return order
     numbers = [int(n) for n in table[:, counting[0]]]
-    steps = [b - a for a, b in itertools.pairwise(numbers)]
+    steps = [b - a for a, b in pairwise(numbers)]
     usual = max(Counter(steps).most_common(1)[0][0], 1)
     if any(step < 1 or step % usual for step in steps):
         warn(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from swimid.logs import swimming
 from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
 from swimid.notices import warn
-from swimid.results import numbers
-from swimid.results.evidence import Check, Figure, Mark, Table, check
+from swimid.results import blocks, numbers
+from swimid.results.evidence import Check, Table, check
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 
 #: Names of the stroke's amplitudes by the plane of motion.
@@ -31,16 +31,6 @@ REFERENCE = (
     "White, K. P. (1997). An effective truncation heuristic for bias reduction in simulation output. "
     "Simulation 69(6), 323-334. doi:10.1177/003754979706900601"
 )
-
-
-def check_window(window_s: tuple[float | None, float | None]) -> None:
-    """Raise UsageError for a window that is none."""
-    for name, value in zip(("--from", "--to"), window_s, strict=True):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise UsageError(f"{name} {value:g} must not be negative")
-    begin, end = window_s
-    if begin is not None and end is not None and end <= begin:
-        raise UsageError(f"--from {begin:g} must be before --to {end:g}")
 
 
 @dataclass(frozen=True)
@@ -84,19 +74,11 @@ class FilmedSwim:
     def to_dict(self) -> dict[str, Any]:
         """The figures for ``--json``; None where the window does not tell one."""
         found = self.found
-        out: dict[str, Any] = {
-            "window": found.window,
-            "from_s": found.begin_s,
-            "to_s": found.end_s,
-            "steady": found.steady,
+        over = {"window": found.window, "from_s": found.begin_s, "to_s": found.end_s, "steady": found.steady}
+        return over | {
+            key: None if value is None else asdict(value) | {"unit": kind}
+            for key, _, value, kind in self._rows()
         }
-        for key, _, value, kind in self._rows():
-            out[key] = (
-                None
-                if value is None
-                else {"value": value.value, "low": value.low, "high": value.high, "unit": kind}
-            )
-        return out
 
     def _shown(self) -> list[tuple[str, Estimate, str]]:
         """The figures a reader sees: angles in degrees, the steady speed once."""
@@ -104,9 +86,9 @@ class FilmedSwim:
         for key, name, value, kind in self._rows():
             if value is None or (key == "advance_speed" and self.found.steady):
                 continue
-            factor = math.degrees(1) if kind == "rad" else 1.0
-            scaled = Estimate(factor * value.value, factor * value.low, factor * value.high)
-            out.append((name, scaled, "deg" if kind == "rad" else kind))
+            if kind == "rad":
+                kind, value = "deg", Estimate(*(math.degrees(1) * one for one in astuple(value)))
+            out.append((name, value, kind))
         return out
 
     def _window(self) -> str:
@@ -136,21 +118,19 @@ class FilmedSwim:
 
     def table(self) -> Table:
         """The figures with their intervals."""
-        rows: list[list[str | float | int | bool | None]] = [
-            [name, value.value, value.low, value.high, numbers.unit_text(kind)]
-            for name, value, kind in self._shown()
+        columns = ("quantity", "value", "95 % from", "to", "unit")
+        rows: list[tuple[Any, ...]] = [
+            (name, *astuple(value), numbers.unit_text(kind)) for name, value, kind in self._shown()
         ]
         if self.found.stroke is None:
-            rows.append(["stroke", "none stands clear", None, None, None])
-        return Table(
-            id="swimming",
-            title="Speed and stroke",
-            columns=["quantity", "value", "95 % from", "to", "unit"],
-            rows=rows,
-            caption=f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed "
-            "are those of the path averaged over a stroke. Amplitudes are half of peak to peak of the "
-            "fundamental, at the point the log is of.",
+            rows.append(("stroke", "none stands clear", None, None, None))
+        caption = (
+            f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed are those "
+            "of the path averaged over a stroke. Amplitudes are half of peak to peak of the fundamental, at "
+            "the point the log is of."
         )
+        shown = [dict(zip(columns, row, strict=True)) for row in rows]
+        return blocks.table("swimming", "Speed and stroke", shown, caption, columns)
 
     def headline(self) -> str:
         """Speed and stroke in one sentence; empty where neither is told."""
@@ -176,16 +156,6 @@ class FilmedSwim:
         if self.found.stroke is None:
             out.append("  no stroke stands clear")
         return out
-
-    def mark(self, figures: list[Figure]) -> None:
-        """Draw the window's ends into the figure of the speeds."""
-        for figure in figures:
-            if figure.id == "speed":
-                for panel in figure.panels:
-                    panel.marks += [
-                        Mark(at=self.found.begin_s, axis="x", label="from"),
-                        Mark(at=self.found.end_s, axis="x", label="to"),
-                    ]
 
 
 def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) -> FilmedSwim:

@@ -113,8 +113,7 @@ class Challenger(Target):
         if not self.sights:
             self.start = (blob.x, blob.y)
         super().see(blob, time)
-        away = math.hypot(blob.x - self.start[0], blob.y - self.start[1])
-        self.moved = self.moved or away > 2 * self.radius
+        self.moved = self.moved or blob.away(*self.start) > 2 * self.radius
 
     def prevails(self, target: Target) -> bool:
         """Whether it, not the target, is the marker.
