@@ -25,7 +25,7 @@ JUMP_SIGMA = 6.0
 #: Share of frames with a marker hidden in part that is worth saying: chance exceeds three sigma in 0.1 %.
 HIDDEN_SHARE = 0.01
 #: Share of frames without a marker, and share of lengths that differ: good, and bearable, up to here.
-LOST, LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
+UNSEEN, LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
 
 
 def graded(name: str, value: str, limit: str, size: float, ends: tuple[float, float], text: str) -> Check:
@@ -49,25 +49,19 @@ def gaps(measured: NDArray[np.bool_], times: Array) -> list[tuple[float, float]]
 
 @dataclass(frozen=True)
 class Presence:
-    """From when to when the body is measured.
+    """From when to when the body is measured, and whether it swims in or out of the picture."""
 
-    Attributes
-    ----------
-    first, last : int
-        Frames of the first and of the last measurement.
-    enters, leaves : bool
-        In the frame before the first, after the last, the edge of the picture cuts a marker: there the body
-        is not lost but out of the picture.
-    """
-
+    #: Frames of the first and of the last measurement.
     first: int
     last: int
+    #: In the frame before the first, after the last, the edge of the picture cuts a marker: there the body
+    #: is not lost but out of the picture.
     enters: bool
     leaves: bool
 
     @classmethod
     def of(cls, track: RawTrack, pose: Pose) -> Presence:
-        """From when to when the body is measured, and whether it swims in or out of the picture."""
+        """That of a track."""
         first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
         cut: NDArray[np.bool_] = np.any(track.at_edge[pose.rows], axis=0)
         return cls(first, last, bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any()))
@@ -113,8 +107,8 @@ def _found(pose: Pose, span: Presence) -> Check:
     if span.enters or span.leaves:
         text += f" While it was in the picture: {100 * (1 - lost):.1f} %."
     value = f"{count} of {total} ({100 * count / total:.1f} %)"
-    good = LOST[0] if count >= 0.95 * total else -1.0
-    return graded("Frames found", value, ">= 95 %", lost, (good, LOST[1]), text)
+    good = UNSEEN[0] if count >= 0.95 * total else -1.0
+    return graded("Frames found", value, ">= 95 %", lost, (good, UNSEEN[1]), text)
 
 
 def _in_the_picture(track: RawTrack, pose: Pose, setup: Setup, span: Presence) -> Check:
@@ -196,7 +190,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
     value = f"{worst} in {100 * shares[worst]:.1f} %"
     value += f", the rest of {len(names)} in more" if len(names) > 1 else ""
     text = "Markers besides head and tail: their columns are empty where they were not seen."
-    yield graded("Other markers found", value, ">= 95 %", 1 - shares[worst], LOST, text)
+    yield graded("Other markers found", value, ">= 95 %", 1 - shares[worst], UNSEEN, text)
     still = [n for n in names if shares[n] > 0 and not motion.reach(track, n).moves]
     listed = ", ".join(still)
     if still:
@@ -223,9 +217,9 @@ def _separation(pose: Pose) -> Iterator[Check]:
     )
     value, limit = (
         f"{middle:.4g} {unit}, spread {100 * spread:.2f} %",
-        f"spread <= {100 * motion.KEPT[0]:g} %",
+        f"spread <= {100 * motion.DISTANCE_SPREAD[0]:g} %",
     )
-    yield graded("Marker separation", value, limit, spread, motion.KEPT, text)
+    yield graded("Marker separation", value, limit, spread, motion.DISTANCE_SPREAD, text)
     design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
     fit, *_ = np.linalg.lstsq(design, separation, rcond=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections import Counter
 from typing import Any
 
 import cv2
@@ -21,8 +22,19 @@ NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
 SLACK = 20.0
 #: Half a turn of hue in OpenCV's 8-bit scale.
 _HALF, _TURN = 90.0, 180.0
-#: Chroma (saturation times value, of 255) below which hue is noise.
-_LEAST_CHROMA = 24.0
+#: A pixel with less chroma (largest minus smallest channel, grey levels) has no colour to go by.
+LEAST_CHROMA = 24
+_NAMES = (
+    (15, "red"),
+    (45, "orange"),
+    (70, "yellow"),
+    (165, "green"),
+    (200, "cyan"),
+    (260, "blue"),
+    (290, "violet"),
+    (345, "magenta"),
+    (361, "red"),
+)
 #: Saturation (of 255) below which a pixel is grey.
 _GREY = 30.0
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -181,7 +193,7 @@ def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float)
         little chroma.
     hue, saturation : float
     """
-    least = 255 * _LEAST_CHROMA / max(float(usual[2]), 1.0)
+    least = 255 * LEAST_CHROMA / max(float(usual[2]), 1.0)
     saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
     if usual[1] < least:
         return saturated
@@ -192,3 +204,30 @@ def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
     """HSV, on OpenCV's 8-bit scale but not rounded, of one BGR colour (0 .. 255)."""
     hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
     return np.array([_TURN * hue, 255 * saturation, value])
+
+
+def chroma(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Largest minus smallest channel of every pixel, lightly smoothed, shape (rows, columns)."""
+    blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
+    return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
+
+
+def hue_name(hue_deg: float) -> str:
+    """Everyday name of a hue."""
+    return next(name for limit, name in _NAMES if hue_deg % 360 < limit)
+
+
+def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
+    """One sentence on the colours of some frames, for error messages."""
+    shares: Counter[str] = Counter()
+    for frame in frames:
+        small = np.ascontiguousarray(frame[::2, ::2])
+        colourful = chroma(small) >= LEAST_CHROMA
+        hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
+        counts, _ = np.histogram(hue, [0, *(limit for limit, _ in _NAMES)])
+        for (_, name), count in zip(_NAMES, counts, strict=True):
+            shares[name] += count / colourful.size / len(frames)
+    listed = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.most_common() if share >= 1e-4)
+    if not listed:
+        return "The video is grey: no pixel of it has a colour, so no colour marker can be seen"
+    return f"Colours in the picture: {listed}"

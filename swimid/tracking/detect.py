@@ -24,36 +24,24 @@ _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(frozen=True)
 class Blob:
-    """One connected patch of marker colour, in image pixels.
+    """One connected patch of marker colour, in image pixels."""
 
-    Attributes
-    ----------
-    x, y : float
-        Centre, sub-pixel.
-    area : float
-        Pixels of marker colour.
-    box : tuple of int
-        Left, top, right, bottom; right and bottom exclusive.
-    contrast : float
-        Distance of the marker's mean colour from its surroundings', grey levels.
-    confidence : float
-        0 to 1.
-    hsv : ndarray, shape (3,)
-        Mean colour, OpenCV scale.
-    at_edge : bool
-        It touches the edge of the picture, so its centre is biased inwards.
-    status : int
-        How it was found, as in :class:`RawTrack`.
-    """
-
+    #: Centre, sub-pixel.
     x: float
     y: float
+    #: Pixels of marker colour.
     area: float
+    #: Left, top, right, bottom; right and bottom exclusive.
     box: tuple[int, int, int, int]
+    #: Distance of the marker's mean colour from its surroundings', grey levels.
     contrast: float
+    #: 0 to 1.
     confidence: float
+    #: Mean colour, OpenCV scale, shape (3,).
     hsv: NDArray[np.float64]
+    #: It touches the edge of the picture, so its centre is biased inwards.
     at_edge: bool
+    #: How it was found, as in :class:`RawTrack`.
     status: int = FULL
 
     def away(self, x: float, y: float) -> float:
@@ -68,26 +56,18 @@ class Blob:
 
 @dataclass(frozen=True)
 class Patch:
-    """A connected patch of marker colour before it is measured.
+    """A connected patch of marker colour before it is measured."""
 
-    Attributes
-    ----------
-    contour : ndarray of int, shape (n, 1, 2)
-        Its outline in mask pixels.
-    area : float
-        Picture pixels.
-    left, top, right, bottom : int
-        Box in mask pixels; right and bottom exclusive.
-    clipped : bool
-        It goes on beyond the window.
-    """
-
+    #: Its outline in mask pixels, shape (n, 1, 2).
     contour: NDArray[np.int32]
+    #: Picture pixels.
     area: float
+    #: Box in mask pixels; right and bottom exclusive.
     left: int
     top: int
     right: int
     bottom: int
+    #: It goes on beyond the window.
     clipped: bool
 
     def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:

@@ -395,8 +395,8 @@ def _row(target: Target, blob: Blob) -> tuple[float, ...]:
     """What is kept of a sight: place, area, confidence, status, whether cut, and the mean colour."""
     usual = blob.area if blob.at_edge or not target.whole else target.usual_area
     likeness = min(blob.area / usual, usual / blob.area)
-    sure = blob.confidence * likeness**0.5
-    return (blob.x, blob.y, blob.area, sure, blob.status, blob.at_edge, *blob.hsv)
+    confidence = blob.confidence * likeness**0.5
+    return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
 
 def _assigned(cost: list[list[float]]) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.tracking import census
+from swimid.tracking import colour
 from swimid.tracking.colour import SLACK, ColourModel
 from swimid.tracking.propose import colour_range, two_digits
 from swimid.tracking.reader import Frame
@@ -89,7 +89,7 @@ def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], pla
     if not (0 <= x < columns and 0 <= y < rows):
         raise InputError(f"{option} is outside the picture of {columns} x {rows} pixels", **place)
     i, j = int(y), int(x)
-    grey = int(census.chroma(frame)[i, j]) < census.LEAST_CHROMA
+    grey = int(colour.chroma(frame)[i, j]) < colour.LEAST_CHROMA
     patches: list[Mask] = []
     for share in SHARES:
         mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
@@ -118,7 +118,7 @@ def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
     value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
     if grey:
         # Saturation is chroma over value: on dark pixels noise alone makes it large.
-        most = max(saturation + wide_saturation, census.LEAST_CHROMA / (255 * max(value, 0.02)))
+        most = max(saturation + wide_saturation, colour.LEAST_CHROMA / (255 * max(value, 0.02)))
         return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
     return HsvRange(
         hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
@@ -157,14 +157,14 @@ def _colours(inside: Mask) -> HsvRange:
     """The range of a patch's colours, with room for changing light; every hue of a grey one."""
     saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
     chroma = float(np.median(saturation * value)) / 255
-    if chroma >= census.LEAST_CHROMA:
+    if chroma >= colour.LEAST_CHROMA:
         turn = np.exp(1j * np.pi * inside[:, 0] / 90)
         middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
         found = colour_range(inside, middle)
         if found is not None:
             return found
     low, high = np.percentile(value, [3, 97]) / 255
-    most = max(1.35 * np.percentile(saturation, 97) / 255, census.LEAST_CHROMA / (255 * max(low, 0.02)))
+    most = max(1.35 * np.percentile(saturation, 97) / 255, colour.LEAST_CHROMA / (255 * max(low, 0.02)))
     return HsvRange(
         saturation=(0.0, two_digits(min(most, 1.0))),
         value=(two_digits(0.65 * low), two_digits(min(1.35 * high, 1.0))),

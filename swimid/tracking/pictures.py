@@ -25,7 +25,7 @@ from swimid.tracking.smooth import Smoothed
 Array = NDArray[np.float64]
 
 #: Largest width of a frame in the report, px.
-WIDTH = 640
+REPORT_WIDTH = 640
 #: Seconds of path drawn behind the markers.
 TRAIL_S = 2.0
 # Okabe-Ito colours, BGR: told apart by colour-blind readers.
@@ -43,14 +43,14 @@ class Painter:
 
     def __init__(self, track: RawTrack, pose: Pose) -> None:
         self.track, self.pose = track, pose
-        self._path = np.array(pose.plane.to_image(*pose.path.position))
+        self._path = pose.plane.to_image(*pose.path.position)
         self._tip: Array | None = None
         if pose.angle is not None and pose.separation is not None:
             length = float(np.nanmedian(pose.separation))
             ahead = pose.path.position + length * np.stack(
                 [np.cos(pose.angle.position[0]), np.sin(pose.angle.position[0])]
             )
-            self._tip = np.array(pose.plane.to_image(*ahead))
+            self._tip = pose.plane.to_image(*ahead)
 
     def draw(self, index: int, frame: Frame) -> Frame:
         """The frame, drawn into: trail, markers, heading, a line of text. ``frame`` is changed."""
@@ -105,9 +105,7 @@ def images(painter: Painter, frames: dict[int, Frame]) -> list[Image]:
     """The kept frames, drawn into and compressed, for the report."""
     out = []
     for index, frame in frames.items():
-        if index >= len(painter.track.times):
-            continue
-        drawn = reduced(painter.draw(index, frame.copy()), WIDTH)
+        drawn = reduced(painter.draw(index, frame.copy()), REPORT_WIDTH)
         _, data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])
         out.append(
             Image(
@@ -138,7 +136,7 @@ def write_overlay(
         A remark for the user, empty when there is none.
     """
     source = Video(video, apply_rotation=apply_rotation)
-    width, height = source.info.width // 2 * 2, source.info.height // 2 * 2
+    width, height = source.width // 2 * 2, source.height // 2 * 2
     rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 25.0
     with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
         writer = open_writer(temporary, rate, width, height)

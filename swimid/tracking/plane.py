@@ -52,28 +52,19 @@ class Plane:
     residual_px: float = 0.0
     residual: float = 0.0
 
-    def to_world(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """World coordinates of image points; NaN stays NaN."""
-        known = np.isfinite(x) & np.isfinite(y)
-        world = np.full((2, len(x)), np.nan)
-        if known.any():
-            points = _undistorted(np.stack([x[known], y[known]], axis=1), self.lens)
-            mapped = _mapped(points, self.matrix)
-            world[:, known] = (self.foot + self.shrink * (mapped - self.foot)).T
-        return world[0], world[1]
+    def to_world(self, x: Array, y: Array) -> Array:
+        """World coordinates of image points, shape (2, n); NaN stays NaN."""
+        mapped = _mapped(_undistorted(np.stack([x, y], axis=1), self.lens), self.matrix)
+        return (self.foot + self.shrink * (mapped - self.foot)).T
 
-    def to_image(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Image points of world coordinates; the inverse of :meth:`to_world`."""
-        known = np.isfinite(x) & np.isfinite(y)
-        image = np.full((2, len(x)), np.nan)
-        if known.any():
-            world = self.foot + (np.stack([x[known], y[known]], axis=1) - self.foot) / self.shrink
-            points = _mapped(world, np.linalg.inv(self.matrix))
-            if self.lens is not None:
-                rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
-                points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
-            image[:, known] = points.T
-        return image[0], image[1]
+    def to_image(self, x: Array, y: Array) -> Array:
+        """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
+        world = self.foot + (np.stack([x, y], axis=1) - self.foot) / self.shrink
+        points = _mapped(world, np.linalg.inv(self.matrix))
+        if self.lens is not None:
+            rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
+            points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
+        return points.T
 
     def along_x(self, left: bool) -> Plane:
         """The plane with x running to the left or to the right of the picture, reversed if need be."""
@@ -132,6 +123,7 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
         camera_centre = lens[0][:2, 2]
     scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
+    points = np.zeros((0, 2))
     if scale is None:
         warn(
             "SWM041",
@@ -139,7 +131,8 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
             "second; give scale in the setup for metres",
         )
     else:
-        points = _undistorted(np.array(scale.points_px or np.zeros((0, 2)), dtype=float), lens)
+        if scale.points_px is not None:
+            points = _undistorted(np.array(scale.points_px), lens)
         if scale.distance_m is not None:
             factor = scale.distance_m / float(np.hypot(*(points[1] - points[0])))
         if scale.metres_per_pixel is not None:

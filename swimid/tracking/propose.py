@@ -12,18 +12,16 @@ from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
 from swimid.progress import Step
-from swimid.tracking import census
+from swimid.tracking import colour
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import marker_mask
-from swimid.tracking.reader import Frame, FrameKeeper, Video, VideoInfo
-from swimid.tracking.setup import HsvRange
+from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.setup import Box, HsvRange
 
 Array = NDArray[np.float64]
-#: Left, top, right, bottom, px.
-Box = tuple[float, float, float, float]
 
 #: Frames looked at, and the width they are reduced to.
-SAMPLES, WIDTH = 48, 960
+SAMPLES, SAMPLE_WIDTH = 48, 960
 #: A pixel this far (grey levels) from the still background moves.
 LEAST_CHANGE = 16
 #: Hue clusters looked at.
@@ -39,43 +37,25 @@ SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
 
 @dataclass(frozen=True)
 class Samples:
-    """Frames spread over a video, reduced in size.
+    """Frames spread over a video, reduced in size."""
 
-    Attributes
-    ----------
-    info : VideoInfo
-    indices : ndarray of int, shape (n,)
-    frames : list of n frames
-    factor : float
-        Size of a sample pixel in picture pixels.
-    background : frame
-        Median of the samples: the scene without what moves.
-    moving : list of n masks
-        255 where a sample differs from the background.
-    """
-
-    info: VideoInfo
+    video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
+    #: Size of a sample pixel in picture pixels.
     factor: float
+    #: Median of the samples: the scene without what moves.
     background: Frame
+    #: 255 where a sample differs from the background.
     moving: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
 class Passed:
-    """A colour that is no marker's, and why.
-
-    Attributes
-    ----------
-    name : str
-        Everyday name of the colour.
-    hue_deg : float
-        Its middle.
-    reason : str
-    """
+    """A colour that is no marker's by its everyday name, and why."""
 
     name: str
+    #: Its middle.
     hue_deg: float
     reason: str
 
@@ -85,32 +65,20 @@ class Passed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A colour that may be a marker's.
-
-    Attributes
-    ----------
-    name, hue_deg
-        As of :class:`Passed`.
-    colours : HsvRange
-    score : float
-        0 to 1.
-    place : ndarray, shape (n, 2)
-        Centre of its best patch in each sample, picture pixels; NaN where there is none.
-    area_px : (float, float)
-        Smallest and largest area worth accepting, picture pixels.
-    like : int
-        Usual number of moving patches of the colour and a comparable size.
-    still : list of boxes
-        Motionless patches of the colour, picture pixels.
-    """
+    """A colour that may be a marker's; name and hue as of :class:`Passed`."""
 
     name: str
     hue_deg: float
     colours: HsvRange
+    #: 0 to 1.
     score: float
+    #: Centre of its best patch in each sample, shape (n, 2), picture pixels; NaN where there is none.
     place: Array
+    #: Smallest and largest area worth accepting, picture pixels.
     area_px: tuple[float, float]
+    #: Usual number of moving patches of the colour and a comparable size.
     like: int
+    #: Motionless patches of the colour, picture pixels.
     still: list[Box]
 
     @property
@@ -142,7 +110,7 @@ class Candidate:
 def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     """Read a video once and keep :data:`SAMPLES` frames of it, evenly spread."""
     video = Video(path, apply_rotation=apply_rotation)
-    keeper = FrameKeeper(2 * SAMPLES, max(video.info.frames // SAMPLES, 1), WIDTH)
+    keeper = FrameKeeper(2 * SAMPLES, max(video.claimed // SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         step()
         keeper.take(index, frame)
@@ -158,8 +126,8 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
         moving.append(
             np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
         )
-    factor = max(video.info.width / WIDTH, 1.0)
-    return Samples(video.info, np.array(list(keeper.kept)), frames, factor, background, moving)
+    factor = max(video.width / SAMPLE_WIDTH, 1.0)
+    return Samples(video, np.array(list(keeper.kept)), frames, factor, background, moving)
 
 
 def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
@@ -172,13 +140,13 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
     """
     moving = []
     for frame, mask in zip(samples.frames, samples.moving, strict=True):
-        chosen = (mask > 0) & (census.chroma(frame) >= census.LEAST_CHROMA)
+        chosen = (mask > 0) & (colour.chroma(frame) >= colour.LEAST_CHROMA)
         moving.append(cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)[chosen])
     hsv = np.concatenate(moving)
     if len(hsv) < 4 * len(samples.frames):
         raise NoTrustworthyResult(
-            f"no coloured marker moves in {samples.info.path.name}. "
-            f"{census.describe_colours(samples.frames[::6])}",
+            f"no coloured marker moves in {samples.video.path.name}. "
+            f"{colour.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
             "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y",
         )
@@ -187,8 +155,8 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
     good = sorted((c for c in judged if isinstance(c, Candidate)), key=lambda c: -c.score)
     if not good:
         raise NoTrustworthyResult(
-            f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that "
-            f"moves. {listed(passed)}{census.describe_colours(samples.frames[::6])}",
+            f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
+            f"moves. {listed(passed)}{colour.describe_colours(samples.frames[::6])}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
     return good, passed
@@ -265,9 +233,9 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
         areas.append(area)
         compact.append(fill)
         like.append(sum(1 for other in patches if other[0] > 0.4 * area))
-        chroma = census.chroma(frame)
+        chroma = colour.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
-    name, hue = census.hue_name(_degrees(peak)), _degrees(peak)
+    name, hue = colour.hue_name(_degrees(peak)), _degrees(peak)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
         where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
         reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"

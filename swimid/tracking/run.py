@@ -13,36 +13,25 @@ from swimid.progress import Step
 from swimid.tracking import motion
 from swimid.tracking.follow import Follower
 from swimid.tracking.rawtrack import RawTrack
-from swimid.tracking.reader import Frame, FrameKeeper, Video, VideoInfo
-from swimid.tracking.setup import Setup
+from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.setup import Box, Setup
 
 #: Frames kept for the report.
-KEPT = 6
+REPORT_FRAMES = 6
 #: Least way, in marker radii, for a second look to be preferred.
 _LEAST_WAY = 3.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """Raw result of following a video.
-
-    Attributes
-    ----------
-    track : RawTrack
-    info : VideoInfo
-    setup : Setup
-        With the boxes that were left out in a second look.
-    kept : dict of int to frame
-        A few frames for the report.
-    first_stamp_s : float
-        The container's stamp of the first frame, which is t = 0; NaN where pictures are the film.
-    """
+    """Raw result of following a video."""
 
     track: RawTrack
-    info: VideoInfo
+    video: Video
+    #: With the boxes that were left out in a second look.
     setup: Setup
+    #: A few frames for the report.
     kept: dict[int, Frame]
-    first_stamp_s: float
 
 
 def follow(path: Path, setup: Setup, *, step: Step) -> Run:
@@ -72,16 +61,16 @@ def follow(path: Path, setup: Setup, *, step: Step) -> Run:
 def _once(path: Path, setup: Setup, step: Step) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
     video.demand_clock()
-    follower = Follower(setup, video.info.width, video.info.height)
-    keeper = FrameKeeper(4 * KEPT - 1)
+    follower = Follower(setup, video.width, video.height)
+    keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
     for index, (time, frame) in enumerate(video.frames()):
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
     keys = sorted(keeper.kept)
-    keys = [keys[k] for k in np.unique(np.linspace(0, len(keys) - 1, KEPT).round().astype(int))]
+    keys = [keys[k] for k in np.unique(np.linspace(0, len(keys) - 1, REPORT_FRAMES).round().astype(int))]
     kept = {k: keeper.kept[k] for k in keys}
-    return Run(follower.track(video.times()), video.info, setup, kept, video.first_stamp_s)
+    return Run(follower.track(video.times()), video, setup, kept)
 
 
 def _static_names(run: Run) -> list[str]:
@@ -95,8 +84,8 @@ def _static_names(run: Run) -> list[str]:
     ]
 
 
-def _motionless(run: Run) -> list[tuple[float, float, float, float]]:
-    boxes: list[tuple[float, float, float, float]] = []
+def _motionless(run: Run) -> list[Box]:
+    boxes: list[Box] = []
     for name in _static_names(run):
         i = run.track.row(name)
         x, y, area = (float(np.nanmedian(v[i])) for v in (run.track.x, run.track.y, run.track.area))

@@ -14,9 +14,7 @@ from swimid.tracking import detect
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import Blob, Patch
 from swimid.tracking.reader import Frame
-from swimid.tracking.setup import Setup
-
-Box = tuple[float, float, float, float]
+from swimid.tracking.setup import Box, Setup
 
 #: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
 DECIMATION = 4
@@ -35,19 +33,12 @@ _SMEAR = 3
 
 @dataclass
 class Kind:
-    """What is searched for.
-
-    Attributes
-    ----------
-    model : ColourModel
-    area_px : (float, float)
-        Smallest and largest area.
-    scenery : list of Blob
-        Things of the colour that are known to be something else.
-    """
+    """What is searched for."""
 
     model: ColourModel
+    #: Smallest and largest.
     area_px: tuple[float, float]
+    #: Things of the colour that are known to be something else.
     scenery: list[Blob] = field(default_factory=list)
 
 

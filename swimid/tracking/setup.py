@@ -24,7 +24,8 @@ FORMAT = "swimid-setup/1"
 _Positive = Annotated[float, Field(gt=0)]
 _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
-_Box = tuple[float, float, float, float]
+#: Left, top, right, bottom, px.
+Box = tuple[float, float, float, float]
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -197,9 +198,9 @@ class Setup(Document):
     #: Turn the picture as the container's rotation tag says.
     apply_rotation: bool = True
     #: Search here only: [left, top, right, bottom].
-    region_px: _Box | None = None
+    region_px: Box | None = None
     #: Never search here.
-    ignore_px: list[_Box] = []
+    ignore_px: list[Box] = []
 
     @model_validator(mode="after")
     def _names_fit(self) -> Setup:

@@ -272,14 +272,6 @@ def _start(order: int, variance: float, step: float) -> Array:
     return np.diag([_DIFFUSE * variance / step ** (2 * i) for i in range(order)])
 
 
-@dataclass(frozen=True)
-class _Fit:
-    log_likelihood: float
-    ratio: float
-    variance: float
-    order: int
-
-
 def _likelihood(
     pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
 ) -> tuple[float, float]:
@@ -303,7 +295,9 @@ def _likelihood(
     return -0.5 * (count * np.log(variance) + logs + count), variance
 
 
-def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> _Fit:
+def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> tuple[float, ...]:
+    """Log-likelihood, driving noise over measurement noise, measurement variance."""
+
     def score(exponent: float) -> float:
         return _likelihood(pieces, 10.0**exponent, order, step)[0]
 
@@ -312,7 +306,7 @@ def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> 
     bounds = (grid[max(middle - 1, 0)], grid[min(middle + 1, len(grid) - 1)])
     found = minimize_scalar(lambda g: -score(g), bounds=bounds, method="bounded", options={"xatol": 0.02})
     best, variance = _likelihood(pieces, 10.0**found.x, order, step)
-    return _Fit(best, float(10.0**found.x), variance, order)
+    return best, float(10.0**found.x), variance
 
 
 def _gap_factor(
@@ -392,38 +386,37 @@ def smooth(
         if np.count_nonzero(~np.isnan(row[a:b])) >= 6
     ]
     typical = float(np.median(np.diff(times))) if n > 1 else 1.0
+    order, (_, ratio, fitted) = 2, (0.0, 1e-2, max(least_sd, 1e-12) ** 2)
     if pieces:
-        fit = max((_best(pieces, order, typical) for order in (2, 3)), key=lambda f: f.log_likelihood)
-    else:
-        fit = _Fit(0.0, 1e-2, max(least_sd, 1e-12) ** 2, 2)
-    variance = max(fit.variance, least_sd**2)
-    power = fit.ratio * fit.variance / typical ** (2 * fit.order - 1)
+        fits = {order: _best(pieces, order, typical) for order in (2, 3)}
+        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
+    variance = max(fitted, least_sd**2)
+    power = ratio * fitted / typical ** (2 * order - 1)
     for a, b in segments:
         for i in range(d):
             row = values[i, a:b]
             if np.isnan(row).all():
                 continue
-            start = _start(fit.order, variance, typical)
+            start = _start(order, variance, typical)
             means, covariances, innovations, expected = filter_and_smooth(
-                times[a:b], row, variance * weights[a:b], power, fit.order, start
+                times[a:b], row, variance * weights[a:b], power, order, start
             )
             out["position"][i, a:b] = means[:, 0]
             out["velocity"][i, a:b] = means[:, 1]
             out["position_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))
             out["velocity_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 1, 1], 0))
             normalised = innovations / np.sqrt(expected)
-            normalised[np.flatnonzero(~np.isnan(normalised))[: fit.order]] = np.nan
+            normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
             out["innovation"][i, a:b] = normalised
-    noise = (variance, power, fit.order)
+    noise = (variance, power, order)
     for a, b in segments:
         for i, row in enumerate(values):
             for first, last in a + runs(np.isnan(row[a:b])):
                 factor = _gap_factor(times, row, weights, out["position"][i], int(last - first), noise)
                 out["position_sd"][i, first:last] *= factor
                 out["velocity_sd"][i, first:last] *= factor
-    return Smoothed(
-        **out, measurement_sd=float(np.sqrt(variance)), process_noise=float(power), order=fit.order
-    )
+    sd = float(np.sqrt(variance))
+    return Smoothed(**out, measurement_sd=sd, process_noise=float(power), order=order)
 
 
 def warm_up() -> None:

@@ -39,42 +39,47 @@ class FilmedSwim:
 
     Attributes
     ----------
-    found : Swimming
+    swimming : Swimming
     plane : {"horizontal", "vertical"}
     unit : str
         Of lengths: m, or px without a scale.
     """
 
-    found: Swimming
+    swimming: Swimming
     plane: str
     unit: str
 
     def _rows(self) -> list[tuple[str, str, Estimate | None, str]]:
         """Key for the machine, name, value and unit of every figure."""
-        found, unit = self.found, self.unit
+        figures, unit = self.swimming, self.unit
         up = "y" if self.plane == "horizontal" else "z"
         speed, rate = f"{unit}/s", f"{unit}/s^2"
-        across = found.acceleration_xy or (None, None)
+        across = figures.acceleration_xy or (None, None)
         rows: list[tuple[str, str, Estimate | None, str]] = [
-            ("path_speed", "path speed", found.path_speed, speed),
-            ("steady_speed", "steady speed", found.advance if found.steady else None, speed),
-            ("advance_speed", "advance speed, not steady", found.advance, speed),
-            ("speed_change", "change of the advance speed", found.change, speed),
-            ("acceleration", "acceleration along the path", found.acceleration, rate),
+            ("path_speed", "path speed", figures.path_speed, speed),
+            ("steady_speed", "steady speed", figures.advance if figures.steady else None, speed),
+            ("advance_speed", "advance speed, not steady", figures.advance, speed),
+            ("speed_change", "change of the advance speed", figures.change, speed),
+            ("acceleration", "acceleration along the path", figures.acceleration, rate),
             ("acceleration_x", "acceleration in x", across[0], rate),
             (f"acceleration_{up}", f"acceleration in {up}", across[1], rate),
-            ("stroke_frequency", "stroke frequency", found.frequency_hz, "Hz"),
+            ("stroke_frequency", "stroke frequency", figures.frequency_hz, "Hz"),
         ]
         for key, name in _NAMES[self.plane].items():
-            if key in found.amplitudes or found.stroke is not None:
+            if key in figures.amplitudes or figures.stroke is not None:
                 kind = "rad" if key == "turn" else unit
-                rows.append((f"{name}_amplitude", f"{name} amplitude", found.amplitudes.get(key), kind))
+                rows.append((f"{name}_amplitude", f"{name} amplitude", figures.amplitudes.get(key), kind))
         return rows
 
     def to_dict(self) -> dict[str, Any]:
         """The figures for ``--json``; None where the window does not tell one."""
-        found = self.found
-        over = {"window": found.window, "from_s": found.begin_s, "to_s": found.end_s, "steady": found.steady}
+        figures = self.swimming
+        over = {
+            "window": figures.window,
+            "from_s": figures.begin_s,
+            "to_s": figures.end_s,
+            "steady": figures.steady,
+        }
         return over | {
             key: None if value is None else asdict(value) | {"unit": kind}
             for key, _, value, kind in self._rows()
@@ -84,7 +89,7 @@ class FilmedSwim:
         """The figures a reader sees: angles in degrees, the steady speed once."""
         out = []
         for key, name, value, kind in self._rows():
-            if value is None or (key == "advance_speed" and self.found.steady):
+            if value is None or (key == "advance_speed" and self.swimming.steady):
                 continue
             if kind == "rad":
                 kind, value = "deg", Estimate(*(math.degrees(1) * one for one in astuple(value)))
@@ -93,21 +98,21 @@ class FilmedSwim:
 
     def _window(self) -> str:
         """The window in words, and whether the speed changes over it."""
-        found = self.found
-        span = f"{found.begin_s:.4g} to {found.end_s:.4g} s"
+        figures = self.swimming
+        span = f"{figures.begin_s:.4g} to {figures.end_s:.4g} s"
         head = {
             "given": f"{span}, as given",
             "steady part": f"{span}, the steady part",
             "whole track": f"{span}, the whole track: no part of it is steady",
-        }[found.window]
-        if found.advance is None or found.change is None or found.steady:
+        }[figures.window]
+        if figures.advance is None or figures.change is None or figures.steady:
             return head
-        change = 100 * found.change.value / max(found.advance.value, 1e-300)
+        change = 100 * figures.change.value / max(figures.advance.value, 1e-300)
         return f"{head}; the speed changes by {change:+.0f} % over it"
 
     def checks(self) -> list[Check]:
         """Whether the channels of the track agree on one stroke; warns where they do not."""
-        stroke, doubt = self.found.stroke, self.found.doubt
+        stroke, doubt = self.swimming.stroke, self.swimming.doubt
         if stroke is None:
             return []
         if doubt:
@@ -122,7 +127,7 @@ class FilmedSwim:
         rows: list[tuple[Any, ...]] = [
             (name, *astuple(value), numbers.unit_text(kind)) for name, value, kind in self._shown()
         ]
-        if self.found.stroke is None:
+        if self.swimming.stroke is None:
             rows.append(("stroke", "none stands clear", None, None, None))
         caption = (
             f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed are those "
@@ -134,14 +139,14 @@ class FilmedSwim:
 
     def headline(self) -> str:
         """Speed and stroke in one sentence; empty where neither is told."""
-        found = self.found
-        speed = found.advance if found.steady else found.path_speed
+        figures = self.swimming
+        speed = figures.advance if figures.steady else figures.path_speed
         said = []
         if speed is not None:
-            kind = "steady speed" if found.steady else "path speed"
+            kind = "steady speed" if figures.steady else "path speed"
             said.append(f"{kind} {numbers.number(speed.value, 4, f'{self.unit}/s')}")
-        if found.frequency_hz is not None:
-            said.append(f"stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}")
+        if figures.frequency_hz is not None:
+            said.append(f"stroke {numbers.number(figures.frequency_hz.value, 4, 'Hz')}")
         text = ", ".join(said)
         return f" {text[0].upper()}{text[1:]}." if said else ""
 
@@ -153,7 +158,7 @@ class FilmedSwim:
         for name, value, kind in shown:
             text = f"{numbers.number(value.value, 4, kind)} (95 %: {numbers.interval(value.low, value.high)})"
             out.append(f"  {name:{width}}  {text}")
-        if self.found.stroke is None:
+        if self.swimming.stroke is None:
             out.append("  no stroke stands clear")
         return out
 

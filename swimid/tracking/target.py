@@ -92,20 +92,13 @@ class Target:
 
 @dataclass
 class Challenger(Target):
-    """A thing unlike a missed target, followed because it may be the marker and the target a mistake.
+    """A thing unlike a missed target, followed because it may be the marker and the target a mistake."""
 
-    Attributes
-    ----------
-    start : (float, float)
-        Where it was first seen, px.
-    moved : bool
-        It has been farther from there than its own size.
-    rows : dict of int to tuple
-        What was measured of it, by frame.
-    """
-
+    #: Where it was first seen, px.
     start: tuple[float, float] = (math.nan, math.nan)
+    #: It has been farther from there than its own size.
     moved: bool = False
+    #: What was measured of it, by frame.
     rows: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
     def see(self, blob: Blob, time: float) -> None:

@@ -2,29 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.tracking import camera, census, draft, motion, pick, propose
-from swimid.tracking.draft import SetupDraft
+from swimid.results.result import Result
+from swimid.tracking import camera, colour, motion, pick, propose
+from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
+from swimid.tracking.pictures import SEEN, write_text
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import FORMAT, Marker, Setup
 
-#: A proposal the tracker itself finds in fewer frames than this share is dropped.
-_LEAST_FOUND = 0.05
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
+#: Pictures on the contact sheet, and the width of each.
+_SHEET, _SHEET_WIDTH = 4, 640
+#: Lines of a drafted setup.
+_FACING = (
+    "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
+    "facing: auto",
+)
+_POSE = (
+    "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
+    "# tail, or with the name of a robot whose file names markers like these.",
+    "# robot: sealion",
+)
+_NO_SCALE = (
+    "# Without a scale positions are in pixels. One of:",
+    "# scale: {metres_per_pixel: 0.0015}",
+    "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
+    "# scale: {points_px: [four corners], points_m: [the same corners]}",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SetupDraft(Result):
+    """A setup to look through, as ``track_setup`` gives it; ``document`` is its commented YAML.
+
+    Attributes
+    ----------
+    sheet : ndarray of uint8, shape (height, width, 3)
+        Frames of the film with the markers circled and named, RGB: ``plt.imshow(draft.sheet)``.
+    """
+
+    sheet: NDArray[np.uint8] | None = None
+
+    format = FORMAT
+
+    @property
+    def setup(self) -> Setup:
+        """The setup itself, for ``track_video``."""
+        return setup_format.of(yamlio.parse_scalar(self.document))
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        if self.sheet is None:
+            return [path]
+        picture = path.with_suffix(".markers.png")
+        _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
+        with atomic.replacing(picture) as temporary:
+            temporary.write_bytes(data.tobytes())
+        return [path, picture]
 
 
 @takes(TrackSetupOptions)
@@ -90,7 +141,7 @@ def track_setup(
         hue = "{:g}..{:g} deg".format(*marker.colour_range().hue_deg)
         area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
         lines.append(f"{name}: found in {100 * share:.1f} % of the frames, hue {hue}, area {area} px")
-    lines += [f"passed over: {colour}" for colour in passed]
+    lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
@@ -106,7 +157,7 @@ def track_setup(
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
     }
-    text, sheet = draft.text_of(setup, shares, remarks, passed, video.name), draft.sheet_of(run)
+    text, sheet = _text(setup, shares, remarks, passed, video.name), _sheet(run)
     return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
 
 
@@ -121,21 +172,14 @@ def _unattended(
 ) -> tuple[Run, list[str], list[Passed]]:
     """The best candidate that can be followed and moves, with the partner it keeps its distance to.
 
-    Returns
-    -------
-    run : Run
-        The trial of its setup.
-    remarks : list of str
-        One for each marker.
-    passed : list of Passed
-        Colours that were taken for no marker's.
+    Its trial, a remark on each marker, and the colours passed over.
     """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
     found, passed = propose.candidates(samples)
     shift = samples.factor * camera.shifts(samples.frames)
     taken = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
-    camera.farthest(shift, samples.info.width, taken)
+    camera.farthest(shift, samples.video.width, taken)
     reasons: dict[int, str] = {}
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
@@ -155,7 +199,7 @@ def _unattended(
     passed = [c.passed(reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
         f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
-        f"{census.describe_colours(samples.frames[::6])}",
+        f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
 
@@ -185,7 +229,7 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
     track = run.track
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
         share, reach = float(track.found[i].mean()), motion.reach(track, name, scene)
-        if share < max(_LEAST_FOUND, 0.3 * candidate.presence):
+        if share < max(motion.LEAST_SHARE, 0.3 * candidate.presence):
             faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
         elif not reach.moves:
             faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
@@ -197,7 +241,7 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
     other = track.names[1 - weaker]
     if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif separation.change > motion.KEPT[1]:
+    elif separation.change > motion.DISTANCE_SPREAD[1]:
         change = f"{100 * separation.change:.0f} %"
         faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
@@ -226,7 +270,7 @@ def _by_hand(
     if head is not None and tail is not None and markers[0].number > 1:
         # Equal markers may be on one body or on several; only a rigid pair gives a heading.
         separation = motion.distance(run.track, head, tail)
-        if separation is None or separation.change > motion.KEPT[1]:
+        if separation is None or separation.change > motion.DISTANCE_SPREAD[1]:
             setup = setup.model_copy(update={"tail": None})
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
     return replace(run, setup=setup), remarks
@@ -236,7 +280,7 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
     for name, share in shares.items():
         reach = motion.reach(run.track, name)
-        if share < _LEAST_FOUND:
+        if share < motion.LEAST_SHARE:
             warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
         elif not reach.moves:
             warn(
@@ -247,7 +291,7 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     if setup.head is None or setup.tail is None:
         return
     separation = motion.distance(run.track, setup.head, setup.tail)
-    if separation is not None and separation.change > motion.KEPT[0]:
+    if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
         change = f"{100 * separation.change:.1f} %"
         warn(
             "SWM042",
@@ -276,3 +320,87 @@ def _measured(run: Run) -> Setup:
             marker = marker.model_copy(update={"area_px": area})
         markers.append(marker)
     return run.setup.model_copy(update={"markers": markers})
+
+
+def _text(
+    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
+) -> str:
+    """The setup as commented YAML, with the share of the frames each marker is found in."""
+    lines = [
+        f"# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md",
+        f"format: {setup.format}",
+        "markers:",
+    ]
+    for marker, remark in zip(setup.markers, remarks, strict=True):
+        hsv = marker.colour_range()
+        found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
+        lines += [
+            f"  - name: {marker.name}",
+            f"    # Found in {found} of the frames; {remark}.",
+            "    # Hue runs from the first to the second angle, through 0 for red.",
+            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
+            f"value: {_list(hsv.value)}}}",
+            f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
+        ]
+        if marker.number > 1:
+            lines += [f"    # They are named {marker.names[0]}, {marker.names[1]}, ..."]
+            lines += [f"    number: {marker.number}"]
+        if marker.start_px is not None:
+            lines += [f"    start_px: [{', '.join(_list(place) for place in marker.start_px)}]"]
+    scale: Sequence[str] = _NO_SCALE
+    if setup.scale is not None:
+        keys = yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True))
+        scale = ["scale:", *(f"  {line}" for line in keys.splitlines())]
+    tail = f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"
+    rate = f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240"
+    lines += [f"# Passed over: {one}" for one in passed]
+    lines += [
+        "# The head marker gives the position, head and tail together the heading.",
+        f"head: {setup.head_name}",
+        tail,
+        "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
+        f"plane: {setup.plane}",
+        *(_FACING if setup.plane == "vertical" else ()),
+        *_POSE,
+        *scale,
+        "# True frame rate, where the container's stamps are wrong.",
+        rate,
+        "# Longest dropout that is bridged, s.",
+        f"max_gap_s: {setup.max_gap_s:g}",
+    ]
+    if setup.ignore_px:
+        lines += ["# Motionless things of a marker's colour: [left, top, right, bottom].", "ignore_px:"]
+        lines += [f"  - {_list(box)}" for box in setup.ignore_px]
+    else:
+        lines += ["# ignore_px: [[left, top, right, bottom]]"]
+    return "\n".join(lines) + "\n"
+
+
+def _list(values: Any) -> str:
+    return "[" + ", ".join(f"{v:g}" for v in values) + "]"
+
+
+def _sheet(run: Run) -> NDArray[np.uint8]:
+    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
+    tiles, track = [], run.track
+    ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
+    for index in sorted(ranked[:_SHEET]):
+        frame = run.kept[index]
+        factor = _SHEET_WIDTH / frame.shape[1]
+        tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        for box in run.setup.ignore_px:
+            corners = [round(factor * v) for v in box]
+            cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+        for i, name in enumerate(track.names):
+            if track.found[i, index]:
+                x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+                radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
+                cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+                write_text(tile, name, (x + radius + 3, y + 4), 0.5)
+        write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
+        tiles.append(tile)
+    while len(tiles) % 2:
+        tiles.append(np.zeros_like(tiles[0]))
+    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
+    return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)

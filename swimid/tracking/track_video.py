@@ -20,19 +20,17 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, evidence, sheet
 from swimid.results.evidence import Check
-from swimid.tracking import checks, pictures, plane, pose, stills, swim
+from swimid.tracking import checks, motion, pictures, plane, pose, reader, swim
 from swimid.tracking import setup as setup_format
-from swimid.tracking.census import describe_colours
+from swimid.tracking.colour import describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import Setup
 
-#: Fewer frames found than this share are no track.
-LEAST_FOUND = 0.05
 #: Columns a wrong scale shows in.
-POSE = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
+UNIT_COLUMNS = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,7 @@ def track_video(
     video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
-        stills.check_output(video, output)
+        reader.check_output(video, output)
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
     changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
@@ -168,8 +166,8 @@ def _told(
     notices: list[Notice],
 ) -> tuple[Track, pictures.Painter]:
     """What was followed as a track, to be called ``made``, and what draws it into the film."""
-    track, info, rules = run.track, run.info, run.setup
-    ground = plane.build(rules, info.width, info.height, file=str(provenance.path_of(source)))
+    track, video, rules = run.track, run.video, run.setup
+    ground = plane.build(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
     ground = pose.facing(track, rules, ground)
     result = pose.build(track, rules, ground)
@@ -179,18 +177,18 @@ def _told(
     columns = pose.columns(result, track, rules)
     head = _metadata(run, ground, result.times) | metadata
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
-    log.warn_units(Log(made, head, {name: columns[name] for name in POSE if name in columns}))
+    log.warn_units(Log(made, head, {name: columns[name] for name in UNIT_COLUMNS if name in columns}))
     painter = pictures.Painter(track, result)
     facts = _facts(track, result)
     share = f"Markers found in {facts['found']} of {facts['frames']} frames"
     verdict = evidence.judged(found, share, more=swum.headline(), passed="every self-check passes")
     proof = evidence.Evidence(
         verb="track video",
-        title=f"Track of {info.path.name}",
+        title=f"Track of {video.path.name}",
         verdict=verdict,
         checks=found,
         tables=[swum.table(), _segment_table(result)],
-        figures=pictures.figures(track, result, rules, (swum.found.begin_s, swum.found.end_s)),
+        figures=pictures.figures(track, result, rules, (swum.swimming.begin_s, swum.swimming.end_s)),
         images=pictures.images(painter, run.kept),
         notices=blocks.notices(notices),
         methods=_methods(rules, result),
@@ -201,7 +199,7 @@ def _told(
         ],
         provenance=provenance.collect(
             [],
-            digests=provenance.digest_together(info.path, info.files) | provenance.digests_of([source]),
+            digests=provenance.digest_together(video.path, video.files) | provenance.digests_of([source]),
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
@@ -247,13 +245,13 @@ def _metadata(run: Run, ground: plane.Plane, times: NDArray[np.float64]) -> dict
     """The comment lines of the log: the film, and what its pose is that of."""
     rules = run.setup
     head: dict[str, Any] = {
-        "source": run.info.path.name,
+        "source": run.video.path.name,
         "made_by": "swimid track video",
         "frame_rate_hz": float(f"{1 / float(np.median(np.diff(times))):.6g}"),
     }
-    if math.isfinite(run.first_stamp_s):
-        head["first_stamp_s"] = run.first_stamp_s
-    head |= {"image_size_px": [run.info.width, run.info.height], "plane": rules.plane}
+    if math.isfinite(run.video.first_stamp_s):
+        head["first_stamp_s"] = run.video.first_stamp_s
+    head |= {"image_size_px": [run.video.width, run.video.height], "plane": rules.plane}
     if rules.plane == "vertical":
         head["facing"] = "left" if ground.runs_left else "right"
     if rules.places is None:
@@ -274,7 +272,7 @@ def _demand_markers(run: Run) -> None:
     for name in run.setup.roles:
         row = track.row(name)
         count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
-        if count >= max(LEAST_FOUND * total, pose.SHORTEST_SEGMENT):
+        if count >= max(motion.LEAST_SHARE * total, pose.SHORTEST_SEGMENT):
             continue
         what = f"in {count} of {total} frames only" if count else f"in no frame of {total}"
         what += f" (in {cut} the edge of the picture cuts it)" if cut else ""
