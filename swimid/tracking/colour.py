@@ -182,16 +182,10 @@ def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray
 
 
 def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
-    """Whether colours differ from a usual one by no more than a hue and a share of its saturation.
+    """Whether colours, shape (3,) or (3, n), differ from a usual one by no more than a hue and a saturation.
 
-    Parameters
-    ----------
-    hsv : ndarray, shape (3,) or (3, n)
-        On OpenCV's scale.
-    usual : ndarray, shape (3,)
-        Where it is nearly grey its hue is noise and not compared, and saturations are as they come with so
-        little chroma.
-    hue, saturation : float
+    HSV on OpenCV's scale, ``saturation`` a share of the usual one's. Where that is nearly grey its hue is
+    noise and not compared, and saturations are as they come with so little chroma.
     """
     least = 255 * LEAST_CHROMA / max(float(usual[2]), 1.0)
     saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)

@@ -204,20 +204,10 @@ def measure(
     origin: tuple[int, int],
     picture: tuple[int, int],
 ) -> Blob | None:
-    """The patch as a :class:`Blob`, or None where it has no contrast to its surroundings.
+    """A patch of a window as a :class:`Blob`, or None where it has no contrast to its surroundings.
 
-    Parameters
-    ----------
-    window : ndarray of uint8, shape (rows, columns, 3)
-        At full resolution.
-    patch : Patch
-        One of its patches.
-    step : int
-        Picture pixels to a mask pixel.
-    origin : (int, int)
-        Left and top of the window in the picture.
-    picture : (int, int)
-        Width and height of the picture.
+    The window, shape (rows, columns, 3), is at full resolution, its upper left corner at ``origin`` in a
+    ``picture`` of (width, height) px; a pixel of its mask stands for ``step`` x ``step`` of them.
     """
     rows, columns = window.shape[0], window.shape[1]
     margin = -(-MARGIN // step) if step < 3 else 4

@@ -33,13 +33,7 @@ SEEN, GUESSED, TRAIL = (0, 159, 230), (167, 121, 204), (233, 180, 86)
 
 
 class Painter:
-    """Draws the track into frames.
-
-    Parameters
-    ----------
-    track, pose
-        The finished track.
-    """
+    """Draws a finished track into frames."""
 
     def __init__(self, track: RawTrack, pose: Pose) -> None:
         self.track, self.pose = track, pose
@@ -124,16 +118,11 @@ def images(painter: Painter, frames: dict[int, Frame]) -> list[Image]:
 def write_overlay(
     path: Path, video: Path, painter: Painter, times: Array, *, apply_rotation: bool, progress: Progress
 ) -> str:
-    """Read the video a second time and write it with the track drawn in.
+    """Read the video a second time and write it with the track drawn in; returns a remark, if any.
 
     What is drawn is the finished track: smoothed and bridged, without the sights that were taken back. None
     of it is known while the video is read first, and all its frames do not fit into memory. The second
     decoding is an eighth of what tracking with an overlay costs; encoding is most of it.
-
-    Returns
-    -------
-    str
-        A remark for the user, empty when there is none.
     """
     source = Video(video, apply_rotation=apply_rotation)
     width, height = source.width // 2 * 2, source.height // 2 * 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,17 +55,22 @@ class Plane:
 
     def to_world(self, x: Array, y: Array) -> Array:
         """World coordinates of image points, shape (2, n); NaN stays NaN."""
-        mapped = _mapped(_undistorted(np.stack([x, y], axis=1), self.lens), self.matrix)
-        return (self.foot + self.shrink * (mapped - self.foot)).T
+        return _of_known(self._forward, x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
         """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
-        world = self.foot + (np.stack([x, y], axis=1) - self.foot) / self.shrink
-        points = _mapped(world, np.linalg.inv(self.matrix))
-        if self.lens is not None:
-            rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
-            points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
-        return points.T
+        return _of_known(self._backward, x, y)
+
+    def _forward(self, points: Array) -> Array:
+        mapped = _mapped(_undistorted(points, self.lens), self.matrix)
+        return self.foot + self.shrink * (mapped - self.foot)
+
+    def _backward(self, world: Array) -> Array:
+        points = _mapped(self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix))
+        if self.lens is None:
+            return points
+        rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
+        return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def along_x(self, left: bool) -> Plane:
         """The plane with x running to the left or to the right of the picture, reversed if need be."""
@@ -97,6 +103,15 @@ class Plane:
         """:meth:`size_of_pixel` about many image points, shape (n,)."""
         (x0, y0), (x1, y1), (x2, y2) = (self.to_world(x + dx, y + dy) for dx, dy in ((0, 0), (1, 0), (0, 1)))
         return np.sqrt(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)))
+
+
+def _of_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
+    """A map of points, shape (n, 2), on those that are known: shape (2, n), NaN elsewhere."""
+    known = np.isfinite(x) & np.isfinite(y)
+    out = np.full((2, len(x)), np.nan)
+    if known.any():
+        out[:, known] = function(np.stack([x[known], y[known]], axis=1)).T
+    return out
 
 
 def _undistorted(points: Array, lens: tuple[Array, Array] | None) -> Array:

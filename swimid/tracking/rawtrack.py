@@ -85,20 +85,11 @@ class RawTrack:
 
 
 def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
-    """Take back sightings that, seen from the end, were something else.
+    """Take back sightings of a marker, in place, that seen from the end were something else.
 
-    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone
-    between longer losses), or short and unlike the marker's usual look in colour, size or
-    confidence.
-
-    Parameters
-    ----------
-    track : RawTrack
-        Changed in place.
-    marker : int
-        Its row.
-    looks : ndarray, shape (n, 3)
-        Mean HSV of each sighting.
+    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone between longer
+    losses), or short and unlike the marker's usual look in colour (``looks``, shape (n, 3): mean HSV of each
+    sighting), size or confidence.
     """
     seen = track.status[marker] > LOST
     if not seen.any():

@@ -222,16 +222,9 @@ def reduced(frame: Frame, width: int) -> Frame:
 
 
 class FrameKeeper:
-    """Keeps some frames spread evenly over a video of unknown length.
+    """Keeps some frames spread evenly over a video of unknown length, at most ``width`` px wide.
 
-    Parameters
-    ----------
-    most : int
-        As soon as more are kept every second one is dropped.
-    every : int
-        At first every so many frames are kept.
-    width : int, optional
-        They are reduced to this width.
+    At first every ``every``-th is kept; as soon as there are more than ``most`` every second one is dropped.
     """
 
     def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
@@ -249,15 +242,7 @@ class FrameKeeper:
 
 
 def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Spread of the time steps.
-
-    Returns
-    -------
-    share : float
-        Share of steps further than ``JITTER`` from the median step.
-    largest : float
-        Longest step over the median step.
-    """
+    """Share of time steps farther than ``JITTER`` from the median step, and the longest over the median."""
     steps = np.diff(times)
     if len(steps) < 2:
         return 0.0, 1.0

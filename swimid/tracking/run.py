@@ -67,7 +67,7 @@ def _once(path: Path, setup: Setup, step: Step) -> Run:
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
-    keys = sorted(keeper.kept)
+    keys = list(keeper.kept)
     keys = [keys[k] for k in np.unique(np.linspace(0, len(keys) - 1, REPORT_FRAMES).round().astype(int))]
     kept = {k: keeper.kept[k] for k in keys}
     return Run(follower.track(video.times()), video, setup, kept)

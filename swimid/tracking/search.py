@@ -83,14 +83,8 @@ class Search:
     ) -> tuple[list[Blob], Box | None]:
         """Whole blobs in a square window, and the box of the largest one the window cuts.
 
-        Parameters
-        ----------
-        kind : Kind
-        frame : frame
-        cx, cy, half : float
-            Centre and half width of the window, px.
-        step : int
-            The colour of every ``step``-th pixel says what is marker; its centre is taken from all.
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour of every
+        ``step``-th pixel says what is marker; its centre is taken from all.
         """
         width, height = self.size
         x0, x1 = max(int(cx - half), 0), min(int(cx + half) + 2, width)
@@ -116,14 +110,9 @@ class Search:
         return blobs, None if cut is None else cut.box((x0, y0), step)
 
     def picture(self, kind: Kind, frame: Frame, area: float) -> list[Blob]:
-        """Blobs of the whole picture: found on every n-th pixel, measured on all.
+        """Blobs of the whole picture, found on every n-th pixel and measured on all.
 
-        Parameters
-        ----------
-        kind : Kind
-        frame : frame
-        area : float
-            Area that is expected, px; 0 where none is known yet.
+        ``area`` is the one expected, px; 0 where none is known yet.
         """
         step = max(min(int(math.sqrt(area or 4 * kind.area_px[0]) / 3.5), DECIMATION), 1)
         blobs = self._picture_at(kind, frame, area, step)

@@ -35,18 +35,12 @@ REFERENCE = (
 
 @dataclass(frozen=True)
 class FilmedSwim:
-    """Speeds, accelerations and stroke of a filmed run, and how they are told.
-
-    Attributes
-    ----------
-    swimming : Swimming
-    plane : {"horizontal", "vertical"}
-    unit : str
-        Of lengths: m, or px without a scale.
-    """
+    """Speeds, accelerations and stroke of a filmed run, and how they are told."""
 
     swimming: Swimming
+    #: Horizontal or vertical.
     plane: str
+    #: Of lengths: m, or px without a scale.
     unit: str
 
     def _rows(self) -> list[tuple[str, str, Estimate | None, str]]:
