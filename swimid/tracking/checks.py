@@ -37,16 +37,6 @@ def graded(name: str, value: str, limit: str, size: float, ends: tuple[float, fl
     return Check(name=name, value=value, limit=limit, verdict=verdict, text=text)
 
 
-def gaps(measured: NDArray[np.bool_], times: Array) -> list[tuple[float, float]]:
-    """Stretches without a measurement between the first and the last, (start, end) in s.
-
-    A gap runs from the last sight before to the first sight after it.
-    """
-    seen = np.flatnonzero(measured)
-    holes = np.flatnonzero(np.diff(seen) > 1)
-    return [(float(times[seen[k]]), float(times[seen[k + 1]])) for k in holes]
-
-
 @dataclass(frozen=True)
 class Presence:
     """From when to when the body is measured, and whether it swims in or out of the picture."""
@@ -132,7 +122,7 @@ def _in_the_picture(track: RawTrack, pose: Pose, setup: Setup, span: Presence) -
 
 
 def _longest_gap(pose: Pose, setup: Setup) -> Check:
-    holes = [end - start for start, end in gaps(pose.measured, pose.times)]
+    holes = [end - start for start, end in pose.gaps]
     segments = int(pose.segment.max())
     if segments > 1:
         warn(

@@ -62,21 +62,13 @@ class ColourModel:
         if colours.hue_deg == (0.0, 360.0):
             width = _TURN
         self._half_width = width / 2
-        self._centre = np.array(
-            [
-                (low + width / 2) % _TURN,
-                127.5 * sum(colours.saturation),
-                127.5 * sum(colours.value),
-            ]
-        )
-        self._lower = 255 * np.array([colours.saturation[0], colours.value[0]])
-        self._upper = 255 * np.array([colours.saturation[1], colours.value[1]])
+        middle = (127.5 * sum(colours.saturation), 127.5 * sum(colours.value))
+        self._centre = np.array([(low + width / 2) % _TURN, *middle])
+        self._lower, self._upper = 255 * np.array([colours.saturation, colours.value]).T
         self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
         self._first: NDArray[np.float64] | None = None
         self.drift = np.zeros(3)
         self.largest_drift = np.zeros(3)
-        self._strong: _Bounds = []
-        self._weak: _Bounds = []
         self._refresh()
 
     def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -148,13 +140,8 @@ class ColourModel:
         else:
             first, last = (centre - half) % _TURN, (centre + half) % _TURN
             arcs = [(first, last)] if first <= last else [(first, 179.0), (0.0, last)]
-        return [
-            (
-                np.array([np.ceil(a), *np.floor(low)], dtype=np.uint8),
-                np.array([np.floor(b), *np.ceil(high)], dtype=np.uint8),
-            )
-            for a, b in arcs
-        ]
+        ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
+        return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
 
     @property
     def drifted(self) -> bool:

@@ -22,7 +22,7 @@ _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class Blob:
     """One connected patch of marker colour, in image pixels."""
 
@@ -54,7 +54,7 @@ class Blob:
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class Patch:
     """A connected patch of marker colour before it is measured."""
 

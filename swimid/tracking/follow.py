@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from itertools import combinations
 
 import numpy as np
@@ -22,12 +22,12 @@ from swimid.tracking.rawtrack import (
     RETURN_SATURATION,
     WINDOW,
     RawTrack,
-    drop_strangers,
+    drop_false_detections,
 )
 from swimid.tracking.reader import Frame
 from swimid.tracking.search import Kind, Search, is_new, same_place
 from swimid.tracking.setup import Marker, Setup
-from swimid.tracking.target import Bond, Challenger, Target
+from swimid.tracking.target import Challenger, PairDistance, Target
 
 #: Area without one in the setup: px, and share of the picture.
 SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
@@ -130,10 +130,10 @@ class Follower:
         ]
         self._targets = {t.name: t for g in self.groups for t in g.targets}
         #: Between markers of different colours, where some colour is worn by several.
-        self._bonds: dict[tuple[str, str], Bond] = {}
+        self._pairs: dict[tuple[str, str], PairDistance] = {}
         if any(len(g.targets) > 1 for g in self.groups):
             for one, other in combinations(self.groups, 2):
-                self._bonds |= {(a.name, b.name): Bond() for a in one.targets for b in other.targets}
+                self._pairs |= {(a.name, b.name): PairDistance() for a in one.targets for b in other.targets}
         #: Earlier frames, and where the markers were in them.
         self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=MEMORIES)
         self._rows: list[list[tuple[float, ...]]] = []
@@ -164,10 +164,10 @@ class Follower:
                     group.model.adapt(blob.hsv)
             if not sights:
                 group.model.forget()
-        for pair, bond in self._bonds.items():
+        for pair, pair_distance in self._pairs.items():
             a, b = (self._targets[name] for name in pair)
             if a.time == time == b.time:
-                bond.add(math.hypot(a.x - b.x, a.y - b.y))
+                pair_distance.add(math.hypot(a.x - b.x, a.y - b.y))
         if self._frame % MEMORY_FRAMES == MEMORY_FRAMES // 6:
             places = {t.name: (t.x, t.y) for t in self._targets.values() if t.sights and not t.missed}
             if places:
@@ -198,7 +198,7 @@ class Follower:
             mistaken=self._mistaken,
         )
         for i in range(len(names)):
-            drop_strangers(track, i, table[:, i, 6:])
+            drop_false_detections(track, i, table[:, i, 6:])
         return track
 
     # ------------------------------------------------------------ one colour, one frame
@@ -259,7 +259,9 @@ class Follower:
         for status in (WINDOW, GROWN, GROWN):
             blobs, cut = self._search.window(group, frame, cx, cy, half, step)
             if any(group.alike(target, blob) for blob in blobs):
-                return [replace(blob, status=status) for blob in blobs]
+                for blob in blobs:
+                    blob.status = status
+                return blobs
             if cut is not None:
                 cx, cy = 0.5 * (cut[0] + cut[2]), 0.5 * (cut[1] + cut[3])
             half *= 2
@@ -279,13 +281,13 @@ class Follower:
     def _misfit(self, target: Target, blob: Blob, time: float) -> float:
         """How badly a blob fits the target's rigid partners: 0 well, ``_NO`` not at all."""
         worst = 0.0
-        for pair, bond in self._bonds.items():
-            if target.name not in pair or not bond.rigid:
+        for pair, pair_distance in self._pairs.items():
+            if target.name not in pair or not pair_distance.rigid:
                 continue
             partner = self._targets[pair[1] if pair[0] == target.name else pair[0]]
             if partner.missed:
                 continue
-            error = abs(blob.away(*partner.predicted(time)) / bond.mean - 1)
+            error = abs(blob.away(*partner.predicted(time)) / pair_distance.mean - 1)
             if error > RIGID_LIMIT:
                 return _NO
             worst = max(worst, (error / RIGID_LIMIT) ** 2)

@@ -65,9 +65,9 @@ def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
         return Range(0.0, 1.0, math.nan)
     area = track.area[i]
     usual = float(np.median(area[seen]))
-    whole = seen & ~track.at_edge[i] & (np.abs(area - usual) <= WHOLE_AREA * usual)
+    whole = seen & (np.abs(area - usual) <= WHOLE_AREA * usual)
     part = whole if whole.sum() >= LEAST_SIGHTS else seen
-    x, y = (track.x[i], track.y[i]) if scene is None else (track.x[i] - scene[0], track.y[i] - scene[1])
+    x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
     noise = math.sqrt(0.5 * sum(scatter(row[seen]) ** 2 for row in (x, y)))
     radius = max(math.sqrt(usual / math.pi), 1.0)
@@ -114,7 +114,7 @@ def distance(track: RawTrack, one: str, other: str) -> Distance | None:
     not show is no view of a plane.
     """
     i, j = track.row(one), track.row(other)
-    both = track.found[i] & track.found[j] & ~track.at_edge[i] & ~track.at_edge[j]
+    both = track.found[i] & track.found[j]
     if both.sum() < LEAST_SIGHTS:
         return None
     points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # (xy, marker, frame)

@@ -15,16 +15,22 @@ from swimid.logs.log import runs
 from swimid.progress import Progress
 from swimid.results import blocks
 from swimid.results.evidence import Figure, Image, Mark, Panel, Span, Trace, thinned
-from swimid.tracking import checks
 from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.reader import Frame, Video, reduced
+from swimid.tracking.run import Run
 from swimid.tracking.setup import Setup
 from swimid.tracking.smooth import Smoothed
 
 Array = NDArray[np.float64]
 
-#: Largest width of a frame in the report, px.
+#: Below a frame in the report.
+CAPTION = (
+    "Circles: markers as found, purple where the edge of the picture cuts them. Cross and arrow: smoothed "
+    "reference point and heading, orange where measured, purple where bridged. Blue: the path of the last "
+    "two seconds."
+)
+#: Largest width of such a frame, px.
 REPORT_WIDTH = 640
 #: Seconds of path drawn behind the markers.
 TRAIL_S = 2.0
@@ -33,10 +39,10 @@ SEEN, GUESSED, TRAIL = (0, 159, 230), (167, 121, 204), (233, 180, 86)
 
 
 class Painter:
-    """Draws a finished track into frames."""
+    """Draws a finished track into the frames of its film."""
 
-    def __init__(self, track: RawTrack, pose: Pose) -> None:
-        self.track, self.pose = track, pose
+    def __init__(self, run: Run, pose: Pose) -> None:
+        self.run, self.track, self.pose = run, run.track, pose
         self._path = pose.plane.to_image(*pose.path.position)
         self._tip: Array | None = None
         if pose.angle is not None and pose.separation is not None:
@@ -84,6 +90,44 @@ class Painter:
         word = CUT if self.track.at_edge[:, i].any() else STATUS[LOST]
         return f"{word}, interpolated" if self.pose.interpolated[i] else word
 
+    def images(self) -> list[Image]:
+        """The kept frames, drawn into and compressed, for the report."""
+        out = []
+        for index, frame in self.run.kept.items():
+            drawn = reduced(self.draw(index, frame.copy()), REPORT_WIDTH)
+            _, data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])
+            out.append(
+                Image(
+                    id=f"frame-{index}",
+                    title=f"Frame {index}, t = {self.track.times[index]:.2f} s",
+                    caption=CAPTION,
+                    media_type="image/jpeg",
+                    base64=base64.b64encode(data.tobytes()).decode(),
+                )
+            )
+        return out
+
+    def write(self, path: Path, progress: Progress) -> str:
+        """Read the video a second time and write it with the track drawn in; returns a remark, if any.
+
+        What is drawn is the finished track: smoothed and bridged, without the sights that were taken back.
+        None of it is known while the video is read first, and all its frames do not fit into memory. The
+        second decoding is an eighth of what tracking with an overlay costs; encoding is most of it.
+        """
+        times, source = self.track.times, self.run.video
+        width, height = source.width // 2 * 2, source.height // 2 * 2
+        rate = 1 / float(np.median(np.diff(times)))
+        again = Video(source.path, apply_rotation=self.run.setup.apply_rotation).frames()
+        with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
+            writer = open_writer(temporary, rate, width, height)
+            try:
+                for index, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):
+                    writer.write(float(time), self.draw(index, frame)[:height, :width])
+                    step()
+            finally:
+                writer.close()
+        return REMARK.format("overlay") if isinstance(writer, Mpeg4) else ""
+
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
     """Outlined: legible on light and dark water."""
@@ -95,54 +139,11 @@ def _point(x: float, y: float) -> tuple[int, int]:
     return round(8 * float(np.clip(x, -1e5, 1e5))), round(8 * float(np.clip(y, -1e5, 1e5)))
 
 
-def images(painter: Painter, frames: dict[int, Frame]) -> list[Image]:
-    """The kept frames, drawn into and compressed, for the report."""
-    out = []
-    for index, frame in frames.items():
-        drawn = reduced(painter.draw(index, frame.copy()), REPORT_WIDTH)
-        _, data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])
-        out.append(
-            Image(
-                id=f"frame-{index}",
-                title=f"Frame {index}, t = {painter.track.times[index]:.2f} s",
-                caption="Circles: markers as found, purple where the edge of the picture cuts them. Cross "
-                "and arrow: smoothed reference point and heading, orange where measured, purple where "
-                "bridged. Blue: the path of the last two seconds.",
-                media_type="image/jpeg",
-                base64=base64.b64encode(data.tobytes()).decode(),
-            )
-        )
-    return out
-
-
-def write_overlay(
-    path: Path, video: Path, painter: Painter, times: Array, *, apply_rotation: bool, progress: Progress
-) -> str:
-    """Read the video a second time and write it with the track drawn in; returns a remark, if any.
-
-    What is drawn is the finished track: smoothed and bridged, without the sights that were taken back. None
-    of it is known while the video is read first, and all its frames do not fit into memory. The second
-    decoding is an eighth of what tracking with an overlay costs; encoding is most of it.
-    """
-    source = Video(video, apply_rotation=apply_rotation)
-    width, height = source.width // 2 * 2, source.height // 2 * 2
-    rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 25.0
-    with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
-        writer = open_writer(temporary, rate, width, height)
-        try:
-            for index, (_, frame) in zip(range(len(times)), source.frames(), strict=False):
-                writer.write(float(times[index]), painter.draw(index, frame)[:height, :width])
-                step()
-        finally:
-            writer.close()
-    return REMARK.format("overlay") if isinstance(writer, Mpeg4) else ""
-
-
 def figures(track: RawTrack, pose: Pose, setup: Setup, window_s: tuple[float, float]) -> list[Figure]:
     """Path, coordinates with their bands, speeds over a window and what tells of their quality, as data."""
     unit, t = pose.plane.unit, pose.times
     up, turn, side = setup.axes
-    spans = [Span(start=a, end=b, label="gap") for a, b in checks.gaps(pose.measured, t)][:60]
+    spans = [Span(start=a, end=b, label="gap") for a, b in pose.gaps][:60]
 
     def over_time(label: str, *traces: Trace, marks: tuple[Mark, ...] = ()) -> Panel:
         return Panel(x_label="t (s)", y_label=label, traces=list(traces), spans=spans, marks=list(marks))

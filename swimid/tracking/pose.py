@@ -86,6 +86,13 @@ class Pose:
         return np.stack([vx * np.cos(angle) + vy * np.sin(angle), vy * np.cos(angle) - vx * np.sin(angle)])
 
     @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """From the last sight before each gap to the first after it, s."""
+        seen = self.times[self.measured]
+        holes = np.flatnonzero(np.diff(np.flatnonzero(self.measured)) > 1)
+        return [(float(seen[k]), float(seen[k + 1])) for k in holes]
+
+    @property
     def interpolated(self) -> NDArray[np.bool_]:
         """Inside a segment, and predicted rather than measured."""
         return (self.segment > 0) & ~self.measured

@@ -20,7 +20,7 @@ SHORTEST_RUN = 3
 #: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: Only a run shorter than this share of all sightings is doubted for its look.
-STRANGER_SHARE = 0.2
+FALSE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class RawTrack:
         return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])
 
 
-def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
+def drop_false_detections(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
     """Take back sightings of a marker, in place, that seen from the end were something else.
 
     A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone between longer
@@ -112,13 +112,13 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
         flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
         part = slice(start, end)
         look = whole[part]
-        stranger = False
-        if look.any() and end - start < STRANGER_SHARE * seen.sum():
+        unlike = False
+        if look.any() and end - start < FALSE_SHARE * seen.sum():
             ratio = float(np.median(area[part][look])) / usual_area
             faint = float(np.median(confidence[part][look])) < 0.6 * usual_confidence
-            stranger = float(np.mean(alike[part][look])) < 0.5 or not 0.25 < ratio < 4
-            stranger = stranger or (faint and not 0.5 < ratio < 2)
-        if (flash and end - start < seen.sum()) or stranger:
+            unlike = float(np.mean(alike[part][look])) < 0.5 or not 0.25 < ratio < 4
+            unlike = unlike or (faint and not 0.5 < ratio < 2)
+        if (flash and end - start < seen.sum()) or unlike:
             for values in (track.x, track.y, track.area):
                 values[marker, part] = np.nan
             track.confidence[marker, part] = 0.0

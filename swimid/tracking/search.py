@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,8 @@ class Search:
             blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
             if blob is None or not self._allowed(blob) or any(same_place(blob, s) for s in kind.scenery):
                 continue
-            blobs.append(replace(blob, at_edge=True) if self._at_bar(blob, frame) else blob)
+            blob.at_edge = self._at_bar(blob, frame) or blob.at_edge
+            blobs.append(blob)
         if step > 1 and any(blob.at_edge for blob in blobs):
             # On every step-th pixel it cannot be told whether a marker ends before the edge does.
             return self.window(kind, frame, cx, cy, half)

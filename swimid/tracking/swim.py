@@ -13,7 +13,7 @@ from swimid.logs import swimming
 from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
 from swimid.notices import warn
-from swimid.results import blocks, numbers
+from swimid.results import numbers
 from swimid.results.evidence import Check, Table, check
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 
@@ -68,16 +68,11 @@ class FilmedSwim:
     def to_dict(self) -> dict[str, Any]:
         """The figures for ``--json``; None where the window does not tell one."""
         figures = self.swimming
-        over = {
-            "window": figures.window,
-            "from_s": figures.begin_s,
-            "to_s": figures.end_s,
-            "steady": figures.steady,
-        }
-        return over | {
-            key: None if value is None else asdict(value) | {"unit": kind}
-            for key, _, value, kind in self._rows()
-        }
+        out: dict[str, Any] = {"window": figures.window, "from_s": figures.begin_s, "to_s": figures.end_s}
+        out["steady"] = figures.steady
+        for key, _, value, kind in self._rows():
+            out[key] = None if value is None else asdict(value) | {"unit": kind}
+        return out
 
     def _shown(self) -> list[tuple[str, Estimate, str]]:
         """The figures a reader sees: angles in degrees, the steady speed once."""
@@ -94,11 +89,8 @@ class FilmedSwim:
         """The window in words, and whether the speed changes over it."""
         figures = self.swimming
         span = f"{figures.begin_s:.4g} to {figures.end_s:.4g} s"
-        head = {
-            "given": f"{span}, as given",
-            "steady part": f"{span}, the steady part",
-            "whole track": f"{span}, the whole track: no part of it is steady",
-        }[figures.window]
+        kinds = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
+        head = f"{span}, {kinds.get(figures.window, 'the steady part')}"
         if figures.advance is None or figures.change is None or figures.steady:
             return head
         change = 100 * figures.change.value / max(figures.advance.value, 1e-300)
@@ -117,19 +109,20 @@ class FilmedSwim:
 
     def table(self) -> Table:
         """The figures with their intervals."""
-        columns = ("quantity", "value", "95 % from", "to", "unit")
-        rows: list[tuple[Any, ...]] = [
-            (name, *astuple(value), numbers.unit_text(kind)) for name, value, kind in self._shown()
+        rows: list[list[str | float | int | bool | None]] = [
+            [name, *astuple(value), numbers.unit_text(kind)] for name, value, kind in self._shown()
         ]
         if self.swimming.stroke is None:
-            rows.append(("stroke", "none stands clear", None, None, None))
-        caption = (
-            f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed are those "
-            "of the path averaged over a stroke. Amplitudes are half of peak to peak of the fundamental, at "
-            "the point the log is of."
+            rows.append(["stroke", "none stands clear", None, None, None])
+        return Table(
+            id="swimming",
+            title="Speed and stroke",
+            columns=["quantity", "value", "95 % from", "to", "unit"],
+            rows=rows,
+            caption=f"Over {self._window()}. The path speed holds sway and turns; steady and advance speed "
+            "are those of the path averaged over a stroke. Amplitudes are half of peak to peak of the "
+            "fundamental, at the point the log is of.",
         )
-        shown = [dict(zip(columns, row, strict=True)) for row in rows]
-        return blocks.table("swimming", "Speed and stroke", shown, caption, columns)
 
     def headline(self) -> str:
         """Speed and stroke in one sentence; empty where neither is told."""
@@ -179,7 +172,7 @@ def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) ->
     middle = np.nanmedian(path.position, axis=1, keepdims=True)
     (x,), (y,) = pose.plane.to_image(*middle)
     error = SYSTEMATIC_PX * pose.plane.size_of_pixel(float(x), float(y))
-    apart = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
+    separation = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
     track = Track(
         time_s=pose.times,
         measured=pose.measured,
@@ -189,6 +182,6 @@ def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) ->
         raw_angle=pose.raw_angle,
         angle=angle,
         error=error,
-        angle_error=math.sqrt(2) * error / max(apart, 1e-12),
+        angle_error=math.sqrt(2) * error / max(separation, 1e-12),
     )
     return FilmedSwim(swimming.figures(track, window_s), plane, pose.plane.unit)

@@ -144,14 +144,7 @@ def track_video(
         if output is not None:
             result = result.save(output)
         if overlay_path is not None:
-            remark = pictures.write_overlay(
-                overlay_path,
-                video,
-                painter,
-                result.log.time_s,
-                apply_rotation=rules.apply_rotation,
-                progress=progress,
-            )
+            remark = painter.write(overlay_path, progress)
             text = f"{result.text}\nnote: {remark}" if remark else result.text
             result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
     return result
@@ -178,7 +171,7 @@ def _told(
     head = _metadata(run, ground, result.times) | metadata
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
     log.warn_units(Log(made, head, {name: columns[name] for name in UNIT_COLUMNS if name in columns}))
-    painter = pictures.Painter(track, result)
+    painter = pictures.Painter(run, result)
     facts = _facts(track, result)
     share = f"Markers found in {facts['found']} of {facts['frames']} frames"
     verdict = evidence.judged(found, share, more=swum.headline(), passed="every self-check passes")
@@ -189,7 +182,7 @@ def _told(
         checks=found,
         tables=[swum.table(), _segment_table(result)],
         figures=pictures.figures(track, result, rules, (swum.swimming.begin_s, swum.swimming.end_s)),
-        images=pictures.images(painter, run.kept),
+        images=painter.images(),
         notices=blocks.notices(notices),
         methods=_methods(rules, result),
         references=[
@@ -210,15 +203,14 @@ def _told(
     }
     text = "\n".join([_summary(facts), *_listed(found), *swum.lines()])
     document = Log(made, head, log.numeric(columns), None)
-    told = Track("track video", text, data, (), proof, document, columns, result, rules)
-    return told, painter
+    return Track("track video", text, data, (), proof, document, columns, result, rules), painter
 
 
 def _facts(track: RawTrack, result: Pose) -> dict[str, Any]:
     """How much was found, and how well, for machines."""
     count, total, unit = int(result.measured.sum()), len(result.times), result.plane.unit
     span = checks.Presence.of(track, result)
-    holes = [end - start for start, end in checks.gaps(result.measured, result.times)]
+    holes = [end - start for start, end in result.gaps]
     return {
         "frames": total,
         "found": count,
