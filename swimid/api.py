@@ -51,10 +51,10 @@ NAMES = {
     "Result": "swimid.results.result",
     "Fitted": "swimid.results.fitted",
     "Logged": "swimid.logs.logged",
-    "Simulation": "swimid.simulation.simulated",
-    "Comparison": "swimid.simulation.compared",
+    "Simulation": "swimid.simulation.run",
+    "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.diagnosed",
-    "Sensitivity": "swimid.sensitivity_analysis.studied",
+    "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",

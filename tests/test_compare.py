@@ -16,8 +16,8 @@ from swimid.logs.derivative import slope
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation import comparison_file as comparison
 from swimid.simulation import cycles
+from swimid.simulation.comparison_file import ComparisonFile
 from tests.conftest import Ran
 from tests.generators import swimmer
 
@@ -54,7 +54,7 @@ def test_the_truth_leaves_the_noise(swimid: Run, tmp_path: Path) -> None:
     out = tmp_path / "comparison.yaml"
     ran = swimid("compare", trials, "--params", _params(tmp_path / "p.yaml"), "-o", out)
     assert ran.status == 0, ran.err
-    file = comparison.read(out)
+    file = ComparisonFile.read(out)
     assert file.verdict == "good"
     count = file.channels["u_m_s"].samples
     for name, sd in NOISE.items():
@@ -74,7 +74,7 @@ def test_velocities_come_from_the_pose_where_they_are_not_logged(swimid: Run, tm
     out = tmp_path / "comparison.yaml"
     ran = swimid("compare", trials, "--params", _params(tmp_path / "p.yaml"), "-o", out)
     assert ran.status == 0, ran.err
-    file = comparison.read(out)
+    file = ComparisonFile.read(out)
     rate = file.channels["yaw_rate_rad_s"]
     assert rate.source == "pose"
     assert rate.vaf is not None

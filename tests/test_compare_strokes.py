@@ -13,7 +13,7 @@ import pytest
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation import comparison_file as comparison
+from swimid.simulation.comparison_file import ComparisonFile
 from swimid.swimmer import stroke_cycles
 from tests.conftest import SAMPLES, Ran
 
@@ -38,7 +38,7 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
     out = tmp_path / "c.yaml"
     ran = swimid("compare", TRIALS, "--params", _params(tmp_path), "--no-refit-start", "-o", out)
     assert ran.status == 0, ran.err
-    file = comparison.read(out)
+    file = ComparisonFile.read(out)
     profiles = {p.name: p for p in file.profiles}
     assert list(profiles) == ["characteristic", "characteristic-pelvis", "pitch"]
     # the joints that drive the manoeuvre are no prediction of it

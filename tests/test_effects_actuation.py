@@ -11,7 +11,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import Arma
+from swimid.blackbox.model import ArxModel
 from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_backlash, servo_delay
 from swimid.effects.actuation import rate_limit as limit
 from swimid.effects.actuation import servo_lag as lag
@@ -67,7 +67,7 @@ def surge():
 
 
 def black_box(source=None):
-    model = Arma(
+    model = ArxModel(
         Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=np.array([-1.5, 0.7, 0.5, 0.25])
     )
     time = np.arange(200) * 0.05

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import Arma
+from swimid.blackbox.model import ArxModel
 from swimid.effects.affected import Affected
 from swimid.effects.sensing import (
     camera_rotation,
@@ -89,7 +89,7 @@ def surge():
 
 
 def black_box(output):
-    model = Arma(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
+    model = ArxModel(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
     time = np.arange(60) * 0.1
     return model, Trial("a", "fit", time, {output: np.zeros(60)}, inputs={"cmd1_rad": np.sin(3 * time)})
 

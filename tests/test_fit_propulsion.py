@@ -75,9 +75,7 @@ class TestPublishedFigures:
         fins = robot_format.read("boxfish").fins
         for name, value in (("2025Rect", 317.1), ("2925Rect", 702.8), ("3825Rect", 1272.8)):
             fin = fins[name]
-            found = propulsion.plate_inertia(
-                height_m=fin.height_m, length_m=fin.length_m, axle_gap_m=fin.axle_gap_m, density_kg_m3=997
-            )
+            found = propulsion.plate_inertia(fin.height_m, fin.length_m, fin.axle_gap_m, 997)
             assert 1e7 * found == pytest.approx(value, abs=0.06)
 
     def test_largest_and_smallest_force(self) -> None:
@@ -93,9 +91,7 @@ class TestPublishedFigures:
         found = {"fin": [], "axle": []}
         for fin in ("2025Rect", "2925Rect", "3825Rect"):
             f = robot_format.read("boxfish").fins[fin]
-            inertia = propulsion.plate_inertia(
-                height_m=f.height_m, length_m=f.length_m, axle_gap_m=f.axle_gap_m, density_kg_m3=997
-            )
+            inertia = propulsion.plate_inertia(f.height_m, f.length_m, f.axle_gap_m, 997)
             terminal = np.cbrt(
                 8 * 0.341 * np.pi**2 * 2.0**3 * inertia * np.deg2rad(16 - 5.42) ** 2 / DRAG_AREA
             )

@@ -11,7 +11,7 @@ import yaml
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation import comparison_file as comparison
+from swimid.simulation.comparison_file import ComparisonFile
 from tests.conftest import Ran
 from tests.generators import sealion
 
@@ -29,7 +29,7 @@ def _position_rmse(swimid: Run, folder: Path, params: Path) -> float:
     neutral = ("--set", "buoyancy=1", "--set", "clock_offset=0")
     ran = swimid("compare", folder / "held-out.yaml", "--params", params, *neutral, "-o", out)
     assert ran.status == 0, ran.err
-    (profile,) = comparison.read(out).profiles
+    (profile,) = ComparisonFile.read(out).profiles
     assert profile.position_rmse_m is not None
     return profile.position_rmse_m
 

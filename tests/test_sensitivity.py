@@ -14,11 +14,9 @@ import pytest
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.results import evidence
-from swimid.sensitivity_analysis import file as sensitivity_format
 from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis import outputs as sensitivity_outputs
 from swimid.sensitivity_analysis.file import SensitivityFile
-from swimid.sensitivity_analysis.threads import in_threads
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]
@@ -87,7 +85,7 @@ class TestSobol:
 
         found = indices.sobol(breaking, np.zeros(3), np.ones(3), samples=256)
         assert 0 < found.broken < 0.01 * found.evaluations
-        assert found.evaluations == (256 + found.replaced) * 5
+        assert found.evaluations == (256 + found.left_out) * 5
         assert found.first[0] == pytest.approx(np.array([1.0, 4.0, 9.0]) / 14, abs=1 / math.sqrt(256))
         assert found.mean[0] < 3.0
 
@@ -153,7 +151,7 @@ def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
         yield from range(200, 400)
 
     got = []
-    with pytest.raises(KeyboardInterrupt), in_threads(work, items(), 1) as results:
+    with pytest.raises(KeyboardInterrupt), indices.in_threads(work, items(), 1) as results:
         got.extend(results)
     assert begun == [0, 1, 2, 3, 4, 5]
     assert got == [0, 1, 2, 3, 4]
@@ -185,7 +183,7 @@ class TestMorris:
             return linear(x) if count != 7 else np.full(2, np.nan)
 
         found = indices.morris(once, np.zeros(3), np.ones(3), samples=50)
-        assert (found.broken, found.dropped) == (1, 1)
+        assert (found.broken, found.left_out) == (1, 1)
         assert found.mu_star[0] == pytest.approx([1.0, 2.0, 3.0])
 
 
@@ -233,7 +231,7 @@ def _params(folder: Path, **stderr: float) -> Path:
 def _run(swimid: Swimid, trials: Path, out: Path, *options: str | Path) -> SensitivityFile:
     ran = swimid("sensitivity", trials, "-o", out, "--jobs", "1", *options)
     assert ran.status == 0, ran.err
-    return sensitivity_format.read(out)
+    return SensitivityFile.read(out)
 
 
 def _lasting(file: SensitivityFile) -> dict[str, Any]:
@@ -415,4 +413,4 @@ class TestCommand:
 
     def test_reader_refuses_another_format(self, tfish: Path) -> None:
         with pytest.raises(InputError, match="no sensitivity file"):
-            sensitivity_format.read(tfish)
+            SensitivityFile.read(tfish)

@@ -17,7 +17,7 @@ from swimid.notices import recorded
 from swimid.results import evidence, parameters
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
-from swimid.simulation import comparison_file as comparison
+from swimid.simulation.comparison_file import ComparisonFile
 from swimid.swimmer import stroke_cycles
 from swimid.tracking import checks, plane, pose
 from swimid.tracking import setup as setup_format
@@ -114,7 +114,7 @@ def test_a_simulated_stroke_goes_through_film_and_tracking_to_the_table_of_its_c
     options = ("--params", tmp_path / "p.yaml", "--set", "buoyancy=1.003", "-o", tmp_path / "c.yaml")
     ran = swimid("compare", tmp_path / "trials.yaml", *options)
     assert ran.status == 0, ran.err
-    (profile,) = comparison.read(tmp_path / "c.yaml").profiles
+    (profile,) = ComparisonFile.read(tmp_path / "c.yaml").profiles
     columns = {n: true[n].to_numpy() for n in true.columns}
     exact = [stroke_cycles.quantities(clock, columns, w) for w in stroke_cycles.windows(clock, 1 / PERIOD_S)]
     assert len(profile.cycles) == len(exact) == 3

@@ -13,7 +13,6 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
-from swimid.blackbox import data as rwls_data
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, SwimidError
 from swimid.logs import trials as trials_format
@@ -207,7 +206,7 @@ READERS = {
         refused={"robot": "no stroke"},
     ),
     "rwls": Reader(
-        lambda path: rwls_data.read([path], (), None, None, None),
+        lambda path: arma.read([path], (), None, None, None),
         {**_trials(experiment="arma"), "input": "cmd1_rad", "output": "u_m_s"},
         {**OF_TRIAL, **LOG, "input": "force_N", "output": "heading_rate_rad_s"},
     ),
@@ -245,7 +244,7 @@ def documents_in(annotation: Any) -> list[type[BaseModel]]:
 def fingerprint(found: Any) -> str:
     """Everything a reader made of its files, in words."""
     with np.printoptions(threshold=100_000, precision=12):
-        if isinstance(found, rwls_data.Data):
+        if isinstance(found, arma.Data):
             return repr((found.columns, found.fit, found.held_out, found.logs, found.robot))
         model = {
             k: v
@@ -346,12 +345,12 @@ class TestStretchesOfOneLog:
         with pytest.raises(
             InputError, match=r"'a' and 'b' .* share its rows from 5 s to 8 s: what is held out"
         ):
-            rwls_data.read([path], (), None, None, None)
+            arma.read([path], (), None, None, None)
 
     def test_rows_fitted_twice_are_told(self, tmp_path):
         path = write_case(tmp_path, self.document("fit"))
         with recorded() as notices:
-            rwls_data.read([path], (), None, None, None)
+            arma.read([path], (), None, None, None)
         assert [n.text for n in notices if n.code == "SWM074"] == [
             "trials.yaml: the trials 'a' and 'b' are of the same log and share its rows to 8 s, which count "
             "twice: standard errors come out too small"
@@ -360,7 +359,7 @@ class TestStretchesOfOneLog:
     def test_neighbours_stand_apart(self, tmp_path):
         path = write_case(tmp_path, self.document("validate", start_s=8.0))
         with recorded() as notices:
-            found = rwls_data.read([path], (), None, None, None)
+            found = arma.read([path], (), None, None, None)
         assert not [n for n in notices if n.code == "SWM074"]
         assert found.fit[0].time_s[-1] == 8.0 == found.held_out["b"][0].time_s[0]
         assert found.logs == ["a"]
@@ -369,4 +368,4 @@ class TestStretchesOfOneLog:
         path = write_case(tmp_path, self.document("fit"))
         for fitted in (path, tmp_path / "one.csv"):
             with recorded(), pytest.raises(InputError, match="what is held out must not be fitted"):
-                rwls_data.read([fitted], [tmp_path / "one.csv"], "cmd1_rad", "u_m_s", None)
+                arma.read([fitted], [tmp_path / "one.csv"], "cmd1_rad", "u_m_s", None)

@@ -15,12 +15,32 @@ from swimid.errors import NoTrustworthyResult
 
 #: Zeros of C are kept this far inside the unit circle, where its inverse is stable.
 EDGE = 0.999
+#: Gauss-Newton steps, at most.
+MOST_STEPS = 100
 
 
 @njit(cache=True, error_model="numpy")
-def _errors(
+def errors_and_gradient(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
 ) -> tuple[np.ndarray, np.ndarray]:
+    """One-step errors of an ARMAX model and the derivative of its prediction.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (m + nc,)
+        Coefficients of A, B and C.
+    rows, outputs : ndarray, shape (n, m) and (n,)
+        Regression vectors of A and B, and z.
+    fresh : ndarray of bool, shape (n,)
+        True where a row does not continue the one before: the past errors are taken as zero.
+
+    Returns
+    -------
+    errors : ndarray, shape (n,)
+        ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
+    gradient : ndarray, shape (n, m + nc)
+        Minus its derivative: the regression vector filtered by 1 / C.
+    """
     n, m = rows.shape
     p = m + nc
     errors = np.zeros(n)
@@ -44,40 +64,6 @@ def _errors(
     return errors, gradient
 
 
-def errors_and_gradient(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """One-step errors of an ARMAX model and the derivative of its prediction.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (m + nc,)
-        Coefficients of A, B and C.
-    rows : ndarray, shape (n, m)
-        Regression vectors of A and B.
-    outputs : ndarray, shape (n,)
-        z.
-    fresh : ndarray of bool, shape (n,)
-        True where a row does not continue the one before: the past errors are taken as zero.
-    nc : int
-        Number of coefficients of C.
-
-    Returns
-    -------
-    errors : ndarray, shape (n,)
-        ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
-    gradient : ndarray, shape (n, m + nc)
-        Minus its derivative: the regression vector filtered by 1 / C.
-    """
-    return _errors(
-        np.asarray(theta, dtype=float),
-        np.ascontiguousarray(rows, dtype=float),
-        np.ascontiguousarray(outputs, dtype=float),
-        np.asarray(fresh, dtype=np.bool_),
-        nc,
-    )
-
-
 def invertible(c: np.ndarray) -> np.ndarray:
     """C with its zeros outside the unit circle mirrored to the inside."""
     roots = np.roots(np.concatenate(([1.0], c)))
@@ -97,23 +83,11 @@ def refine(
     fresh: np.ndarray,
     nc: int,
     weights: np.ndarray,
-    *,
-    steps: int = 100,
 ) -> np.ndarray:
-    """The coefficients of least weighted one-step error, from a start nearby.
+    """The coefficients of least weighted one-step error, from those of the extended recursion.
 
-    Gauss-Newton with step halving; C is kept invertible.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (m + nc,)
-        Start, the extended recursion's estimate.
-    rows, outputs, fresh, nc
-        See :func:`errors_and_gradient`.
-    weights : ndarray, shape (n,)
-        Of the squared errors.
-    steps : int
-        Most iterations.
+    Gauss-Newton with step halving; C is kept invertible. See :func:`errors_and_gradient`; ``weights`` are
+    those of the squared errors, shape (n,).
 
     Raises
     ------
@@ -130,7 +104,7 @@ def refine(
 
     best = np.concatenate((theta[:m], invertible(theta[m:])))
     value = cost(best)
-    for _ in range(steps):
+    for _ in range(MOST_STEPS):
         errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
         step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
         for halving in range(30):
@@ -146,7 +120,8 @@ def refine(
         if gained <= 1e-13 * value:
             return best
     raise NoTrustworthyResult(
-        f"the noise polynomial C did not converge in {steps} steps", hint="lower --nc, or give longer logs"
+        f"the noise polynomial C did not converge in {MOST_STEPS} steps",
+        hint="lower --nc, or give longer logs",
     )
 
 

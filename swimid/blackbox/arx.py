@@ -1,20 +1,8 @@
 """ARX and ARMAX models from records with gaps: regression, estimate, uncertainty.
 
-Model (long-fin paper [1]_ Eq 4-7, with a delay and a noise polynomial added),
-
-    A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
-    A = 1 + a1 z^-1 + ... + a_na z^-na
-    B = b1 z^-nk + b2 z^-(nk+1) + ... + b_nb z^-(nk+nb-1)
-    C = 1 + c1 z^-1 + ... + c_nc z^-nc
-
-A row of the regression exists only where every sample it needs is there; a gap costs the
-rows around it and nothing else.
-
-References
-----------
-.. [1] L. Shang, S. Wang, M. Tan, L. Cheng, Robotica 30 (2012) 913-923.
-   doi:10.1017/S0263574711001159
-.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
+The model is that of :mod:`swimid.blackbox.difference`. A row of the regression exists only where every
+sample it needs is there; a gap costs the rows around it and nothing else. See L. Ljung, "System
+Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
 """
 
 from __future__ import annotations
@@ -25,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.blackbox import armax, recursive
-from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.difference import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import residual_tests as rt
 from swimid.logs.sampling import rounding
@@ -47,10 +35,8 @@ class Regression:
 
     Attributes
     ----------
-    rows : ndarray, shape (n, na + nb)
-        H.
-    outputs : ndarray, shape (n,)
-        z.
+    rows, outputs : ndarray, shape (n, na + nb) and (n,)
+        H and z.
     record, sample : ndarray of int, shape (n,)
         Which record and which of its samples each row predicts.
     fresh : ndarray of bool, shape (n,)
@@ -70,14 +56,9 @@ class Regression:
         return len(self.outputs)
 
     def spread(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Values of the rows on the time grid: NaN where a row is missing and between records.
+        """Values of the rows, shape (n,) or (n, p), on the time grid: NaN where a row is missing.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n,) or (n, p)
-            One per row.
-        gap : int
-            Samples of NaN between records.
+        Between records there are ``gap`` samples of NaN.
         """
         if len(self) == 0:
             return np.asarray(values, dtype=float)
@@ -93,51 +74,26 @@ class Regression:
 def columns(record: Record, orders: Orders) -> np.ndarray:
     """The regression vectors of every sample of a record, NaN where they are not whole.
 
-    Returns
-    -------
-    ndarray, shape (n, na + nb)
-        ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7).
+    ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7), shape (n, na + nb).
     """
-    n = len(record)
-    result = np.full((n, orders.na + orders.nb), np.nan)
-    for i in range(orders.na):
-        result[i + 1 :, i] = -record.output[: max(n - i - 1, 0)]
-    for j in range(orders.nb):
-        lag = orders.nk + j
-        result[lag:, orders.na + j] = record.source[: max(n - lag, 0)]
-    return result
+    past = [-lagged(record.output, i) for i in range(1, orders.na + 1)]
+    return np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
 
 
-def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> Regression:
-    """Every whole row of several records.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        All at the same rate.
-    orders : Orders
-        C plays no part.
-    skip : int
-        Leave out the first ``skip`` samples of each record even where a row exists (so that
-        models of different order see the same rows).
-    """
-    rows, outputs, number, sample = [], [], [], []
+def regression(records: Sequence[Record], orders: Orders) -> Regression:
+    """Every whole row of several records of one rate; C plays no part."""
+    none = np.empty(0, dtype=int)
+    rows, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
     possible = 0
     for i, record in enumerate(records):
         h = columns(record, orders)
         whole = np.isfinite(record.output) & np.isfinite(h).all(axis=1)
-        whole[:skip] = False
         k = np.flatnonzero(whole)
-        possible += max(len(record) - max(orders.lag, skip), 0)
+        possible += max(len(record) - orders.lag, 0)
         rows.append(h[k])
         outputs.append(record.output[k])
         number.append(np.full(len(k), i))
         sample.append(k)
-    if not rows:
-        empty = np.empty(0, dtype=int)
-        return Regression(
-            np.empty((0, orders.na + orders.nb)), np.empty(0), empty, empty, empty.astype(bool), 0
-        )
     record_of, samples = np.concatenate(number), np.concatenate(sample)
     fresh = np.ones(len(samples), dtype=bool)
     fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
@@ -146,39 +102,35 @@ def regression(records: Sequence[Record], orders: Orders, *, skip: int = 0) -> R
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Which parameters the regression determines.
+    """Which parameters a regression determines.
 
     Attributes
     ----------
     determined : ndarray of bool, shape (p,)
-    rank : int
-        Number of determined directions.
-    input_rank : int
-        Number of directions the input columns alone excite: the order of excitation.
+    rank, input_rank : int
+        Number of determined directions, and of those that the input columns alone excite (the order of
+        excitation).
     condition : float
-        Condition number of the regression with columns scaled to length one.
+        Condition number of the determined part with columns scaled to length one.
+    factor : ndarray, shape (p, p)
+        R of the scaled regression's QR factors.
     """
 
     determined: np.ndarray
     rank: int
-    input_rank: int
     condition: float
+    factor: np.ndarray
+    input_rank: int = 0
 
 
-def identifiability(
-    data: Regression, orders: Orders, quanta: tuple[float, float] = (0.0, 0.0)
-) -> Identifiability:
-    """Find the directions in which the data say nothing.
+def directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
+    """Find the directions in which a regression says nothing.
 
     Parameters
     ----------
-    data : Regression
-        The rows of A and B.
-    orders : Orders
-        What the columns stand for.
-    quanta : (float, float)
-        Rounding step of input and output as they were logged. A direction in which the
-        regression holds no more than rounding is not determined by it.
+    rows : ndarray, shape (n, p)
+    steps : ndarray, shape (p,)
+        Rounding step of each column as it was logged.
 
     Notes
     -----
@@ -187,10 +139,34 @@ def identifiability(
     empty when its singular value is below three times the length of that in its direction,
     and below :data:`ROUNDING_LIMIT` of the largest: a well-conditioned regression is never empty.
     """
+    n, p = rows.shape
+    scale = _lengths(rows)
+    factor = np.asarray(np.linalg.qr(rows / scale, mode="r"))
+    _, singular, vectors = np.linalg.svd(factor, full_matrices=True)
+    singular = np.append(singular, np.zeros(p - len(singular)))
+    largest = max(singular[0], 1e-300)
+    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
+    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
+    # A parameter is undetermined when an empty direction has a real part of it.
+    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
+    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
+    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
+    return Identifiability(share < 1e-3, int(np.count_nonzero(~empty)), condition, factor)
+
+
+def _lengths(rows: np.ndarray) -> np.ndarray:
+    """Lengths of the columns, 1 for those of zeros."""
+    length = np.linalg.norm(rows, axis=0)
+    return np.where(length > 0, length, 1.0)
+
+
+def identifiability(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
+    """What the rows of A and B determine; of C, all. ``quanta``: rounding step of input and output."""
     steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
-    determined, rank, condition = directions(data.rows, steps)
-    _, input_rank, _ = directions(data.rows[:, orders.na :], steps[orders.na :])
-    return Identifiability(np.append(determined, np.ones(orders.nc, dtype=bool)), rank, input_rank, condition)
+    both = directions(data.rows, steps)
+    inputs = directions(data.rows[:, orders.na :], steps[orders.na :])
+    determined = np.append(both.determined, np.ones(orders.nc, dtype=bool))
+    return replace(both, determined=determined, input_rank=inputs.rank)
 
 
 def without_indistinct(
@@ -208,22 +184,10 @@ def without_indistinct(
     is nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error alone moves
     the prediction by more than the whole polynomial does; they are left out together when
     the standard error of any is above half its size. A coefficient that is known to be small stays.
-
-    Parameters
-    ----------
-    known : Identifiability
-        Of the regression.
-    data, orders
-        See :func:`identifiability`.
-    theta, stderr : ndarray, shape (p,)
-        The estimate.
-    noise_sd : float
-        Standard deviation of the one-step errors.
     """
     count = orders.na + orders.nb
+    inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
     length = np.linalg.norm(data.rows, axis=0)
-    scaled = data.rows / np.where(length > 0, length, 1.0)
-    inflation = np.sum(np.linalg.pinv(np.linalg.qr(scaled, mode="r")) ** 2, axis=1)
     determined = known.determined.copy()
     rank, input_rank = known.rank, known.input_rank
     for block in (slice(0, orders.na), slice(orders.na, count)):
@@ -233,7 +197,8 @@ def without_indistinct(
         if not np.any(stderr[block][lost] > 0.5 * np.abs(theta[block][lost])):
             continue
         determined[block] &= ~lost
-        singular = np.linalg.svd(np.linalg.qr(scaled[:, block], mode="r"), compute_uv=False)
+        scaled = data.rows[:, block] / _lengths(data.rows[:, block])
+        singular = np.linalg.svd(np.linalg.qr(scaled, mode="r"), compute_uv=False)
         empty = int(np.clip(np.count_nonzero(noise_sd > effect * singular), 1, len(singular) - 1))
         rank = min(rank, count - max(empty, 1))
         if block.stop == count:
@@ -241,35 +206,12 @@ def without_indistinct(
     return replace(known, determined=determined, rank=rank, input_rank=input_rank)
 
 
-def directions(rows: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int, float]:
-    """Which columns are determined, the rank, and the condition of the determined part.
-
-    ``steps`` is the rounding step of each column, shape (p,).
-    """
-    n, p = rows.shape
-    if p == 0:
-        return np.ones(0, dtype=bool), 0, 1.0
-    length = np.linalg.norm(rows, axis=0)
-    scale = np.where(length > 0, length, 1.0)
-    _, singular, vectors = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"), full_matrices=True)
-    singular = np.append(singular, np.zeros(p - len(singular)))
-    largest = max(singular[0], 1e-300)
-    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
-    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
-    # A parameter is undetermined when an empty direction has a real part of it.
-    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
-    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
-    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
-    return share < 1e-3, int(np.count_nonzero(~empty)), condition
-
-
 @dataclass(frozen=True)
-class Estimate:
+class ArxEstimate:
     """A fitted model.
 
     Attributes
     ----------
-    orders : Orders
     theta, stderr : ndarray, shape (p,)
         Coefficients and standard errors; NaN for a parameter the data do not determine.
     covariance : ndarray, shape (p, p)
@@ -277,9 +219,6 @@ class Estimate:
         Standard deviation of e.
     residuals : ndarray, shape (n,)
         One-step errors of the final model at every row, z - h' theta.
-    data : Regression
-    recursion : recursive.Recursion
-    determined : Identifiability
     whiteness : residual_tests.TestResult
         Of the one-step errors (with forgetting: of the recursion's innovations).
     robust : bool
@@ -342,7 +281,7 @@ def estimate(
     forgetting: float = 1.0,
     prior_scale: float = recursive.PRIOR_SCALE,
     stride: int = 1,
-) -> Estimate:
+) -> ArxEstimate:
     """Fit a model to one or several records.
 
     Parameters
@@ -350,15 +289,9 @@ def estimate(
     records : sequence of Record
         All at the same rate, working point removed where there is one
         (:mod:`swimid.blackbox.working_point`).
-    orders : Orders
-        Of A, B and C.
     weight, forgetting, prior_scale, stride
         See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs
         through the records one after the other.
-
-    Returns
-    -------
-    Estimate
 
     Raises
     ------
@@ -380,7 +313,7 @@ def estimate(
     """
     data = regression(records, orders)
     check_enough(data, orders)
-    quanta = (_quantum(records, "source"), _quantum(records, "output"))
+    quanta = (max(rounding(r.source) for r in records), max(rounding(r.output) for r in records))
     known = identifiability(data, orders, quanta)
     _check_determined(known, orders)
     padded = np.hstack((data.rows, np.zeros((len(data), orders.nc))))
@@ -417,13 +350,9 @@ def estimate(
     known = without_indistinct(known, data, orders, theta, stderr, noise_sd)
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
-    return Estimate(
+    return ArxEstimate(
         orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
     )
-
-
-def _quantum(records: Sequence[Record], field: str) -> float:
-    return max((rounding(getattr(record, field)) for record in records), default=0.0)
 
 
 def _check_determined(known: Identifiability, orders: Orders) -> None:

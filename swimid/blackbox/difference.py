@@ -11,7 +11,9 @@ with a delay and a noise polynomial added.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -27,14 +29,12 @@ RUNAWAY = 100.0
 
 @dataclass(frozen=True)
 class Record:
-    """Input and output on one grid of constant rate.
+    """Input u and output y on one grid of constant rate, from the log ``name``.
 
     Attributes
     ----------
-    name : str
-        The log it came from.
     time_s, source, output : ndarray, shape (n,)
-        Time, u and y; NaN in u or y where the sample is missing.
+        NaN in u or y where the sample is missing.
     """
 
     name: str
@@ -48,15 +48,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of the model.
-
-    Attributes
-    ----------
-    na, nb, nc : int
-        Number of coefficients of A, B and C.
-    nk : int
-        Delay of b1, samples.
-    """
+    """Numbers of coefficients of A, B and C, and the delay of b1 in samples."""
 
     na: int
     nb: int
@@ -119,6 +111,11 @@ class Pole:
         """Whether it lies on or outside the unit circle."""
         return self.magnitude >= 1.0
 
+    @property
+    def state(self) -> Literal["stable", "integrating", "unstable"]:
+        """What it makes of a free run."""
+        return "unstable" if self.unstable else "integrating" if self.integrating else "stable"
+
 
 def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
     """Roots of A, largest first, with the standard error of their modulus.
@@ -129,8 +126,7 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
         a1 .. ana.
     covariance : ndarray, shape (na, na), or None
         Of a.
-    sample_time_s : float
-        Sample time, s.
+    sample_time_s : float, s
 
     Notes
     -----
@@ -139,7 +135,7 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
     n = len(a)
     polynomial = np.concatenate(([1.0], a))
     result = []
-    for z in np.roots(polynomial) if n else []:
+    for z in np.roots(polynomial):
         stderr = np.nan
         slope = np.polyval(np.polyder(polynomial), z)
         if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
@@ -161,12 +157,8 @@ def free_run(
 
     Parameters
     ----------
-    a : ndarray, shape (na,)
-        a1 .. ana of A = 1 + a1 z^-1 + ...
-    b : ndarray, shape (nb,)
-        b1 .. bnb of B = b1 z^-delay + b2 z^-(delay+1) + ...
-    delay : int
-        nk, samples.
+    a, b : ndarray, shape (na,) and (nb,)
+        a1 .. ana and b1 .. bnb; the delay of b1 is ``delay`` samples.
     source : ndarray, shape (n,)
         u, NaN where missing.
     measured : ndarray, shape (n,)
@@ -216,6 +208,11 @@ def free_run(
     return result
 
 
+def lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    """A series so many samples later: NaN first."""
+    return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
+
+
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Free run over a record from its first ``na`` outputs, shape (n,).
 
@@ -226,9 +223,26 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     span = float(np.ptp(values)) if len(values) else 0.0
     # Without a range (a start from rest) only overflow is kept away.
     limit = float(np.max(np.abs(values))) + RUNAWAY * span if span > 0 else 1e150
-    return free_run(
-        np.ascontiguousarray(a), np.ascontiguousarray(b), orders.nk, record.source, record.output, limit
-    )
+    return free_run(a, b, orders.nk, record.source, record.output, limit)
+
+
+def simulate_all(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measured outputs and free runs of several records, one after the other."""
+    runs = [simulate(r, orders, theta) for r in records]
+    return np.concatenate([r.output for r in records]), np.concatenate(runs)
+
+
+def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
+    """The level of least squared error, of runs at level 0 and at level 1; 0 where none can tell.
+
+    The free run is linear in its initial samples, so that with level L it is ``run + L (raised - run)``.
+    """
+    slope, error = raised - run, measured - run
+    use = np.isfinite(slope) & np.isfinite(error)
+    weight = float(np.sum(slope[use] ** 2))
+    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
 
 
 def warm_up() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -41,28 +40,21 @@ def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) ->
 
 
 def _verdict(m: Identified) -> Verdict:
-    unstable = any(p.unstable for p in m.poles)
     diverged = m.fit_scores.diverged or any(s.diverged for s in m.scores.values())
-    held = [s.free_run.fit_percent for s in m.scores.values()]
-    if unstable or diverged:
-        return Verdict(
-            level="bad",
-            text="The model is unstable or its free run diverges: it predicts, but it cannot be simulated.",
-        )
-    if not held:
-        return Verdict(
-            level="caution",
-            text="No held-out data: nothing shows how the model does on data it has not seen.",
-        )
-    worst = min(held)
+    if m.stability == "unstable" or diverged:
+        text = "The model is unstable or its free run diverges: it predicts, but it cannot be simulated."
+        return Verdict(level="bad", text=text)
+    if not m.scores:
+        text = "No held-out data: nothing shows how the model does on data it has not seen."
+        return Verdict(level="caution", text=text)
+    worst = min(s.free_run.fit_percent for s in m.scores.values())
     if worst < 0:
-        return Verdict(
-            level="bad", text=f"On held-out data the free run is worse than the mean ({worst:.1f} % fit)."
-        )
+        text = f"On held-out data the free run is worse than the mean ({worst:.1f} % fit)."
+        return Verdict(level="bad", text=text)
     reasons = []
-    if any(p.integrating for p in m.poles):
+    if m.stability == "integrating":
         reasons.append("it integrates, so that a free run drifts")
-    if not m.tests.white.passed:
+    if not m.estimate.whiteness.passed:
         reasons.append("its residuals are not white, so that the coefficients are biased")
     if not np.isfinite(m.estimate.stderr).all():
         reasons.append("the data do not determine every coefficient")
@@ -77,16 +69,14 @@ def _checks(m: Identified) -> list[Check]:
     checks = []
     if m.poles:
         largest = m.poles[0]
-        verdicts: dict[str, Literal["pass", "warn", "fail"]]
-        verdicts = {"stable": "pass", "integrating": "warn", "unstable": "fail"}
-        state = "unstable" if largest.unstable else "integrating" if largest.integrating else "stable"
         checks.append(
-            Check(
-                name="largest pole",
-                value=f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
-                limit="below 1",
-                verdict=verdicts[state],
-                text=state,
+            blocks.check(
+                "largest pole",
+                f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
+                "below 1",
+                largest.state == "stable",
+                otherwise="fail" if largest.unstable else "warn",
+                text=largest.state,
             )
         )
     for name, s in m.scores.items():
@@ -100,7 +90,7 @@ def _checks(m: Identified) -> list[Check]:
                 otherwise="fail",
             )
         )
-    white, independent, known = m.tests.white, m.tests.independent, m.estimate.determined
+    white, independent, known = m.estimate.whiteness, m.independent, m.estimate.determined
     rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
     lost = m.estimate.data.possible - len(m.estimate.data)
     return [
@@ -134,14 +124,22 @@ def _p(value: float) -> str:
 
 
 def _errors(m: Identified) -> Table:
-    rows: list[list[str | float | int | bool | None]] = []
+    rows: list[dict[str, blocks.Cell]] = []
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        lines = [("one step", s.one_step), (f"{m.options.horizon} steps", s.k_step), ("free run", s.free_run)]
+        lines = {"one step": s.one_step, f"{m.options.horizon} steps": s.k_step, "free run": s.free_run}
         if s.strict is not None:
-            lines.append(("free run, predicted level", s.strict))
-        for kind, q in lines:
-            errors = (_finite(q.fit_percent), _finite(q.rmse), numbers.percent(q.nrmse))
-            rows.append([name, kind, *errors, q.samples])
+            lines["free run, predicted level"] = s.strict
+        for kind, q in lines.items():
+            rows.append(
+                {
+                    "data": name,
+                    "prediction": kind,
+                    "fit (%)": _finite(q.fit_percent),
+                    m.data.columns.rmse_title: _finite(q.rmse),
+                    "NRMSE (of the range)": numbers.percent(q.nrmse),
+                    "samples": q.samples,
+                }
+            )
     caption = (
         "A simulation model must be judged by its free run: one-step errors are small for almost any model."
     )
@@ -150,35 +148,24 @@ def _errors(m: Identified) -> Table:
             " The working point was removed: held-out data are judged about a level of their own, and "
             "the free run beside it at the level the fitted part predicts."
         )
-    unit = numbers.unit_text(m.data.columns.units[1])
-    rmse = f"RMSE ({unit})" if unit else "RMSE"
-    return Table(
-        id="errors",
-        title="Errors on fitted and held-out data",
-        columns=["data", "prediction", "fit (%)", rmse, "NRMSE (of the range)", "samples"],
-        rows=rows,
-        caption=caption,
-    )
+    return blocks.table("errors", "Errors on fitted and held-out data", rows, caption)
 
 
 def _poles(m: Identified) -> Table:
-    rows: list[list[str | float | int | bool | None]] = [
-        [
+    columns = ["z", "|z|", "natural frequency (Hz)", "damping ratio", "verdict"]
+    rows = [
+        (
             _complex(p.value),
             numbers.measured(p.magnitude, p.stderr),
             _finite(p.frequency_hz),
             _finite(p.damping_ratio),
-            "unstable" if p.unstable else "integrating" if p.integrating else "stable",
-        ]
+            p.state,
+        )
         for p in m.poles
     ]
-    return Table(
-        id="modes",
-        title="What the poles mean in time",
-        columns=["z", "|z|", "natural frequency (Hz)", "damping ratio", "verdict"],
-        rows=rows,
-        caption="Standard errors by the delta method from the covariance of a1, a2, ...",
-    )
+    caption = "Standard errors by the delta method from the covariance of a1, a2, ..."
+    named = [dict(zip(columns, row, strict=True)) for row in rows]
+    return blocks.table("modes", "What the poles mean in time", named, caption, columns)
 
 
 def _complex(z: complex) -> str:
@@ -219,26 +206,20 @@ def _methods(m: Identified) -> list[str]:
         "weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with weight "
         f"{m.options.weight:g}, P(0) = ({m.options.prior_scale:g})² I and zero initial parameters."
     ]
+    decay = f"Old samples were discounted exponentially with the factor {m.options.forgetting:g} per sample."
+    gauss = "From the extended recursion's result the one-step error was minimised by Gauss-Newton steps."
     if m.options.forgetting < 1:
-        text.append(
-            f"Old samples were discounted exponentially with the factor {m.options.forgetting:g} per sample."
-        )
+        text.append(decay)
     elif m.options.weight != 1:
         text.append("The weight is constant, so that it rescales P(0) and discounts nothing.")
     if o.nc:
-        text.append(
-            "From the extended recursion's result the one-step error was minimised by Gauss-Newton steps."
-        )
+        text.append(gauss)
     if m.point.removed:
         text.append("The means of the fitted part were removed from input and output first.")
+    sandwich, plain = "of the sandwich form for correlated", "those of least squares with white"
     text.append(
-        "Standard errors are "
-        + (
-            "of the sandwich form for correlated residuals."
-            if m.estimate.robust
-            else "those of least squares with white residuals."
-        )
-        + " Residual whiteness was tested after Ljung and Box (1978)."
+        f"Standard errors are {sandwich if m.estimate.robust else plain} residuals. Residual whiteness was "
+        "tested after Ljung and Box (1978)."
     )
     return text
 

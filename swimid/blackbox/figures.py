@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +11,10 @@ from swimid.blackbox import difference, prediction
 from swimid.blackbox.difference import Record
 from swimid.blackbox.identified import Identified
 from swimid.blackbox.model import to_control
+from swimid.blackbox.order import Candidate
+from swimid.fitting import residual_tests as rt
 from swimid.results import blocks, numbers
-from swimid.results.evidence import Figure, Mark, Panel, Span, Trace, thinned
+from swimid.results.evidence import Figure, Mark, Span, Trace, thinned
 from swimid.results.parameters import ParameterFile
 
 
@@ -35,37 +38,26 @@ def _measured(m: Identified) -> list[Figure]:
     title = numbers.column_title(m.data.columns.output)
     for number, (name, records) in enumerate(sets.items(), start=1):
         time, measured, one, run = _joined(records, m, m.scores[name].level if name in m.scores else 0.0)
-        top = Panel(
-            x_label="t (s)",
-            y_label=title,
-            title=name,
-            traces=[
-                Trace(x=time, y=measured, label="measured", group=0),
-                Trace(x=time, y=one, label="one step ahead", style="dashed", group=1),
-                Trace(x=time, y=run, label="free run", group=2),
-            ],
-        )
-        below = Panel(
-            x_label="t (s)",
-            y_label=f"error, {title}",
-            traces=[
-                Trace(x=time, y=measured - one, label="one step ahead", style="dashed", group=1),
-                Trace(x=time, y=measured - run, label="free run", group=2),
-            ],
-            marks=[Mark(at=0.0)],
-        )
-        for panel in (top, below):
-            for trace in panel.traces:
-                x, y = thinned(time, np.array([np.nan if v is None else v for v in trace.y], dtype=float))
-                trace.x, trace.y = x.tolist(), [v if math.isfinite(v) else None for v in y.tolist()]
+
+        def curve(y: np.ndarray, time: np.ndarray = time, **look: Any) -> Trace:
+            x, shown = thinned(time, np.where(np.isfinite(y), y, np.nan))
+            return Trace(x=x, y=shown, **look)
+
+        one_step: dict[str, Any] = {"label": "one step ahead", "style": "dashed", "group": 1}
+        free_run: dict[str, Any] = {"label": "free run", "group": 2}
+        curves = [curve(measured, label="measured", group=0), curve(one, **one_step), curve(run, **free_run)]
+        errors = [curve(measured - one, **one_step), curve(measured - run, **free_run)]
         figures.append(
-            Figure(
-                id=f"free-run-{number}",
-                title=f"Measured, predicted and simulated: {name}",
-                caption="The free run sees the input only, after its first samples. A good model's free "
-                "run stays on "
+            blocks.panels(
+                f"free-run-{number}",
+                f"Measured, predicted and simulated: {name}",
+                "The free run sees the input only, after its first samples. A good model's free run stays on "
                 "the measurement, and its error shows neither drift nor the beat.",
-                panels=[top, below],
+                [
+                    blocks.panel("t (s)", title, curves, title=name),
+                    blocks.panel("t (s)", f"error, {title}", errors, marks=[Mark(at=0.0)]),
+                ],
+                columns=1,
             )
         )
     return figures
@@ -75,21 +67,18 @@ def _joined(
     records: list[Record], m: Identified, shift: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time, output, one-step prediction and free run of a set of records, with breaks between them."""
-    parts: list[list[np.ndarray]] = [[], [], [], []]
+    parts: list[np.ndarray] = []
     end = 0.0
     for k, record in enumerate(records):
         one = prediction.predict(record, m.estimate.orders, m.estimate.theta)
         run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
-        delay = 0.0 if k == 0 or record.time_s[0] >= end else end + m.data.sample_time_s - record.time_s[0]
-        time = record.time_s + delay
+        late = k > 0 and record.time_s[0] < end
+        time = record.time_s + (end + m.data.sample_time_s - record.time_s[0] if late else 0.0)
         if k:
-            for part in parts:
-                part.append(np.array([np.nan]))
-            parts[0][-1] = np.array([end])
-        for part, values in zip(parts, (time, record.output, one, run), strict=True):
-            part.append(values)
+            parts.append(np.array([[end], [np.nan], [np.nan], [np.nan]]))
+        parts.append(np.array([time, record.output, one, run]))
         end = float(time[-1])
-    time, *rest = (np.concatenate(part) for part in parts)
+    time, *rest = np.hstack(parts)
     return (time, *(values + m.point.output + shift for values in rest))  # type: ignore[return-value]
 
 
@@ -99,14 +88,13 @@ def _horizon(m: Identified) -> Figure:
         x, y = [h * m.data.sample_time_s for h, _ in s.horizons], [e for _, e in s.horizons]
         traces.append(Trace(x=x, y=y, label=name, group=group))
         traces.append(Trace(x=x, y=y, style="points", group=group))
-    unit = numbers.unit_text(m.data.columns.units[1])
     return blocks.figure(
         "horizon",
         "Error over the prediction horizon",
         "How fast a prediction loses the measurement it started from. A stable model levels off; an "
         "integrating one keeps growing.",
         "horizon (s)",
-        f"RMSE ({unit})" if unit else "RMSE",
+        m.data.columns.rmse_title,
         traces,
         x_scale="log",
     )
@@ -123,41 +111,32 @@ def _trajectories(m: Identified) -> Figure:
     panels = []
     for i, name in enumerate(orders.names):
         value, spread = run.thetas[shown, i], 1.96 * scale * run.spreads[shown, i]
-        panels.append(
-            Panel(
-                x_label="t (s)" if single else "row",
-                y_label=name,
-                traces=[
-                    blocks.band(x[shown], value, spread, label="" if i else "estimate, 95 % band", group=0)
-                ],
-                marks=[Mark(at=float(m.estimate.theta[i]), label="final" if i == 0 else "")],
-            )
-        )
-    return Figure(
-        id="trajectories",
-        title="Parameters as the recursion proceeds",
-        caption="A good run settles well before the end and stays inside its band. Steps late in the run "
-        "mean that the "
-        "robot, or its working point, changed. The band takes the residuals as white.",
-        panels=panels,
-        columns=2,
+        estimate = blocks.band(x[shown], value, spread, label="" if i else "estimate, 95 % band", group=0)
+        final = Mark(at=float(m.estimate.theta[i]), label="" if i else "final")
+        panels.append(blocks.panel("t (s)" if single else "row", name, [estimate], marks=[final]))
+    return blocks.panels(
+        "trajectories",
+        "Parameters as the recursion proceeds",
+        "A good run settles well before the end and stays inside its band. Steps late in the run mean that "
+        "the robot, or its working point, changed. The band takes the residuals as white.",
+        panels,
     )
 
 
 def _residuals(m: Identified) -> Figure:
-    return Figure(
-        id="residuals",
-        title="What the one-step residuals still hold",
-        caption="Autocorrelation, and correlation with the input at earlier (positive) and later "
-        "(negative lag) "
-        "samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders or delay "
-        "are wrong. At "
-        "negative lags: the input reacts to the output.",
-        panels=[
-            blocks.correlogram(m.tests.autocorrelation, "autocorrelation", "residuals", skip_zero=True),
-            blocks.correlogram(m.tests.cross, "correlation with the input", "residuals", skip_zero=False),
+    residuals, source, lags = m.residual_series
+    own = rt.autocorrelation(residuals, max_lag=lags)
+    cross = rt.cross_correlation(residuals, source, max_lag=lags)
+    return blocks.panels(
+        "residuals",
+        "What the one-step residuals still hold",
+        "Autocorrelation, and correlation with the input at earlier (positive) and later (negative lag) "
+        "samples. Good: 19 of 20 bars inside the band. Bars outside at positive lags: orders or delay are "
+        "wrong. At negative lags: the input reacts to the output.",
+        [
+            blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True),
+            blocks.correlogram(cross, "correlation with the input", "residuals", skip_zero=False),
         ],
-        columns=2,
     )
 
 
@@ -168,13 +147,7 @@ def _pole_map(m: Identified) -> Figure:
     near = zeros[np.abs(zeros) <= 3]
     traces = [
         Trace(x=np.cos(angle), y=np.sin(angle), label="unit circle", style="dashed", group=1),
-        Trace(
-            x=[p.value.real for p in m.poles],
-            y=[p.value.imag for p in m.poles],
-            label="poles",
-            style="points",
-            group=0,
-        ),
+        blocks.points(m.poles, lambda p: p.value.real, lambda p: p.value.imag, label="poles", group=0),
     ]
     if len(near):
         traces.append(Trace(x=near.real, y=near.imag, label="zeros", style="points", group=2))
@@ -201,40 +174,26 @@ def _bode(m: Identified, file: ParameterFile) -> Figure:
     response = control.frequency_response(system, omega)
     gain = np.atleast_1d(np.squeeze(np.abs(response.complex)))
     phase = np.unwrap(np.atleast_1d(np.squeeze(np.angle(response.complex))))
-    covariance = m.estimate.covariance
     log_gain, phase_sd = prediction.response_spread(
-        m.estimate.orders, m.estimate.theta, covariance, m.data.sample_time_s, omega
+        m.estimate.orders, m.estimate.theta, m.estimate.covariance, m.data.sample_time_s, omega
     )
     hertz = omega / (2 * np.pi)
-    spans = _excited(m)
-    u, y = (numbers.unit_text(unit) or "1" for unit in m.data.columns.units)
     factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
     low, high = np.degrees(phase - half), np.degrees(phase + half)
-    return Figure(
-        id="bode",
-        title="Frequency response",
-        caption="Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the "
-        "data speak; "
+    axis: dict[str, Any] = {"x_scale": "log", "spans": _excited(m)}
+    gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, label="model", group=0)
+    phases = Trace(x=hertz, y=np.degrees(phase), lower=low, upper=high, group=0)
+    gain_title = f"gain ({m.data.columns.gain_title})"
+    return blocks.panels(
+        "bode",
+        "Frequency response",
+        "Gain and phase of B / A with 95 % bands. Only where the input has power (shaded) do the data speak; "
         "elsewhere the curve is an extrapolation.",
-        panels=[
-            Panel(
-                x_label="frequency (Hz)",
-                y_label=f"gain ({y} per {u})",
-                x_scale="log",
-                y_scale="log",
-                traces=[
-                    Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, label="model", group=0)
-                ],
-                spans=spans,
-            ),
-            Panel(
-                x_label="frequency (Hz)",
-                y_label="phase (deg)",
-                x_scale="log",
-                traces=[Trace(x=hertz, y=np.degrees(phase), lower=low, upper=high, group=0)],
-                spans=spans,
-            ),
+        [
+            blocks.panel("frequency (Hz)", gain_title, [gains], y_scale="log", **axis),
+            blocks.panel("frequency (Hz)", "phase (deg)", [phases], **axis),
         ],
+        columns=1,
     )
 
 
@@ -264,14 +223,13 @@ def _step(m: Identified, file: ParameterFile) -> Figure:
     )
     time = np.arange(count + 1) * m.data.sample_time_s
     answer = control.step_response(to_control(file), time)
-    u, y = (numbers.unit_text(unit) or "1" for unit in m.data.columns.units)
     return blocks.figure(
         "step",
         "Step response",
         "The output after the input steps from 0 to 1. A stable model settles at its static gain; an "
         "integrating one climbs on, an unstable one runs away.",
         "t (s)",
-        f"output ({y} per {u})",
+        f"output ({m.data.columns.gain_title})",
         [Trace(x=time, y=np.atleast_1d(np.squeeze(answer.outputs)), style="step", group=0)],
     )
 
@@ -279,43 +237,29 @@ def _step(m: Identified, file: ParameterFile) -> Figure:
 def _order_figure(m: Identified) -> list[Figure]:
     if not m.candidates:
         return []
-    best: dict[int, dict[str, float]] = {}
-    for c in m.candidates:
-        entry = best.setdefault(c.orders.count, {"aic": math.inf, "bic": math.inf, "fit": -math.inf})
-        entry["aic"], entry["bic"] = min(entry["aic"], float(c.aic)), min(entry["bic"], float(c.bic))
-        entry["fit"] = max(entry["fit"], float(c.free_run_fit))
-    counts = sorted(best)
-    for name in ("aic", "bic"):
-        least = min(entry[name] for entry in best.values())
-        for entry in best.values():
-            entry[name] -= least
-    x = [float(n) for n in counts]
+    sizes: dict[int, list[Candidate]] = {}
+    for c in sorted(m.candidates, key=lambda c: c.orders.count):
+        sizes.setdefault(c.orders.count, []).append(c)
+    x = [float(size) for size in sizes]
+
+    def criterion(name: str, **look: Any) -> Trace:
+        least = [min(float(getattr(c, name)) for c in same) for same in sizes.values()]
+        return Trace(x=x, y=[value - min(least) for value in least], label=name.upper(), **look)
+
+    fits = [max(float(c.free_run_fit) for c in same) for same in sizes.values()]
     chosen = Mark(at=float(m.estimate.orders.na + m.estimate.orders.nb), axis="x", label="chosen")
     where = "held-out data" if m.scores else "the fitted data"
+    criteria = [criterion("bic", group=0), criterion("aic", style="dashed", group=1)]
+    gained = f"free-run fit on {where} (%)"
     return [
-        Figure(
-            id="order-choice",
-            title="Choice of the order",
-            caption="The best model of each size. The criteria fall while parameters earn their place "
-            "and rise after; "
-            "where the free run stops gaining, more parameters only describe noise.",
-            panels=[
-                Panel(
-                    x_label="parameters",
-                    y_label="criterion above its least",
-                    traces=[
-                        Trace(x=x, y=[best[n]["bic"] for n in counts], label="BIC", group=0),
-                        Trace(x=x, y=[best[n]["aic"] for n in counts], label="AIC", style="dashed", group=1),
-                    ],
-                    marks=[chosen],
-                ),
-                Panel(
-                    x_label="parameters",
-                    y_label=f"free-run fit on {where} (%)",
-                    traces=[Trace(x=x, y=[best[n]["fit"] for n in counts], group=0)],
-                    marks=[chosen],
-                ),
+        blocks.panels(
+            "order-choice",
+            "Choice of the order",
+            "The best model of each size. The criteria fall while parameters earn their place and rise "
+            "after; where the free run stops gaining, more parameters only describe noise.",
+            [
+                blocks.panel("parameters", "criterion above its least", criteria, marks=[chosen]),
+                blocks.panel("parameters", gained, [Trace(x=x, y=fits, group=0)], marks=[chosen]),
             ],
-            columns=2,
         )
     ]

@@ -1,6 +1,6 @@
 """The ARX model as a model: simulated by free run, read from parameter files, given to python-control.
 
-Also the models the long-fin paper published (Tables II and III), ready to run.
+The models the long-fin paper published (Tables II and III) lie in ``published``, ready to run.
 """
 
 from __future__ import annotations
@@ -8,16 +8,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swimid.blackbox.difference import Orders, Record, poles, simulate
+from swimid.blackbox.difference import Orders, Record, best_level, simulate
 from swimid.errors import InputError
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.logs import sampling
-from swimid.results.parameters import Estimate, ParameterFile, Pole
+from swimid.results import parameters as parameters_format
+from swimid.results.parameters import ParameterFile
 
 if TYPE_CHECKING:
     import control
@@ -28,44 +30,17 @@ _PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
-#: Published models of the long-fin vehicle: a, b, sample time (s), output column, weight, place.
-_PUBLISHED: dict[str, tuple[tuple[float, ...], tuple[float, ...], float, str, float, str]] = {
-    "long-fin-marching-3-2": (
-        (-1.921, 1.069, -0.147),
-        (-2.278e-3, 2.695e-3),
-        0.02375,
-        "u_m_s",
-        0.93,
-        "Table II, m = 2, n = 3",
-    ),
-    "long-fin-marching-4-3": (
-        (-2.023, 1.489, -0.815, 0.350),
-        (1.140e-4, 2.881e-4, 6.670e-4),
-        0.02375,
-        "u_m_s",
-        0.95,
-        "Table II, m = 3, n = 4",
-    ),
-    "long-fin-rotating-4-3": (
-        (-0.462, -0.460, -0.162, 0.082),
-        (-4.467e-3, -6.193e-3, -6.410e-3),
-        0.0533,
-        "yaw_rate_rad_s",
-        0.95,
-        "Table III",
-    ),
-}
+#: Parameter files of the models of the long-fin vehicle that the paper published.
+PUBLISHED = Path(__file__).with_name("published")
 
 
-class Arma(Model):
+class ArxModel(Model):
     """A discrete-time model from one input column to one output column.
 
     Parameters
     ----------
     orders : Orders
         na, nb, nk; the noise polynomial plays no part in a simulation.
-    sample_time_s : float
-        Sample time, s.
     source, output : str
         Names of the input and the output column.
     source_level, output_level : float
@@ -118,7 +93,7 @@ class Arma(Model):
         self.channels = (Channel(output, unit, "output of the model"),)
 
     @classmethod
-    def from_file(cls, parameters: ParameterFile) -> Arma:
+    def from_file(cls, parameters: ParameterFile) -> ArxModel:
         """The model a parameter file holds.
 
         Raises
@@ -205,24 +180,19 @@ class Arma(Model):
             result[piece.rows[there]] = run[there] + self.output_level
         return {self.output: result}
 
-    def at_own_level(self, values: Array, trial: Trial) -> tuple[Arma, dict[str, float]]:
+    def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
         """A model of deviations from a working point, at the level this trial's output has.
 
         The run is linear in the level, so two runs give the one with the least squared error.
         """
         if not (self.output_level or self.source_level):
             return self, {}
-        runs = []
-        for level in (self.output_level, self.output_level + 1.0):
-            runs.append(self._at_level(level).simulate(values, trial)[self.output])
-        gain, left = runs[1] - runs[0], trial.measured[self.output] - runs[0]
-        there = np.isfinite(gain) & np.isfinite(left)
-        power = float(np.sum(gain[there] ** 2))
-        shift = float(np.sum(gain[there] * left[there])) / power if power > 0 else 0.0
-        level = self.output_level + shift
+        levels = (self.output_level, self.output_level + 1.0)
+        run, raised = (self._at_level(level).simulate(values, trial)[self.output] for level in levels)
+        level = self.output_level + best_level(trial.measured[self.output], run, raised)
         return self._at_level(level), {"output_level": level}
 
-    def _at_level(self, level: float) -> Arma:
+    def _at_level(self, level: float) -> ArxModel:
         moved = copy.copy(self)
         moved.output_level = level
         return moved
@@ -237,27 +207,17 @@ class Arma(Model):
         if hooks.command:
             column = hooks.actuated(time, self.input_of(trial, time))
             trial = replace(trial, inputs={**trial.inputs, self.source: column})
-        found = self.simulate(values, trial)
+        channels = self.simulate(values, trial)
         if hooks.clock_s:
-            run = found[self.output]
+            run = channels[self.output]
             there = np.isfinite(run)
             if there.any():
                 late = np.interp(time - hooks.clock_s, time[there], run[there])
-                found[self.output] = np.where(there, late, np.nan)
-        return hooks.seen(found, trial.time_s)
+                channels[self.output] = np.where(there, late, np.nan)
+        return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """The input of a trial: its column, or the sine where no column holds it.
-
-        Parameters
-        ----------
-        trial : Trial
-        time : ndarray, shape (n,), s
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            NaN where missing.
+        """The input of a trial at ``time`` (s), NaN where missing: its column, or the sine without one.
 
         Raises
         ------
@@ -301,18 +261,9 @@ def _orders(parameters: ParameterFile) -> Orders:
 
 
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
-    """The model as a discrete-time transfer function B / A of python-control.
+    """The model of a file of ``swimid rwls`` as a discrete-time transfer function B / A of python-control.
 
-    Parameters
-    ----------
-    parameters : ParameterFile
-        As ``swimid rwls`` writes it (:func:`swimid.results.parameters.read`).
-
-    Returns
-    -------
-    control.TransferFunction
-        In z, with ``dt`` the sample time. Between deviations from the working point, where one
-        was removed.
+    In z, with ``dt`` the sample time. Between deviations from the working point, where one was removed.
     """
     import control
 
@@ -328,44 +279,15 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 
 
 def published(name: str) -> ParameterFile:
-    """A model the long-fin paper published.
+    """A model the long-fin paper published, one of :func:`published_names`; it gives no uncertainties.
 
-    Parameters
-    ----------
-    name : str
-        One of :func:`published_names`. The paper gives no uncertainties.
-
-    Returns
-    -------
-    ParameterFile
-        With poles and stability computed here: the rotating model is unstable.
+    The rotating model is unstable.
     """
-    if name not in _PUBLISHED:
-        raise KeyError(f"no published model {name!r}; there are {', '.join(_PUBLISHED)}")
-    a, b, step, output, weight, place = _PUBLISHED[name]
-    orders = Orders(len(a), len(b))
-    found = poles(np.array(a), None, step)
-    settings: dict[str, Any] = {
-        "orders": {"na": orders.na, "nb": orders.nb, "nk": 1},
-        "input": "cmd1_rad",
-        "output": output,
-        "weight": weight,
-        "source": f"{_PAPER}, {place}",
-    }
-    return ParameterFile(
-        model=NAME,
-        robot="long-fin",
-        parameters={
-            n: Estimate(value=v, unit="1", status="fixed") for n, v in zip(orders.names, a + b, strict=True)
-        },
-        delay=1,
-        sample_time_s=step,
-        poles=[Pole(real=p.value.real, imag=p.value.imag, magnitude=p.magnitude) for p in found],
-        stable=not any(p.unstable for p in found),
-        settings=settings,
-    )
+    if name not in published_names():
+        raise KeyError(f"no published model {name!r}; there are {', '.join(published_names())}")
+    return parameters_format.read(PUBLISHED / f"{name}.yaml")
 
 
 def published_names() -> tuple[str, ...]:
     """Names :func:`published` knows."""
-    return tuple(_PUBLISHED)
+    return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))

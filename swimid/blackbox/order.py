@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from swimid.blackbox.arx import EXACT, check_enough, regression
-from swimid.blackbox.difference import Orders, Record, simulate
+from swimid.blackbox.difference import Orders, Record, simulate_all
 from swimid.blackbox.prediction import about_own_level
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting.metrics import Score, score
+from swimid.fitting.metrics import score
 from swimid.progress import Progress, silent
 
 
@@ -21,14 +22,12 @@ class Candidate:
 
     Attributes
     ----------
-    orders : Orders
     one_step_rmse : float
         On the rows all candidates share, unit of the output.
     aic, bic : float
         Akaike's and the Bayesian information criterion.
     free_run_fit : float
         Fit of the free run on held-out data, per cent; minus infinity when it runs away.
-    stable : bool
     """
 
     orders: Orders
@@ -37,6 +36,16 @@ class Candidate:
     bic: float
     free_run_fit: float
     stable: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the result as data."""
+        return {
+            **{name: getattr(self.orders, name) for name in ("na", "nb", "nk")},
+            "aic": float(self.aic),
+            "bic": float(self.bic),
+            "free_run_fit_percent": float(self.free_run_fit),
+            "stable": self.stable,
+        }
 
     def score(self, criterion: str) -> float:
         """What ``criterion`` ("bic", "aic" or "free-run") minimises."""
@@ -61,16 +70,8 @@ def search(
         The fit part.
     held_out : sequence of sequence of Record
         Sets on which the free run is judged; the fit part when empty.
-    max_na, max_nb, max_nk : int
-        The grid.
     level_removed : bool
         Judge the free run about each set's own level.
-    progress : Progress
-        Shows the models tried.
-
-    Returns
-    -------
-    list of Candidate
 
     Notes
     -----
@@ -91,7 +92,7 @@ def search(
         for nb in range(1, max_nb + 1)
         for nk in range(max_nk + 1)
     ]
-    found = []
+    candidates = []
     with progress("trying orders", total=len(grid)) as step:
         for orders in grid:
             chosen = [*range(orders.na), *range(max_na + orders.nk, max_na + orders.nk + orders.nb)]
@@ -100,10 +101,12 @@ def search(
             # Below rounding all fits are equal; without a floor noise-free data would
             # reward ever more parameters.
             fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
-            error, measured = _free_run(judged, orders, theta, level_removed)
-            complete = error.samples > 0.5 * measured
+            parts = [about_own_level(r, orders, theta)[0] if level_removed else r for r in judged]
+            measured, run = simulate_all([r for part in parts for r in part], orders, theta)
+            error = score(measured, run)
+            complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
             roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
-            found.append(
+            candidates.append(
                 Candidate(
                     orders,
                     float(np.sqrt(rss / n)),
@@ -114,20 +117,7 @@ def search(
                 )
             )
             step()
-    return found
-
-
-def _free_run(
-    sets: list[list[Record]], orders: Orders, theta: np.ndarray, level_removed: bool
-) -> tuple[Score, int]:
-    """Score of the free run over all sets, and the number of measured samples."""
-    measured, simulated = [], []
-    for records in sets:
-        part = about_own_level(records, orders, theta)[0] if level_removed else records
-        measured += [r.output for r in part]
-        simulated += [simulate(r, orders, theta) for r in part]
-    y = np.concatenate(measured)
-    return score(y, np.concatenate(simulated)), int(np.count_nonzero(np.isfinite(y)))
+    return candidates
 
 
 def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:

@@ -13,33 +13,22 @@ from typing import Any
 import numpy as np
 
 from swimid.blackbox import armax
-from swimid.blackbox.arx import Estimate, regression
-from swimid.blackbox.difference import Orders, Pole, Record, simulate
+from swimid.blackbox.arx import ArxEstimate, regression
+from swimid.blackbox.difference import Orders, Pole, Record, best_level, lagged, simulate, simulate_all
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
 
 
-def _lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    result = np.full(len(x), np.nan)
-    if lag < len(x):
-        result[lag:] = x[: len(x) - lag]
-    return result
-
-
 def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int) -> Iterator[np.ndarray]:
-    """Predictions 1, 2, .. ``steps`` samples ahead, one array after the other.
+    """Predictions 1, 2, .. ``steps`` samples ahead, one array of shape (n,) after the other.
 
-    The input is known throughout; the output only up to the sample the prediction is made at.
-
-    Yields
-    ------
-    ndarray, shape (n,)
-        The prediction of y(k) from what was measured until k - j; NaN where that is missing.
+    The input is known throughout; the output only up to the sample the prediction is made at, NaN where that
+    is missing.
     """
     a, b, c = orders.split(theta)
     driven = np.zeros(len(record))
     for j, value in enumerate(b):
-        driven = driven + value * _lagged(record.source, orders.nk + j)
+        driven = driven + value * lagged(record.source, orders.nk + j)
     errors = one_step_errors(record, orders, theta) if orders.nc else np.empty(0)
     # Before its first row a model with C knows no error; it takes zero, as the fit does.
     errors = np.nan_to_num(errors)
@@ -47,9 +36,9 @@ def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int
     for ahead in range(1, steps + 1):
         total = driven.copy()
         for i, value in enumerate(a, start=1):
-            total -= value * _lagged(done[ahead - i - 1] if ahead > i else record.output, i)
+            total -= value * lagged(done[ahead - i - 1] if ahead > i else record.output, i)
         for i in range(ahead, orders.nc + 1):
-            total += c[i - 1] * np.nan_to_num(_lagged(errors, i))
+            total += c[i - 1] * np.nan_to_num(lagged(errors, i))
         done.append(total)
         if ahead > orders.na:
             done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
@@ -58,20 +47,15 @@ def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int
 
 def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
     """The prediction ``steps`` samples ahead, shape (n,); see :func:`predictions`."""
-    result = np.full(len(record), np.nan)
-    for result in predictions(record, orders, theta, steps=steps):  # noqa: B007 - the last one is wanted
-        pass
-    return result
+    return list(predictions(record, orders, theta, steps=steps))[-1]
 
 
 def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """One-step errors on the record's samples, shape (n,); NaN where there is no whole row."""
     data = regression([record], orders)
+    errors, _ = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
     result = np.full(len(record), np.nan)
-    if len(data):
-        result[data.sample] = armax.errors_and_gradient(
-            theta, data.rows, data.outputs, data.fresh, orders.nc
-        )[0]
+    result[data.sample] = errors
     return result
 
 
@@ -80,25 +64,10 @@ def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> f
 
     For a model of deviations on data with a working point of their own: one number, so that
     ``y - level`` is simulated, initial samples included.
-
-    Returns
-    -------
-    float
-        Unit of the output; 0 where no free run can tell.
-
-    Notes
-    -----
-    The free run is linear in its initial samples, so that with level L it is
-    ``s_0 + L (s_1 - s_0)`` with s_0 the run at level 0 and s_1 at level 1: least squares in L.
     """
-    plain = [simulate(r, orders, theta) for r in records]
-    raised = [simulate(replace(r, output=r.output - 1.0), orders, theta) + 1.0 for r in records]
-    run, moved = np.concatenate(plain), np.concatenate(raised)
-    slope = moved - run
-    error = np.concatenate([r.output for r in records]) - run
-    use = np.isfinite(slope) & np.isfinite(error)
-    weight = float(np.sum(slope[use] ** 2))
-    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
+    measured, run = simulate_all(records, orders, theta)
+    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
+    return best_level(measured, run, raised + 1.0)
 
 
 def about_own_level(
@@ -109,32 +78,17 @@ def about_own_level(
     return [replace(r, output=r.output - level) for r in records], level
 
 
-def horizon_errors(
-    records: Sequence[Record], orders: Orders, theta: np.ndarray, horizons: Sequence[int]
-) -> list[Score]:
-    """Score of the prediction at several horizons, over all records together."""
-    predicted: dict[int, list[np.ndarray]] = {h: [] for h in horizons}
-    for record in records:
-        for ahead, values in enumerate(predictions(record, orders, theta, steps=max(horizons)), start=1):
-            if ahead in predicted:
-                predicted[ahead].append(values)
-    measured = np.concatenate([r.output for r in records])
-    return [score(measured, np.concatenate(predicted[h])) for h in horizons]
-
-
 @dataclass(frozen=True)
 class Scores:
     """Errors on one set of records.
 
     Attributes
     ----------
-    one_step, k_step, free_run : metrics.Score
     strict : metrics.Score or None
         The free run at the level the fitted part predicts, where all else is about the data's
         own level.
     level : float
         That own level less the predicted one, unit of the output.
-    diverged : bool
     horizons : list of (int, float)
         RMSE over the prediction horizon.
     """
@@ -160,7 +114,7 @@ class Scores:
         return block
 
 
-def _check_long(records: list[Record], estimate: Estimate) -> int:
+def _check_long(records: list[Record], estimate: ArxEstimate) -> int:
     """Length of the longest record, which the model's memory must fit into."""
     longest = max((len(r) for r in records), default=0)
     if longest <= estimate.orders.lag:
@@ -171,7 +125,7 @@ def _check_long(records: list[Record], estimate: Estimate) -> int:
     return longest
 
 
-def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int) -> Scores:
+def scores(records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
     """Errors one step ahead, ``horizon`` steps ahead and in free run.
 
     Raises
@@ -182,46 +136,37 @@ def scores(records: list[Record], estimate: Estimate, poles: list[Pole], horizon
     steps = sorted({1, 2, 5, 10, 20, 50, 100, horizon})
     longest = _check_long(records, estimate)
     steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
-    errors = horizon_errors(records, estimate.orders, estimate.theta, steps)
-    by_step = dict(zip(steps, errors, strict=True))
+    orders, theta = estimate.orders, estimate.theta
     measured = np.concatenate([r.output for r in records])
-    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
-    simulated = np.concatenate(runs)
-    free = score(measured, simulated)
-    at_risk = any(p.unstable or p.integrating for p in poles)
+    ahead = [
+        [y for k, y in enumerate(predictions(r, orders, theta, steps=steps[-1]), start=1) if k in steps]
+        for r in records
+    ]
+    by_step = {s: score(measured, np.concatenate(parts)) for s, *parts in zip(steps, *ahead, strict=True)}
+    runs = [simulate(r, orders, theta) for r in records]
+    free = score(measured, np.concatenate(runs))
+    at_risk = any(p.state != "stable" for p in poles)
     gave_up = any(
         np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
         for r, run in zip(records, runs, strict=True)
         if np.isfinite(run).any() and not np.isfinite(run[-1])
     )
     diverged = bool((gave_up and at_risk) or (at_risk and free.fit_percent < 0))
-    return Scores(
-        by_step[1],
-        by_step[horizon],
-        free,
-        None,
-        0.0,
-        diverged,
-        [(s, by_step[s].rmse) for s in steps],
-    )
+    rmse = [(s, by_step[s].rmse) for s in steps]
+    return Scores(by_step[1], by_step[horizon], free, None, 0.0, diverged, rmse)
 
 
-def pooled(sets: list[list[Record]], estimate: Estimate) -> Score:
-    """Free-run score over several sets of records together."""
-    records = [r for records in sets for r in records]
-    runs = [simulate(r, estimate.orders, estimate.theta) for r in records]
-    return score(np.concatenate([r.output for r in records]), np.concatenate(runs))
+def pooled(records: Sequence[Record], estimate: ArxEstimate) -> Score:
+    """Free-run score over several records together."""
+    return score(*simulate_all(records, estimate.orders, estimate.theta))
 
 
 def scores_about_own_level(
-    records: list[Record], estimate: Estimate, poles: list[Pole], horizon: int
+    records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int
 ) -> tuple[list[Record], Scores]:
     """Held-out records about their own level, with their errors there and at the predicted level."""
     _check_long(records, estimate)
-    strict = score(
-        np.concatenate([r.output for r in records]),
-        np.concatenate([simulate(r, estimate.orders, estimate.theta) for r in records]),
-    )
+    strict = pooled(records, estimate)
     moved, level = about_own_level(records, estimate.orders, estimate.theta)
     return moved, replace(scores(moved, estimate, poles, horizon), strict=strict, level=level)
 
@@ -233,14 +178,9 @@ def response_spread(
 
     Parameters
     ----------
-    orders : Orders
-        Of the model.
     theta, covariance : ndarray, shape (p,) and (p, p)
         Coefficients and their covariance.
-    sample_time_s : float
-        Sample time, s.
     omega_rad_s : ndarray, shape (m,)
-        Angular frequencies, rad/s.
 
     Returns
     -------

@@ -50,14 +50,10 @@ class Recursion:
         the estimate, where nothing was forgotten.
     innovations : ndarray, shape (n,)
         z(k) - h(k)' theta(k-1): the one-step error before the row was used.
-    residuals : ndarray, shape (n,)
-        z(k) - h(k)' theta(k): after it was used.
     kept : ndarray of int, shape (m,)
         Rows at which the trajectory was kept; the last row is always among them.
-    thetas : ndarray, shape (m, p)
-        Estimates after those rows.
-    spreads : ndarray, shape (m, p)
-        Square roots of the diagonal of P after those rows.
+    thetas, spreads : ndarray, shape (m, p)
+        Estimates and square roots of the diagonal of P after those rows.
     windup : int
         Number of rows after which a factor of P had to be held (see :data:`WINDUP`).
     """
@@ -65,7 +61,6 @@ class Recursion:
     theta: np.ndarray
     covariance: np.ndarray
     innovations: np.ndarray
-    residuals: np.ndarray
     kept: np.ndarray
     thetas: np.ndarray
     spreads: np.ndarray
@@ -79,12 +74,11 @@ def recursive_least_squares(
     weight: float = 1.0,
     forgetting: float = 1.0,
     prior_scale: float = PRIOR_SCALE,
-    start: np.ndarray | None = None,
     noise_terms: int = 0,
     fresh: np.ndarray | None = None,
     stride: int = 1,
 ) -> Recursion:
-    """Run the recursion over rows ``outputs = regressors @ theta + noise``.
+    """Run the recursion over rows ``outputs = regressors @ theta + noise``, from theta(0) = 0.
 
     Parameters
     ----------
@@ -98,8 +92,6 @@ def recursive_least_squares(
         P is divided by it after every row; 0 < forgetting <= 1.
     prior_scale : float
         a of P(0) = a^2 I, > 0.
-    start : ndarray, shape (p,), optional
-        theta(0), zero by default.
     noise_terms : int
         The last ``noise_terms`` columns of ``regressors`` are replaced by the residuals of the
         rows before (extended least squares [3]_); what they hold is ignored.
@@ -107,10 +99,6 @@ def recursive_least_squares(
         True where a row does not continue the one before: past residuals restart at zero.
     stride : int
         Keep every ``stride``-th row of the trajectory.
-
-    Returns
-    -------
-    Recursion
 
     Raises
     ------
@@ -126,75 +114,41 @@ def recursive_least_squares(
     h = np.array(regressors, dtype=float, order="C", ndmin=2, copy=bool(noise_terms) or None)
     z = np.ascontiguousarray(outputs, dtype=float)
     n, p = h.shape
-    if z.shape != (n,):
-        raise ValueError(f"outputs have shape {z.shape}, regressors {h.shape}")
-    if not weight > 0:
-        raise ValueError(f"weight is {weight!r}; it must be positive")
-    if not 0 < forgetting <= 1:
-        raise ValueError(f"forgetting is {forgetting!r}; it must be above 0 and at most 1")
-    if not prior_scale > 0:
-        raise ValueError(f"prior_scale is {prior_scale!r}; it must be positive")
-    if stride < 1:
-        raise ValueError(f"stride is {stride}; it must be at least 1")
-    if not 0 <= noise_terms <= p:
-        raise ValueError(f"noise_terms is {noise_terms}, with {p} parameters")
+    for allowed, what in (
+        (z.shape == (n,), f"outputs have shape {z.shape}, regressors {h.shape}"),
+        (weight > 0, f"weight is {weight!r}; it must be positive"),
+        (0 < forgetting <= 1, f"forgetting is {forgetting!r}; it must be above 0 and at most 1"),
+        (prior_scale > 0, f"prior_scale is {prior_scale!r}; it must be positive"),
+        (stride >= 1, f"stride is {stride}; it must be at least 1"),
+        (0 <= noise_terms <= p, f"noise_terms is {noise_terms}, with {p} parameters"),
+    ):
+        if not allowed:
+            raise ValueError(what)
     if noise_terms:
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    theta = np.zeros(p) if start is None else np.array(start, dtype=float)
-    breaks = np.zeros(n if noise_terms else 0, dtype=np.bool_)
-    if noise_terms and fresh is not None:
-        breaks[:] = fresh
+    breaks = np.zeros(n, dtype=np.bool_) if fresh is None else fresh
     kept = np.arange(stride - 1, n, stride)
     if n and (len(kept) == 0 or kept[-1] != n - 1):
         kept = np.append(kept, n - 1)
-    factors = np.eye(p)  # row j holds column j of U
-    diagonal = np.full(p, prior_scale**2)
-    innovations, residuals = np.empty(n), np.empty(n)
     thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
-    windup = _run(
-        h,
-        z,
-        breaks,
-        noise_terms,
-        1.0 / weight,
-        1.0 / forgetting,
-        WINDUP * prior_scale**2,
-        stride,
-        theta,
-        factors,
-        diagonal,
-        innovations,
-        residuals,
-        thetas,
-        spreads,
+    theta, factors, diagonal, innovations, windup = _run(
+        h, z, breaks, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
     )
     covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, covariance, innovations, residuals, kept, thetas, spreads, int(windup))
+    return Recursion(theta, covariance, innovations, kept, thetas, spreads, windup)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
-    h: np.ndarray,
-    z: np.ndarray,
-    fresh: np.ndarray,
-    noise_terms: int,
-    variance: float,
-    growth: float,
-    ceiling: float,
-    stride: int,
-    theta: np.ndarray,
-    factors: np.ndarray,
-    diagonal: np.ndarray,
-    innovations: np.ndarray,
-    residuals: np.ndarray,
-    thetas: np.ndarray,
-    spreads: np.ndarray,
-) -> int:
+def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spreads):  # type: ignore[no-untyped-def]  # noqa: C901
+    """One compiled loop: calls and branches cost time here."""
     n, p = h.shape
-    gain = np.empty(p)
-    f = np.empty(p)
+    ceiling = WINDUP * prior
+    theta = np.zeros(p)
+    factors, diagonal = np.eye(p), np.full(p, prior)  # row j of the factors holds column j of U
+    innovations, residuals = np.empty(n), np.empty(n)
+    gain, f = np.empty(p), np.empty(p)
     row = 0
     windup = 0
     first = p - noise_terms
@@ -254,7 +208,7 @@ def _run(  # noqa: C901 - one compiled loop: calls and branches cost time here
                     total += factors[j, i] * factors[j, i] * diagonal[j]
                 spreads[row, i] = np.sqrt(total)
             row += 1
-    return windup
+    return theta, factors, diagonal, innovations, windup
 
 
 def warm_up() -> None:

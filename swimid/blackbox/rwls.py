@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swimid.blackbox import data as rwls_data
 from swimid.blackbox import difference, prediction, working_point
 from swimid.blackbox import evidence as rwls_evidence
 from swimid.blackbox import order as order_search
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders
-from swimid.blackbox.identified import Identified, tests
+from swimid.blackbox.identified import Identified
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.prediction import Scores
+from swimid.blackbox.trials import Data, read
 from swimid.errors import UsageError
 from swimid.files import provenance
 from swimid.notices import recorded, warn
@@ -46,7 +46,7 @@ def rwls(
 ) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
-    A trials file may name the columns instead. See :class:`swimid.blackbox.arx.Orders` for the orders,
+    A trials file may name the columns instead. See :class:`swimid.blackbox.difference.Orders` for the orders,
     :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
     :func:`swimid.blackbox.working_point.centre` for the means.
 
@@ -59,10 +59,6 @@ def rwls(
     progress : Progress
         Shows the order search.
 
-    Returns
-    -------
-    Fitted
-
     Raises
     ------
     UsageError, InputError, NoTrustworthyResult
@@ -70,9 +66,7 @@ def rwls(
     if options.order == "given" and (options.na is None or options.nb is None):
         raise UsageError("give --na and --nb, or --order auto")
     with recorded(repeat=True) as notices:
-        data = rwls_data.read(
-            logs, options.held_out, options.input_column, options.output_column, options.input_model
-        )
+        data = read(logs, options.held_out, options.input_column, options.output_column, options.input_model)
         m = _identified(data, options, progress)
         _warn(m)
     settings = _settings(m)
@@ -82,23 +76,14 @@ def rwls(
     file = _parameter_file(m, settings, block)
     shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))
     result = file.model_dump(mode="python")
-    result["orders_tried"] = [
-        {
-            **{k: getattr(c.orders, k) for k in ("na", "nb", "nk")},
-            "aic": float(c.aic),
-            "bic": float(c.bic),
-            "free_run_fit_percent": float(c.free_run_fit),
-            "stable": c.stable,
-        }
-        for c in m.candidates
-    ]
+    result["orders_tried"] = [c.as_dict() for c in m.candidates]
     return Fitted("rwls", _summary(m, file), result, evidence=shown, document=file).saved(output)
 
 
 # ---------------------------------------------------------------- computing
 
 
-def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) -> Identified:
+def _identified(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
     orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
     candidates: list[order_search.Candidate] = []
     if options.order == "auto":
@@ -106,7 +91,7 @@ def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) 
     point = working_point.centre(data.fit, orders, options.centre)
     fit = working_point.shifted(data.fit, point)
     held = {name: working_point.shifted(part, point) for name, part in data.held_out.items()}
-    found = estimate(
+    fitted = estimate(
         fit,
         orders,
         weight=options.weight,
@@ -114,45 +99,37 @@ def _identified(data: rwls_data.Data, options: RwlsOptions, progress: Progress) 
         prior_scale=options.prior_scale,
         stride=options.stride or max(1, -(-len(regression(fit, orders)) // KEPT)),
     )
-    a, _, _ = orders.split(found.theta)
-    poles = difference.poles(a, found.covariance[: orders.na, : orders.na], data.sample_time_s)
-    fit_scores = prediction.scores(fit, found, poles, options.horizon)
+    a, _, _ = orders.split(fitted.theta)
+    poles = difference.poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
+    fit_scores = prediction.scores(fit, fitted, poles, options.horizon)
     scores: dict[str, Scores] = {}
     for name, part in held.items():
         if point.removed:
-            held[name], scores[name] = prediction.scores_about_own_level(part, found, poles, options.horizon)
+            held[name], scores[name] = prediction.scores_about_own_level(part, fitted, poles, options.horizon)
         else:
-            scores[name] = prediction.scores(part, found, poles, options.horizon)
-    return Identified(
-        options, data, point, fit, held, found, poles, fit_scores, scores, candidates, tests(fit, found)
-    )
+            scores[name] = prediction.scores(part, fitted, poles, options.horizon)
+    return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
 
 
 def _choose(
-    data: rwls_data.Data, orders: Orders, options: RwlsOptions, progress: Progress
+    data: Data, orders: Orders, options: RwlsOptions, progress: Progress
 ) -> tuple[Orders, list[order_search.Candidate]]:
-    max_na, max_nb, max_nk, criterion = options.max_na, options.max_nb, options.max_nk, options.criterion
-    point = working_point.centre(data.fit, Orders(max_na, max_nb, 1), options.centre)
+    grid = {"max_na": options.max_na, "max_nb": options.max_nb, "max_nk": options.max_nk}
+    point = working_point.centre(data.fit, Orders(options.max_na, options.max_nb, 1), options.centre)
+    fit = working_point.shifted(data.fit, point)
     held = [working_point.shifted(part, point) for part in data.held_out.values()]
-    candidates = order_search.search(
-        working_point.shifted(data.fit, point),
-        held,
-        max_na=max_na,
-        max_nb=max_nb,
-        max_nk=max_nk,
-        level_removed=point.removed,
-        progress=progress,
-    )
-    best = order_search.best(candidates, criterion).orders
-    edge = order_search.on_edge(best, max_na=max_na, max_nb=max_nb, max_nk=max_nk)
+    candidates = order_search.search(fit, held, **grid, level_removed=point.removed, progress=progress)
+    best = order_search.best(candidates, options.criterion).orders
+    edge = order_search.on_edge(best, **grid)
     if edge:
         flags = ", ".join(f"--max-{name}" for name in edge)
         warn(
             "SWM023",
-            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {max_na}, "
-            f"nb 1 to {max_nb}, nk 0 to {max_nk}): widen the grid with {flags}",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to "
+            f"{options.max_na}, nb 1 to {options.max_nb}, nk 0 to {options.max_nk}): widen the grid with "
+            f"{flags}",
         )
-    if criterion == "free-run" and held:
+    if options.criterion == "free-run" and held:
         warn(
             "SWM023",
             "the order was chosen on the held-out data, which therefore no longer judge the model "
@@ -170,7 +147,7 @@ def _name(held_out: Any) -> str:
 def _settings(m: Identified) -> dict[str, Any]:
     """The options as the file records them, with the orders, columns and levels they led to."""
     settings: dict[str, Any] = {
-        "orders": {key: getattr(m.estimate.orders, key) for key in ("na", "nb", "nk", "nc")},
+        "orders": asdict(m.estimate.orders),
         "order": m.options.order if m.options.order == "given" else f"auto, {m.options.criterion}",
         "input": m.data.columns.source,
         "output": m.data.columns.output,
@@ -193,62 +170,59 @@ def _settings(m: Identified) -> dict[str, Any]:
 
 
 def _warn(m: Identified) -> None:
-    found, data, point = m.estimate, m.data, m.point
-    orders, unit = found.orders, data.columns.units[1]
-    lost = found.data.possible - len(found.data)
-    restarts = int(np.count_nonzero(found.data.fresh)) - len(data.logs)
+    fitted, data, point = m.estimate, m.data, m.point
+    orders, unit = fitted.orders, data.columns.units[1]
+    lost = fitted.data.possible - len(fitted.data)
+    restarts = int(np.count_nonzero(fitted.data.fresh)) - len(data.logs)
     if lost or restarts > 0:
         warn(
             "SWM001",
-            f"{lost} of {found.data.possible} regression rows left out around missing samples, and the "
+            f"{lost} of {fitted.data.possible} regression rows left out around missing samples, and the "
             f"regression restarted {max(restarts, 0)} times at gaps; no value was filled in",
         )
     if point.removed:
         text = (
             f"working point removed: {data.columns.source} {point.source:.6g}, {data.columns.output} "
             f"{point.output:.6g} (means of the fitted part; constant term t = {point.t:.1f}); the model "
-            "describes "
-            "deviations from it"
+            "describes deviations from it"
         )
         moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
         if moved:
             suffix = f" {unit}" if unit != "1" else ""
             text += f". Held-out data sit at another level: {', '.join(moved)}{suffix}"
         warn("SWM021", text)
-    undetermined = [n for n, ok in zip(orders.names, found.determined.determined, strict=True) if not ok]
+    undetermined = [n for n, ok in zip(orders.names, fitted.determined.determined, strict=True) if not ok]
     if undetermined:
         warn(
             "SWM010",
             f"the data do not determine {', '.join(undetermined)}; their values are arbitrary in part",
         )
-    rank = found.determined.input_rank
+    rank = fitted.determined.input_rank
     source = np.concatenate([record.source for record in data.fit])
     if np.ptp(source[np.isfinite(source)]) == 0:
         warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
     elif rank < orders.nb:
         why = "; a single sine excites two" if rank == 2 else ""
         warn("SWM022", f"the input excites {rank} of the {orders.nb} coefficients of B{why}")
-    elif found.determined.condition > ILL_CONDITIONED:
+    elif fitted.determined.condition > ILL_CONDITIONED:
         warn(
             "SWM022",
-            f"the regression is ill-conditioned (condition number {found.determined.condition:.1e}): the "
-            "orders are "
-            "higher than the excitation supports",
+            f"the regression is ill-conditioned (condition number {fitted.determined.condition:.1e}): the "
+            "orders are higher than the excitation supports",
         )
-    if found.recursion.windup:
+    if fitted.recursion.windup:
         warn(
             "SWM022",
             f"with forgetting, P grew without limit in directions the input does not excite; it was held at "
-            f"{found.recursion.windup} of {len(found.data)} samples",
+            f"{fitted.recursion.windup} of {len(fitted.data)} samples",
         )
-    if found.robust:
+    if fitted.robust:
         cure = "raise the orders" if orders.nc else "raise the orders or model the noise with --nc"
         warn(
             "SWM013",
-            f"one-step residuals are not white (Ljung-Box p = {found.whiteness.p_value:.2g}): ARX "
-            "coefficients are then "
-            "biased, and the standard errors (a sandwich for correlated residuals) do not cover that "
-            f"bias; {cure}",
+            f"one-step residuals are not white (Ljung-Box p = {fitted.whiteness.p_value:.2g}): ARX "
+            "coefficients are then biased, and the standard errors (a sandwich for correlated residuals) do "
+            f"not cover that bias; {cure}",
         )
     _warn_stability(m)
     suffix = "" if unit == "1" else f" {unit}"
@@ -262,35 +236,28 @@ def _warn(m: Identified) -> None:
 
 
 def _warn_stability(m: Identified) -> None:
+    if m.stability == "stable":
+        return
     diverged = [n for n, s in {"the fitted part": m.fit_scores, **m.scores}.items() if s.diverged]
     tail = f"; its free run diverges on {', '.join(diverged)}" if diverged else ""
-    outside = [p for p in m.poles if p.unstable]
-    near = [p for p in m.poles if p.integrating and not p.unstable]
-    if outside:
-        kind = " (not to be told from an integrator)" if outside[0].integrating else ""
-        warn(
-            "SWM020",
-            f"the model is UNSTABLE{kind}: |z| = "
-            f"{numbers.measured(outside[0].magnitude, outside[0].stderr)}; "
-            f"judge it by its prediction, do not simulate far{tail}",
-        )
-    elif near:
-        warn(
-            "SWM020",
-            f"the model integrates: |z| = {numbers.measured(near[0].magnitude, near[0].stderr)} cannot "
-            "be told from 1; "
-            f"a free run drifts{tail}",
-        )
+    pole = next(p for p in m.poles if p.state == m.stability)
+    size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
+    kind = " (not to be told from an integrator)" if pole.integrating else ""
+    if pole.unstable:
+        text = f"is UNSTABLE{kind}: {size}; judge it by its prediction, do not simulate far{tail}"
+    else:
+        text = f"integrates: {size} cannot be told from 1; a free run drifts{tail}"
+    warn("SWM020", f"the model {text}")
 
 
 def _parameter_file(
     m: Identified, settings: dict[str, Any], block: dict[str, Any]
 ) -> parameters.ParameterFile:
-    found, data, horizon = m.estimate, m.data, m.options.horizon
-    orders = found.orders
+    fitted, data, horizon = m.estimate, m.data, m.options.horizon
+    orders = fitted.orders
     unit, channel = data.columns.units[1], data.columns.output
     estimates, identifiable = {}, []
-    for name, value, stderr in zip(orders.names, found.theta, found.stderr, strict=True):
+    for name, value, stderr in zip(orders.names, fitted.theta, fitted.stderr, strict=True):
         known = math.isfinite(stderr)
         estimates[name] = parameters.Estimate(
             value=float(value),
@@ -302,22 +269,21 @@ def _parameter_file(
             identifiable.append(name)
     validation: dict[str, Any] = {}
     if m.scores:
-        together = prediction.pooled(list(m.held_out.values()), found)
+        together = prediction.pooled([r for part in m.held_out.values() for r in part], fitted)
         by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
     if len(identifiable) < orders.count:
         words.append(
-            f"the data span {found.determined.rank} of {orders.na + orders.nb} directions; only "
-            "combinations of "
-            f"{', '.join(n for n in orders.names if n not in identifiable)} are determined"
+            f"the data span {fitted.determined.rank} of {orders.na + orders.nb} directions; only "
+            f"combinations of {', '.join(n for n in orders.names if n not in identifiable)} are determined"
         )
     return parameters.ParameterFile(
         model=NAME,
         robot=data.robot,
         parameters=estimates,
         identifiability=words,
-        correlation=parameters.Correlation(names=identifiable, matrix=found.correlation.tolist()),
+        correlation=parameters.Correlation(names=identifiable, matrix=fitted.correlation.tolist()),
         delay=orders.nk,
         sample_time_s=data.sample_time_s,
         poles=[
@@ -339,31 +305,31 @@ def _parameter_file(
             validation=validation,
             converged=True,
             noise={
-                "sd": found.noise_sd,
+                "sd": fitted.noise_sd,
                 "unit": unit,
-                "white": m.tests.white.passed,
-                "white_p": m.tests.white.p_value,
-                "input_independent": m.tests.independent.passed,
-                "input_independent_p": m.tests.independent.p_value,
-                "standard_errors": "sandwich" if found.robust else "sigma^2 (H'H)^-1",
+                "white": m.estimate.whiteness.passed,
+                "white_p": m.estimate.whiteness.p_value,
+                "input_independent": m.independent.passed,
+                "input_independent_p": m.independent.p_value,
+                "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
-            rows=len(found.data),  # type: ignore[call-arg]
-            rows_left_out=found.data.possible - len(found.data),  # type: ignore[call-arg]
-            condition=found.determined.condition,  # type: ignore[call-arg]
-            input_excites=found.determined.input_rank,  # type: ignore[call-arg]
+            rows=len(fitted.data),  # type: ignore[call-arg]
+            rows_left_out=fitted.data.possible - len(fitted.data),  # type: ignore[call-arg]
+            condition=fitted.determined.condition,  # type: ignore[call-arg]
+            input_excites=fitted.determined.input_rank,  # type: ignore[call-arg]
             stability=m.stability,  # type: ignore[call-arg]
             integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
-            recursion_end=dict(zip(orders.names, found.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
+            recursion_end=dict(zip(orders.names, fitted.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
         ),
         provenance=block,
     )
 
 
 def _summary(m: Identified, file: parameters.ParameterFile) -> str:
-    found, data = m.estimate, m.data
+    fitted, data = m.estimate, m.data
     lines = [
-        f"{m.kind} {found.orders}: {data.columns.source} -> {data.columns.output}, "
-        f"{len(found.data)} rows every {data.sample_time_s:.6g} s",
+        f"{m.kind} {fitted.orders}: {data.columns.source} -> {data.columns.output}, "
+        f"{len(fitted.data)} rows every {data.sample_time_s:.6g} s",
         "",
     ]
     for name, e in file.parameters.items():

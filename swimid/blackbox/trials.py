@@ -1,23 +1,40 @@
-"""Trials of a black-box model from one input column to one output column."""
+"""Trials of a black-box model; records that ``swimid rwls`` reads on one time grid, fitted and held out."""
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
 
-from swimid.blackbox.model import Arma
-from swimid.errors import InputError
+import numpy as np
+
+from swimid.blackbox.difference import Record
+from swimid.blackbox.model import ArxModel, sine_input
+from swimid.errors import InputError, UsageError
+from swimid.files.provenance import Input
 from swimid.fitting.experiment import Experiment, read_log
 from swimid.fitting.model import Trial
+from swimid.logs import log as log_format
+from swimid.logs import sampling
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import Arma as ArmaTrials
+from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import TrialSet
+from swimid.notices import warn
+from swimid.results import numbers
 from swimid.results.parameters import ParameterFile
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: The keys of a trials file that are used, by experiment.
 USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
 
 
-def model_of(file: ParameterFile, path: Path) -> Arma:
+def model_of(file: ParameterFile, path: Path) -> ArxModel:
     """The model a parameter file holds.
 
     Raises
@@ -26,7 +43,7 @@ def model_of(file: ParameterFile, path: Path) -> Arma:
         With the file's name, when it lacks delay, sample time or coefficients.
     """
     try:
-        return Arma.from_file(file)
+        return ArxModel.from_file(file)
     except InputError as error:
         raise InputError(error.reason, file=path, column=error.column, hint=error.hint) from error
 
@@ -48,24 +65,315 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     for key, mine in (("input", None if model.sine else model.source), ("output", model.output)):
         named = getattr(entries, key)
         if mine is not None and named is not None and named != mine:
-            raise InputError(
-                f"these trials name the {key} '{named}', the parameters are of '{mine}'",
-                file=path,
-                column=key,
-            )
-    wanted = [model.output] if model.sine else [model.source, model.output]
-    listing = [] if entries._in_memory else [path]
-    trials, logs = [], []
+            words = f"these trials name the {key} '{named}', the parameters are of '{mine}'"
+            raise InputError(words, file=path, column=key)
+    read = () if model.sine else (model.source,)
+    inputs: list[Input] = [] if entries._in_memory else [path]
+    trials = []
     for entry in entries.trials:
-        log = read_log(entry, path.parent, required=tuple(wanted))
-        logs.append(log.source)
-        trials.append(
-            Trial(
-                entry.id,
-                entry.role,
-                log.time_s,
-                {model.output: log[model.output]},
-                inputs={} if model.sine else {model.source: log[model.source]},
+        log = read_log(entry, path.parent, required=(*read, model.output))
+        inputs.append(log.source)
+        measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
+    return Experiment("arma", robot, model, trials, inputs)
+
+
+# ------------------------------------------------------------ records for rwls
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where input and output come from."""
+
+    source: str
+    output: str
+    sine: tuple[float, float, float] | None
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of input and output by their names' endings, ``"1"`` where there is none."""
+        pair = (numbers.split_unit(name)[1] or "1" for name in (self.source, self.output))
+        return next(pair), next(pair)
+
+    @property
+    def rmse_title(self) -> str:
+        """What an error of the output is called."""
+        unit = numbers.unit_text(self.units[1])
+        return f"RMSE ({unit})" if unit else "RMSE"
+
+    @property
+    def gain_title(self) -> str:
+        """The unit of output over input in words."""
+        u, y = (numbers.unit_text(unit) or "1" for unit in self.units)
+        return f"{y} per {u}"
+
+    @property
+    def gain_unit(self) -> str:
+        """Unit of b: output over input."""
+        u, y = self.units
+        if u == "1":
+            return y
+        if u == y:
+            return "1"
+        return "/".join(f"({unit})" if "/" in unit or " " in unit else unit for unit in (y, u))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A stretch of a log, as a trials file lists it; a log given by itself is one whole stretch.
+
+    ``folder`` is the one that ``entry.log`` is relative to, ``listing`` the trials file.
+    """
+
+    entry: TrialEntry
+    folder: Path
+    listing: Path | None = None
+
+    @property
+    def path(self) -> Path:
+        return self.folder / self.entry.log
+
+    @property
+    def origin(self) -> Input:
+        """What stands for it in the provenance."""
+        held = self.entry._held
+        return self.path if held is None else held.source
+
+
+@dataclass(frozen=True)
+class Data:
+    """The logs on their grids."""
+
+    columns: Columns
+    sample_time_s: float
+    fit: list[Record]
+    held_out: dict[str, list[Record]]
+    logs: list[str]
+    files: list[Input]
+    robot: str | None
+
+
+#: A log: its file, or its samples in memory; or trials of the experiment ``arma``.
+Source = Any
+
+
+def read(
+    logs: Sequence[Source],
+    validate: Sequence[Source | float],
+    input_column: str | None,
+    output_column: str | None,
+    input_model: str | None,
+) -> Data:
+    """Read logs and trials files of the experiment ``arma``, and hold parts of them out.
+
+    Parameters
+    ----------
+    logs : sequence of paths, Log, DataFrame or TrialSet
+    validate : sequence
+        At most one share of every log, and any number of further logs.
+    input_column, output_column, input_model : str or None
+        See :func:`swimid.blackbox.rwls.rwls`.
+
+    Raises
+    ------
+    UsageError
+        When the options contradict each other.
+    InputError
+        When a file cannot be used: unreadable, columns missing, no constant rate.
+    """
+    share, other = _held_out(validate)
+    parts: list[_Part] = []
+    listings: dict[Path, ArmaTrials] = {}
+    for source in logs:
+        named = isinstance(source, str | Path) and Path(source).suffix.lower() in (".yaml", ".yml")
+        if named or isinstance(source, TrialSet):
+            path = trials_format.place(source)
+            listings[path] = listed = trials_format.read(source, ArmaTrials, uses=USES)
+            parts += [_Part(trial, path.parent, path) for trial in listed.trials]
+        else:
+            parts.append(_alone(source, "fit", f"table {len(parts) + 1}"))
+    parts += [_alone(source, "validate", f"held-out table {k}") for k, source in enumerate(other, start=1)]
+    robot = _agreed(listings, "robot")
+    columns = _columns(
+        input_column or _agreed(listings, "input"), output_column or _agreed(listings, "output"), input_model
+    )
+    if all(part.entry.role == "validate" for part in parts):
+        raise UsageError("every trial is a validation trial; at least one must be fitted")
+    _check_apart(parts)
+    names = _names(parts)
+    required = (columns.output,) if columns.sine else (columns.source, columns.output)
+    read = {
+        name: read_log(part.entry, part.folder, required=required)
+        for name, part in zip(names, parts, strict=True)
+    }
+    step = _sample_time(read)
+    for log in read.values():
+        _check_distinct(log, columns)
+    fitted = [name for name, part in zip(names, parts, strict=True) if part.entry.role == "fit"]
+    fit: list[Record] = []
+    held: dict[str, list[Record]] = {}
+    for name in fitted:
+        log = read[name]
+        cut = len(log) - (round(share * len(log)) if share else 0)
+        fit += _records(log, name, columns, step, slice(0, cut))
+        if share:
+            label = "held-out part" if len(fitted) == 1 else f"held-out part of {name}"
+            held[label] = _records(log, name, columns, step, slice(cut, None))
+    for name in names:
+        if name not in fitted:
+            held[name] = _records(read[name], name, columns, step, slice(None))
+    files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
+    files += [part.origin for part in parts]
+    return Data(columns, step, fit, held, fitted, files, robot)
+
+
+def _alone(
+    source: str | Path | log_format.Log | pd.DataFrame, role: Literal["fit", "validate"], name: str
+) -> _Part:
+    """A log that no trials file lists; a bare table has the name given."""
+    held = None
+    if not isinstance(source, str | Path):
+        held = source if isinstance(source, log_format.Log) else log_format.Log.from_frame(source, name=name)
+    path = held.path if held is not None else Path(cast(str | Path, source))
+    part = _Part(TrialEntry(id=path.name, log=path.name, role=role), path.parent)
+    part.entry._held = held
+    return part
+
+
+def _agreed(listings: dict[Path, ArmaTrials], key: str) -> str | None:
+    """What the trials files say of a key, which must be the same in all that have it."""
+    stated = [(path, getattr(listed, key)) for path, listed in listings.items()]
+    stated = [(path, value) for path, value in stated if value is not None]
+    for path, value in stated:
+        if value != stated[0][1]:
+            contradiction = f"'{value}' contradicts '{stated[0][1]}' of {stated[0][0].name}"
+            raise InputError(contradiction, file=path, column=key)
+    return stated[0][1] if stated else None
+
+
+def _check_apart(parts: list[_Part]) -> None:
+    """Hold against each other what the command line and several trials files say of one log."""
+    for one, other in itertools.combinations(parts, 2):
+        # those of one trials file are apart already
+        listed = one.listing is not None and one.listing == other.listing
+        if not listed and trials_format.same_recording(one.entry, one.path, other.entry, other.path):
+            trials_format.check_apart(one.entry, other.entry, one.path)
+
+
+def _names(parts: list[_Part]) -> list[str]:
+    """A name for each: its id, or with the log's path where that is not the only one."""
+    ids = [part.entry.id for part in parts]
+    names = [i if ids.count(i) == 1 else f"{part.path}" for i, part in zip(ids, parts, strict=True)]
+    return [n if names.count(n) == 1 else f"{n} ({k + 1})" for k, n in enumerate(names)]
+
+
+def _held_out(
+    validate: Sequence[Source | float],
+) -> tuple[float, list[Any]]:
+    share: float = 0.0
+    logs: list[Any] = []
+    for item in validate:
+        try:
+            value = float(item)
+        except (TypeError, ValueError):
+            logs.append(item)
+            continue
+        if not 0 < value < 1:
+            raise UsageError(
+                f"--validate {item}: a share must lie between 0 and 1", hint="0.25 is the last quarter"
             )
+        if share:
+            raise UsageError("--validate: only one share can be given, besides any number of logs")
+        share = value
+    return share, logs
+
+
+def _columns(source: str | None, output: str | None, model: str | None) -> Columns:
+    if output is None:
+        raise UsageError("give the output column with --output COLUMN")
+    if model is not None:
+        if source is not None:
+            raise UsageError("give --input or --input-model, not both")
+        return Columns("F_u", output, _sine(model))
+    if source is None:
+        raise UsageError(
+            "give the input column with --input COLUMN, or compute it with --input-model sine:A,F"
         )
-    return Experiment("arma", robot, model, trials, [*listing, *logs])
+    if source == output:
+        raise UsageError(f"input and output are the same column '{source}'")
+    return Columns(source, output, None)
+
+
+def _sine(text: str) -> tuple[float, float, float]:
+    kind, _, rest = text.partition(":")
+    try:
+        values = [float(part) for part in rest.split(",")]
+    except ValueError:
+        values = []
+    if kind != "sine" or len(values) not in (2, 3) or not all(map(math.isfinite, values)):
+        raise UsageError(
+            f"--input-model '{text}' is not sine:A,F or sine:A,F,PHASE", hint="for example sine:30,1.2"
+        )
+    if values[0] == 0 or values[1] <= 0:
+        raise UsageError(f"--input-model '{text}': amplitude must not be 0 and frequency must be above 0 Hz")
+    return values[0], values[1], values[2] if len(values) == 3 else 0.0
+
+
+def _check_distinct(log: log_format.Log, columns: Columns) -> None:
+    """Refuse an output that is the input under another name (an output that moves, that is)."""
+    if columns.sine:
+        return
+    u, y = log[columns.source], log[columns.output]
+    both = np.isfinite(u) & np.isfinite(y)
+    if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
+        raise InputError(
+            f"holds the same values as the input column '{columns.source}' in every row",
+            file=log.path,
+            column=columns.output,
+            hint="one of the two is a copy: name the measured output with --output",
+        )
+
+
+def _sample_time(logs: dict[str, log_format.Log]) -> float:
+    """The common sample time of all logs, s."""
+    first: float | None = None
+    for name, log in logs.items():
+        rate = sampling.rate(log.time_s)
+        if not rate.uniform:
+            raise InputError(
+                f"is not sampled at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole "
+                f"multiples of {rate.step_s:.6g} s; a discrete-time model needs one rate",
+                file=log.path,
+                column="t_s",
+                hint="resample the log onto a uniform time base first",
+            )
+        if rate.jitter > sampling.NOTABLE_JITTER:
+            warn(
+                "SWM003",
+                f"{name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s; the "
+                "model takes them as equal",
+            )
+        if first is None:
+            first = rate.step_s
+        elif abs(rate.step_s / first - 1) > 0.01:
+            raise InputError(
+                f"is sampled every {rate.step_s:.6g} s, the first log every {first:.6g} s; a discrete-time "
+                "model needs one rate",
+                file=log.path,
+                column="t_s",
+                hint="resample the logs onto the same time base first",
+            )
+    assert first is not None
+    return first
+
+
+def _records(log: log_format.Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
+    time = log.time_s[rows]
+    if len(time) < 2:
+        return []
+    y = log[columns.output][rows]
+    result = []
+    for piece in sampling.pieces(time, step_s):
+        u = sine_input(piece.time_s, *columns.sine) if columns.sine else piece.take(log[columns.source][rows])
+        result.append(Record(name, piece.time_s, u, piece.take(y)))
+    return result

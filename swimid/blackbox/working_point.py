@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.blackbox.arx import EXACT, Regression, covariance, directions, regression
-from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate
+from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate_all
 from swimid.fitting import residual_tests as rt
 
 #: |t| of a constant term from which on the working point is removed.
@@ -39,62 +39,41 @@ class WorkingPoint:
     ----------
     source, output : float
         Removed from u and y; zero where nothing was removed.
-    constant, constant_stderr : float
-        The constant term of the regression on raw data; NaN where it was not tested.
+    constant, t : float
+        The constant term of the regression on raw data (NaN where it was not tested), and over its standard
+        error.
     removed : bool
     """
 
     source: float
     output: float
     constant: float
-    constant_stderr: float
+    t: float
     removed: bool
-
-    @property
-    def t(self) -> float:
-        """The constant over its standard error."""
-        if not self.constant_stderr > 0:
-            return 0.0 if self.constant == 0 or np.isnan(self.constant) else float("inf")
-        return self.constant / self.constant_stderr
 
 
 def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
-    """Decide whether the working point must be removed.
+    """Decide whether the working point must be removed; ``records`` are the fit part.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        The fit part.
-    orders : Orders
-        C plays no part.
-    mode : {"auto", "none", "mean"}
-        auto removes the means when a constant term beside A and B has a t value above
-        :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
-        better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
-        from zero, it also does when the free run gets better by that much whatever t is, at all
-        with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
-        without an offset stay as they are.
-
-    Returns
-    -------
-    WorkingPoint
+    Mode ``auto`` removes the means when a constant term beside A and B has a t value above
+    :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
+    better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
+    from zero, it also does when the free run gets better by that much whatever t is, at all
+    with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
+    without an offset stay as they are. ``none`` and ``mean``: never, and always.
     """
-    source = _mean([r.source for r in records])
-    output = _mean([r.output for r in records])
+    source, output = _mean([r.source for r in records]), _mean([r.output for r in records])
     data = regression(records, replace(orders, nc=0))
-    constant, stderr = _constant(data)
+    constant, t = _constant(data)
+    point = WorkingPoint(source, output, constant, t, True)
+    removed = mode != "none"
     level = float(np.sqrt(np.mean(data.outputs**2))) if len(data) else 0.0
-    point = WorkingPoint(source, output, constant, stderr, True)
-    if mode == "none":
-        return replace(point, source=0.0, output=0.0, removed=False)
-    if mode == "auto":
-        size = abs(point.t) if abs(constant) > EXACT * level else 0.0
-        if size <= CLEAR_T:
-            far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
-            worth_trying = len(data) > orders.count and (far or size > LIKELY_T)
-            if not (worth_trying and _helps(records, orders, point, far=far, likely=size > WEAK_T)):
-                return replace(point, source=0.0, output=0.0, removed=False)
-    return point
+    size = abs(t) if abs(constant) > EXACT * level else 0.0
+    if mode == "auto" and size <= CLEAR_T:
+        far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
+        worth_trying = len(data) > orders.count and (far or size > LIKELY_T)
+        removed = worth_trying and _helps(records, orders, point, far=far, likely=size > WEAK_T)
+    return point if removed else WorkingPoint(0.0, 0.0, constant, t, False)
 
 
 def _helps(
@@ -109,10 +88,10 @@ def _helps(
     for part in (list(records), shifted(records, point)):
         data = regression(part, plain)
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
-        errors = np.concatenate([r.output - simulate(r, plain, theta) for r in part])
+        errors = np.subtract(*simulate_all(part, plain, theta))
         rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
-        found = poles(theta[: orders.na], None, 1.0)
-        largest.append(found[0].magnitude if found else 0.0)
+        roots = poles(theta[: orders.na], None, 1.0)
+        largest.append(roots[0].magnitude if roots else 0.0)
     if far and largest[0] > INTEGRATING >= largest[1]:
         return True
     return rms[1] < rms[0] * (1.0 if far and likely else 1.0 - CLEAR_GAIN)
@@ -125,19 +104,19 @@ def _mean(parts: list[np.ndarray]) -> float:
 
 
 def _constant(data: Regression) -> tuple[float, float]:
-    """Constant term beside the regression, and its standard error; NaN where undetermined."""
+    """Constant term beside the regression (NaN where undetermined), and that over its standard error."""
     n, p = data.rows.shape
-    if n <= p + 1:
-        return float("nan"), float("nan")
     rows = np.hstack((data.rows, np.ones((n, 1))))
-    determined, _, _ = directions(rows, np.zeros(p + 1))
-    if not determined[-1]:
-        return float("nan"), float("nan")
+    if n <= p + 1 or not directions(rows, np.zeros(p + 1)).determined[-1]:
+        return float("nan"), 0.0
     theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
     residuals = data.outputs - rows @ theta
     white = rt.ljung_box(data.spread(residuals, gap=rt.default_lags(n))).passed
     spread, _ = covariance(rows, residuals, np.ones(n), 0.0, None if white else data)
-    return float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
+    constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
+    if stderr > 0:
+        return constant, constant / stderr
+    return constant, 0.0 if constant == 0 else float("inf")
 
 
 def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:

@@ -37,7 +37,7 @@ REQUIRED = (
 OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
-    "swimid.rig.model",
+    "swimid.rig.equation",
     "swimid.blackbox.difference",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",

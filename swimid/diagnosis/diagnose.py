@@ -61,13 +61,7 @@ def diagnose(
         When there is nothing to compare: no trial of role ``fit``, or the model cannot be simulated.
     """
     with recorded(repeat=True) as notices:
-        loaded = experiment_catalogue.load(
-            trials,
-            options.params,
-            robot=options.robot,
-            readings=dict(options.readings),
-            max_step=options.dt,
-        )
+        loaded = experiment_catalogue.load(trials, options)
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
         model.prepare(progress)

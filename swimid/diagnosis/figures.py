@@ -225,7 +225,7 @@ def _overlays(overlays: Sequence[Overlay], closed: bool) -> list[ev.Figure]:
 
 
 def _overlay(o: Overlay, closed: bool) -> ev.Panel:
-    scale, unit = (math.degrees(1.0), f"deg{o.unit[3:]}") if o.unit in ("rad", "rad/s") else (1.0, o.unit)
+    scale, unit = numbers.in_degrees(o.unit)
     traces = []
     styles = [("measured", o.measured, "points")]
     if closed:

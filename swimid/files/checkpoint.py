@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,14 @@ class Checkpoint:
             return
         with self._lock, self.path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps([name, [float(v) for v in numbers]]) + "\n")
+
+    def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Numbers kept under a name; computed and kept where there are none."""
+        numbers = self.get(name)
+        if numbers is None:
+            numbers = compute()
+            self.put(name, numbers)
+        return numbers
 
     def done(self) -> None:
         """Remove the file: the result is written."""

@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from ruamel.yaml import YAML
@@ -37,6 +37,29 @@ class Document(BaseModel):
     def digest(self) -> str:
         """SHA-256 of its keys and values, as hexadecimal digits; for a document that is no file."""
         return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
+
+
+class ResultFile(Document):
+    """Base of a format that a verb writes, the default of its field ``format``."""
+
+    #: What it is called in messages: ``"comparison file"``.
+    kind: ClassVar[str]
+
+    def write(self, path: str | Path) -> None:
+        """Write the file, whole or not at all; what is not known is left out."""
+        write(path, self.model_dump(mode="python", exclude_none=True))
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a file of this format.
+
+        Raises
+        ------
+        InputError
+            When it is none.
+        """
+        data = of_format(path, cls.model_fields["format"].default, cls.kind)
+        return validate(data, cls, Path(path))
 
 
 def _known(value: Any) -> Any:

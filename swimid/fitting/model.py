@@ -272,6 +272,11 @@ class Model(ABC):
             At the trial's sample times. NaN where the model breaks down.
         """
 
+    def attempt(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate one trial without numpy's warnings where the model breaks down."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return self.simulate(values, trial)
+
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Simulate one trial with what else acts on the chain.
 

@@ -11,7 +11,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter, Trial
+from swimid.fitting.model import Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.notices import warn
 from swimid.progress import Progress
@@ -22,6 +22,9 @@ from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate, ParameterFile
+
+#: What the law takes from a drag file.
+DRAG_NUMBERS = ("drag_coefficient", "added_mass")
 
 
 def fit(
@@ -40,8 +43,6 @@ def fit(
         The model's with the user's choices applied.
     origin : dict
         The provenance block.
-    wake, keep_departures
-        As in :func:`swimid.propulsion.fit_propulsion.fit_propulsion`.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def fit(
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents = _exponents(model, kept, choices)
-    result = _with_drag_error(result, model, kept, choices, experiment)
+    result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result, wake)
     derived = _derived(experiment, result, model, points)
     file = fit_common.parameter_file(
@@ -92,11 +93,9 @@ def fit(
         figures=propulsion_cruise_evidence.figures(experiment, result, points),
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
-            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares "
-            "under the energy recoil "
-            "law (Eqs 5, 25 to 27), with drag coefficient and added mass from the falling-weight rig "
-            "and their "
-            "uncertainty carried along.",
+            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
+            "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
+            "falling-weight rig and their uncertainty carried along.",
             "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
         ],
         references=list(experiment.robot.sources),
@@ -120,9 +119,9 @@ def _departures(
     levels = np.unique(
         np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials])
     )
-    found: list[dict[str, Any]] = []
-    while len(levels) - len(found) > 3 and len(found) < len(levels) // 3:
-        out = [d["frequency_hz"] for d in found]
+    departures: list[dict[str, Any]] = []
+    while len(levels) - len(departures) > 3 and len(departures) < len(levels) // 3:
+        out = [d["frequency_hz"] for d in departures]
         tests = []
         for level in (f for f in levels if f not in out):
             rest = [_without(t, [*out, float(level)]) for t in trials]
@@ -137,7 +136,7 @@ def _departures(
         if not tests:
             break
         worst = max(tests, key=lambda t: abs(t["z"]))
-        found.append(worst)
+        departures.append(worst)
         warn(
             "SWM030",
             f"the runs at {worst['frequency_hz']:g} Hz are {abs(100 * worst['share']):.1f} % "
@@ -145,22 +144,21 @@ def _departures(
             f"({abs(worst['z']):.1f} standard errors, {worst['runs']} runs); they are left out of the fit. "
             "Fins that flex at high frequency do this (source, section 4.2)",
         )
-    return found
+    return departures
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
     """How far the runs at a frequency lie off the law; None where the law gives them no speed."""
     shares, spread = [], []
+    size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
+    reference = fitted.noise[SPEED].value_sd
     for trial in trials:
         predicted = fitted.model.simulate(fitted.values(trial.id), trial)[SPEED]
         at = np.isclose(trial.inputs["frequency_hz"], level) & np.isfinite(trial.measured[SPEED])
         at &= predicted > 0
         shares += list(trial.measured[SPEED][at] / predicted[at] - 1)
-        size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
-        reference = fitted.noise[SPEED].value_sd
-        shape = np.asarray(trial.value_sd[SPEED])[at]
         known = np.asarray(trial.value_sd[SPEED])
-        spread += list(size * shape * reference / float(np.sqrt(np.mean(known**2))) / predicted[at])
+        spread += list(size * known[at] * reference / float(np.sqrt(np.mean(known**2))) / predicted[at])
     if not shares:
         return None
     share = float(np.mean(shares))
@@ -174,56 +172,54 @@ def _exponents(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> dict[str, Estimate]:
     """Each exponent of the law set free in turn; the offset stays free with it."""
-    found = {}
+    exponents = {}
     for name, law in LAWS.items():
-        free = tuple(replace(p, free=True) if p.name == name else p for p in choices)
         try:
-            result = output_error.fit(model, trials, parameters=free)
+            result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
         except NoTrustworthyResult:
             continue
         value, stderr = result.value(name), result.stderr(name)
-        # with the offset stuck at a bound the exponent answers another question
-        stuck = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
-        status = "unidentifiable" if stuck else result.status[name]
-        found[f"free_{name}"] = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status)  # type: ignore[arg-type]
+        # with the offset held at a bound the exponent answers another question
+        held = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
+        status = "unidentifiable" if held else result.status[name]
+        exponents[f"free_{name}"] = Estimate(
+            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status
+        )  # type: ignore[arg-type]
         if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
             warn(
                 "SWM031",
                 f"set free, the {name.replace('_', ' ')} of power is "
                 f"{numbers.measured(value, stderr)}, the law says {law:g}",
             )
-    return found
+    return exponents
+
+
+def _by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
+    """The model with each number of the drag file larger by its standard error, where it has one."""
+    drag, path = experiment.facts["drag"], experiment.facts["drag_path"]
+    fins = {t.id: t.cruise.inertia_kg_m2 for t in experiment.trials}
+    models = {}
+    for name in DRAG_NUMBERS:
+        if drag.parameters[name].stderr:
+            moved = drag.model_copy(deep=True)
+            moved.parameters[name].value += drag.parameters[name].stderr
+            area, mass = experiment_module.drag_numbers(moved, path, experiment.robot)
+            models[name] = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=fins)
+    return models
 
 
 def _with_drag_error(
-    result: FitResult,
-    model: RecoilModel,
-    trials: list[Trial],
-    choices: tuple[Parameter, ...],
-    experiment: Experiment,
+    result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
     """Add what the drag file's uncertainty contributes to the covariance."""
     drag: ParameterFile = experiment.facts["drag"]
-    names = ("drag_coefficient", "added_mass")
-    errors = [drag.parameters[n].stderr or 0.0 for n in names]
-    if not any(errors):
-        return result
     shifts = np.zeros((2, len(result.labels)))
-    for i, name in enumerate(names):
-        if not errors[i]:
-            continue
-        moved = drag.model_copy(deep=True)
-        moved.parameters[name].value += errors[i]
-        area, mass = experiment_module.drag_numbers(moved, experiment.facts["drag_path"], experiment.robot)
-        other = RecoilModel(
-            drag_area_kg_m=area,
-            moving_mass_kg=mass,
-            fins={t.id: t.cruise.inertia_kg_m2 for t in trials},
-        )
-        shifts[i] = output_error.fit(other, trials, parameters=choices).estimate - result.estimate
+    for name, other in _by_drag_error(experiment).items():
+        moved = output_error.fit(other, trials, parameters=choices)
+        shifts[DRAG_NUMBERS.index(name)] = moved.estimate - result.estimate
     rho = 0.0
-    if drag.correlation and all(n in drag.correlation.names for n in names):
-        i, j = (drag.correlation.names.index(n) for n in names)
+    if drag.correlation and all(n in drag.correlation.names for n in DRAG_NUMBERS):
+        i, j = (drag.correlation.names.index(n) for n in DRAG_NUMBERS)
         rho = drag.correlation.matrix[i][j]
     joint = np.array([[1.0, rho], [rho, 1.0]])
     return replace(result, covariance=result.covariance + shifts.T @ joint @ shifts)
@@ -236,34 +232,29 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
     offset = np.deg2rad(result.value("amplitude_offset_deg"))
     points = []
     for trial in experiment.trials:
-        fin = experiment.robot.fins[trial.id]
-        for k, speed in enumerate(trial.measured[SPEED]):
-            if not np.isfinite(speed):
-                continue
+        fin, inertia = experiment.robot.fins[trial.id], trial.cruise.inertia_kg_m2
+        levers = {"fin": fin.length_m, "axle": fin.length_m + fin.axle_gap_m}
+        for k in np.flatnonzero(np.isfinite(trial.measured[SPEED])):
+            speed, distance = float(trial.measured[SPEED][k]), trial.inputs["distance_m"][k]
             f, a = float(trial.inputs["frequency_hz"][k]), float(trial.inputs["amplitude_rad"][k])
-            terminal = float(speed / velocity_ratio(model.b1, 0.0, trial.inputs["distance_m"][k]))
-            inertia = trial.cruise.inertia_kg_m2
+            terminal = float(speed / velocity_ratio(model.b1, 0.0, distance))
             efficiency = None
             if inertia is not None and a > offset:
                 efficiency = float(
                     model.drag_area_kg_m * terminal**3 / (8 * np.pi**2 * inertia * (a - offset) ** 2 * f**3)
                 )
-            args = (np.array(f), np.array(a))
-            numbers_st = {
-                "fin": float(strouhal(*args, np.array(fin.length_m), np.array(terminal))),
-                "axle": float(strouhal(*args, np.array(fin.length_m + fin.axle_gap_m), np.array(terminal))),
-            }
+            ratios = {name: strouhal(f, a, lever, terminal) for name, lever in levers.items()}
             points.append(
                 {
                     "fin": trial.id,
                     "frequency_hz": f,
                     "amplitude_deg": float(np.rad2deg(a)),
-                    "mean_speed_m_s": float(speed),
+                    "mean_speed_m_s": speed,
                     "terminal_speed_m_s": terminal,
                     "propulsive_force_N": float(model.drag_area_kg_m * terminal**2),
-                    "strouhal": numbers_st[wake],
-                    "strouhal_fin": numbers_st["fin"],
-                    "strouhal_axle": numbers_st["axle"],
+                    "strouhal": ratios[wake],
+                    "strouhal_fin": ratios["fin"],
+                    "strouhal_axle": ratios["axle"],
                     "efficiency": efficiency,
                 }
             )
@@ -276,31 +267,25 @@ def _derived(
     drag: ParameterFile = experiment.facts["drag"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
     centre = float(velocity_ratio(model.b1, 0.0, distance))
-    variance = 0.0
-    for name in ("drag_coefficient", "added_mass"):
-        moved = drag.model_copy(deep=True)
-        moved.parameters[name].value += drag.parameters[name].stderr or 0.0
-        area, mass = experiment_module.drag_numbers(moved, experiment.facts["drag_path"], experiment.robot)
-        variance += (float(velocity_ratio(area / mass, 0.0, distance)) - centre) ** 2
-    found = {
+    ratios = [float(velocity_ratio(other.b1, 0.0, distance)) for other in _by_drag_error(experiment).values()]
+    variance = sum((ratio - centre) ** 2 for ratio in ratios)
+    quantities = {
         "velocity_ratio": Estimate(value=centre, stderr=math.sqrt(variance), unit="1", status="estimated")
     }
-    relative_drag = (drag.parameters["drag_coefficient"].stderr or 0.0) / drag.parameters[
-        "drag_coefficient"
-    ].value
+    coefficient = drag.parameters["drag_coefficient"]
+    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
+    scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
     for end, pick in (("smallest", min), ("largest", max)):
-        point = pick(points, key=lambda p: p["propulsive_force_N"])
-        force = point["propulsive_force_N"]
-        scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
-        found[f"{end}_propulsive_force"] = Estimate(
+        force = pick(p["propulsive_force_N"] for p in points)
+        quantities[f"{end}_propulsive_force"] = Estimate(
             value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
         )
-    return found
+    return quantities
 
 
-def _offsets(experiment: Experiment) -> list[list[Any]]:
+def _offsets(experiment: Experiment) -> list[dict[str, blocks.Cell]]:
     """Amplitude offset of each fin and frequency: where the line of v^1.5 meets zero (Figs 9, 10)."""
-    rows: list[list[Any]] = []
+    rows: list[dict[str, blocks.Cell]] = []
     for trial in experiment.trials:
         for f in np.unique(trial.inputs["frequency_hz"]):
             at = np.isclose(trial.inputs["frequency_hz"], f) & np.isfinite(trial.measured[SPEED])
@@ -310,15 +295,8 @@ def _offsets(experiment: Experiment) -> list[list[Any]]:
             (slope, level), covariance = np.polyfit(x, y, 1, cov="unscaled")
             residual = y - slope * x - level
             covariance = covariance * float(residual @ residual) / max(len(x) - 2, 1)
-            offset = -level / slope
             gradient = np.array([level / slope**2, -1 / slope])
-            rows.append(
-                [
-                    trial.id,
-                    float(f),
-                    numbers.measured(
-                        float(offset), math.sqrt(float(gradient @ covariance @ gradient)), "deg"
-                    ),
-                ]
-            )
+            error = math.sqrt(float(gradient @ covariance @ gradient))
+            offset = numbers.measured(float(-level / slope), error, "deg")
+            rows.append({"fin": trial.id, "f (Hz)": float(f), "offset": offset})
     return rows

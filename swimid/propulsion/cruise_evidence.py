@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -23,12 +24,13 @@ DEPARTURE_SHARE = 0.01
 DEPARTURE_Z = 4.0
 #: The exponents of the law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
+FREQUENCY, AMPLITUDE = itemgetter("frequency_hz"), itemgetter("amplitude_deg")
 
 
 def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate]) -> list[ev.Check]:
     """Whether every frequency, and each exponent set free, follows the law."""
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {100 * d['share']:+.1f} %" for d in departures)
-    found = [
+    checks = [
         blocks.check(
             "every frequency follows the law",
             off or "all",
@@ -43,7 +45,7 @@ def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate])
             continue
         known = e.status == "estimated" and e.stderr is not None
         agrees = not known or abs(e.value - law) <= 3 * (e.stderr or 0.0)
-        found.append(
+        checks.append(
             ev.Check(
                 name=name.replace("_", " "),
                 value=numbers.measured(e.value, e.stderr) if known else "not identifiable",
@@ -52,13 +54,13 @@ def law_checks(departures: list[dict[str, Any]], exponents: dict[str, Estimate])
                 text="of the power, set free with the offset",
             )
         )
-    return found
+    return checks
 
 
 def tables(
     experiment: Experiment,
     points: list[dict[str, Any]],
-    offsets: list[list[Any]],
+    offsets: list[dict[str, blocks.Cell]],
     departures: list[dict[str, Any]],
     everything: FitResult,
     result: FitResult,
@@ -90,30 +92,17 @@ def tables(
         }
         for p in points
     ]
+    about_fins = "A rectangle's inertia follows from Eq 6; where none is shown it is not known."
+    about_runs = (
+        "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake width "
+        "(the source's Eq 28) and with the distance from the axle to the trailing edge."
+    )
     tables = [
-        blocks.table(
-            "fins",
-            "Fins",
-            fins,
-            "A rectangle's inertia follows from Eq 6; where none is shown it is not known.",
-        ),
-        blocks.table(
-            "points",
-            "Runs",
-            runs,
-            "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake "
-            "width (the source's Eq 28) and with the distance from the axle to the trailing edge.",
-        ),
+        blocks.table("fins", "Fins", fins, about_fins),
+        blocks.table("points", "Runs", runs, about_runs),
     ]
     if offsets:
-        tables.append(
-            ev.Table(
-                id="offsets",
-                title="Amplitude offsets by fin and frequency",
-                columns=["fin", "f (Hz)", "offset"],
-                rows=offsets,
-            )
-        )
+        tables.append(blocks.table("offsets", "Amplitude offsets by fin and frequency", offsets))
     if departures:
         rows: list[dict[str, blocks.Cell]] = [
             {
@@ -131,97 +120,59 @@ def tables(
 
 def figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
     """Speeds against frequency and amplitude, force, Strouhal number, residuals."""
-    amplitude = _most_common([p["amplitude_deg"] for p in points])
+    levels, counts = np.unique(np.round(list(map(AMPLITUDE, points)), 6), return_counts=True)
+    amplitude = float(levels[np.argmax(counts)])
     frequencies = [
         f
-        for f in sorted({p["frequency_hz"] for p in points})
+        for f in sorted(set(map(FREQUENCY, points)))
         if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2
     ]
     by_frequency, by_amplitude, force, wake = [], [], [], []
-    frequency = itemgetter("frequency_hz")
     for group, trial in enumerate(experiment.trials):
-        fin = trial.id
-        at = sorted(
-            (p for p in points if p["fin"] == fin and abs(p["amplitude_deg"] - amplitude) < 1e-6),
-            key=frequency,
-        )
+        cloud = partial(blocks.points, label=trial.id, group=group)
+        mine = [p for p in points if p["fin"] == trial.id]
+        at = sorted((p for p in mine if abs(p["amplitude_deg"] - amplitude) < 1e-6), key=FREQUENCY)
         if at:
-            f = np.linspace(0.0, max(p["frequency_hz"] for p in at), 60)[1:]
-            by_frequency += [
-                blocks.points(at, frequency, lambda p: 100 * p["mean_speed_m_s"], label=fin, group=group),
-                ev.Trace(x=f, y=100 * _law(result, trial, f, np.full(len(f), amplitude)), group=group),
-            ]
-            thrust = blocks.points(
-                at, frequency, lambda p: 1e3 * p["propulsive_force_N"], label=fin, group=group
-            )
-            force.append(thrust)
-            wake.append(blocks.points(at, frequency, itemgetter("strouhal"), label=fin, group=group))
+            f = np.linspace(0.0, max(map(FREQUENCY, at)), 60)[1:]
+            speed = 100 * _law(result, trial, f, np.full(len(f), amplitude))
+            by_frequency.append(cloud(at, FREQUENCY, lambda p: 100 * p["mean_speed_m_s"]))
+            by_frequency.append(ev.Trace(x=f, y=speed, group=group))
+            force.append(cloud(at, FREQUENCY, lambda p: 1e3 * p["propulsive_force_N"]))
+            wake.append(cloud(at, FREQUENCY, itemgetter("strouhal")))
         for f0 in frequencies[:1]:
-            swept = sorted(
-                (p for p in points if p["fin"] == fin and p["frequency_hz"] == f0),
-                key=itemgetter("amplitude_deg"),
-            )
+            swept = sorted((p for p in mine if p["frequency_hz"] == f0), key=AMPLITUDE)
             if swept:
-                a = np.linspace(0.0, max(p["amplitude_deg"] for p in swept), 80)[1:]
-                by_amplitude += [
-                    blocks.points(
-                        swept,
-                        itemgetter("amplitude_deg"),
-                        lambda p: (100 * p["mean_speed_m_s"]) ** 1.5,
-                        label=fin,
-                        group=group,
-                    ),
-                    ev.Trace(x=a, y=(100 * _law(result, trial, np.full(len(a), f0), a)) ** 1.5, group=group),
-                ]
-    panels = [
-        ev.Panel(
-            x_label="frequency (Hz)",
-            y_label="average speed (cm/s)",
-            traces=by_frequency,
-            title=f"at {amplitude:g}°",
-        )
-    ]
+                a = np.linspace(0.0, max(map(AMPLITUDE, swept)), 80)[1:]
+                speed = 100 * _law(result, trial, np.full(len(a), f0), a)
+                by_amplitude.append(cloud(swept, AMPLITUDE, lambda p: (100 * p["mean_speed_m_s"]) ** 1.5))
+                by_amplitude.append(ev.Trace(x=a, y=speed**1.5, group=group))
+
+    over_frequency = partial(blocks.panel, "frequency (Hz)", title=f"at {amplitude:g}°")
+    panels = [over_frequency("average speed (cm/s)", by_frequency)]
     if by_amplitude:
+        title = f"at {frequencies[0]:g} Hz"
         panels.append(
-            ev.Panel(
-                x_label="amplitude (deg)",
-                y_label="average speed^1.5 (cm/s)^1.5",
-                traces=by_amplitude,
-                title=f"at {frequencies[0]:g} Hz",
-            )
+            blocks.panel("amplitude (deg)", "average speed^1.5 (cm/s)^1.5", by_amplitude, title=title)
         )
+    efficient = [ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]
     return [
-        ev.Figure(
-            id="speeds",
-            title="Average speed against frequency and amplitude",
-            columns=2,
-            panels=panels,
-            caption="Points are runs, lines the fitted law: straight through the origin against "
-            "frequency, straight "
-            "with the offset as intercept against amplitude. Runs below their line at high frequency "
-            "point to a flexing fin.",
+        blocks.panels(
+            "speeds",
+            "Average speed against frequency and amplitude",
+            "Points are runs, lines the fitted law: straight through the origin against frequency, straight "
+            "with the offset as intercept against amplitude. Runs below their line at high frequency point "
+            "to a flexing fin.",
+            panels,
         ),
-        ev.Figure(
-            id="force",
-            title="Propulsive force and Strouhal number",
-            columns=2,
-            panels=[
-                ev.Panel(
-                    x_label="frequency (Hz)",
-                    y_label="propulsive force (mN)",
-                    traces=force,
-                    title=f"at {amplitude:g}°",
-                ),
-                ev.Panel(
-                    x_label="frequency (Hz)",
-                    y_label="Strouhal number",
-                    traces=wake,
-                    title=f"at {amplitude:g}°",
-                    marks=[ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")],
-                ),
+        blocks.panels(
+            "force",
+            "Propulsive force and Strouhal number",
+            "Force grows with the square of frequency under the law; the Strouhal number then stays "
+            "constant.",
+            [
+                over_frequency("propulsive force (mN)", force),
+                over_frequency("Strouhal number", wake, marks=efficient),
             ],
-            caption="Force grows with the square of frequency under the law; the Strouhal number "
-            "then stays constant.",
         ),
         *fit_common.figures(result)[1:],
     ]
@@ -238,9 +189,3 @@ def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array
         },
     )
     return result.model.simulate(result.values(trial.id), runs)[SPEED]
-
-
-def _most_common(values: list[float]) -> float:
-    rounded = np.round(values, 6)
-    levels, counts = np.unique(rounded, return_counts=True)
-    return float(levels[np.argmax(counts)])

@@ -25,18 +25,15 @@ REQUIRED = ("fin", "frequency_hz", "amplitude_deg", "distance_m")
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
 
 
+#: Line, where there is one, and cells by column name.
+Row = tuple[int | None, dict[str, str]]
+
+
 @dataclass(frozen=True)
 class CruiseTable:
-    """Runs of a robot from rest over a distance.
+    """Runs of a robot from rest over a distance; speed NaN where the run has none.
 
-    Attributes
-    ----------
-    path : Path
-    source : Path or Held
-        What stands for it in the provenance.
-    fin : list of str, length n
-    frequency_hz, amplitude_deg, distance_m, mean_speed_m_s : ndarray, shape (n,)
-        Speed NaN where the run has none.
+    ``source`` is what stands for it in the provenance.
     """
 
     path: Path
@@ -83,30 +80,31 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
         raise InputError("every run's value is missing", file=path, column=speed)
     with np.errstate(over="ignore", under="ignore"):
         speeds = distance / given if speed == "time_s" else given
-    if np.isinf(speeds).any() or np.any(speeds == 0):
-        row = int(np.argmax(np.isinf(speeds) | (speeds == 0)))
+    none = np.isinf(speeds) | (speeds == 0)
+    if none.any():
+        row = int(np.argmax(none))
         raise InputError(
             f"a speed of {speeds[row]:g} m/s is none", file=path, line=rows[row][0], column=speed
         )
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
-    if np.nanmedian(speeds) > 20:
-        warn(
-            "SWM002",
-            f"{path.name}, '{speed}': speeds of {np.nanmedian(speeds):.3g} m/s; is it mm/s (a factor "
-            "of 1000)?",
-        )
-    if np.max(columns["distance_m"]) > 50:
-        warn(
-            "SWM002",
-            f"{path.name}, 'distance_m': looks like centimetres or millimetres (a factor of 100 or 1000)",
-        )
-    if np.max(columns["amplitude_deg"]) < 1.6:
-        warn("SWM002", f"{path.name}, 'amplitude_deg': looks like radians (a factor of 57.3)")
+    typical = np.nanmedian(speeds)
+    doubts = {
+        speed: (typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
+        "distance_m": (
+            np.max(distance) > 50,
+            "looks like centimetres or millimetres (a factor of 100 or 1000)",
+        ),
+        "amplitude_deg": (np.max(columns["amplitude_deg"]) < 1.6, "looks like radians (a factor of 57.3)"),
+    }
+    for column, (doubtful, text) in doubts.items():
+        if doubtful:
+            warn("SWM002", f"{path.name}, '{column}': {text}")
+    in_memory = None if isinstance(source, str | Path) else source.to_csv(index=False).encode()
     return CruiseTable(
         path,
-        path if isinstance(source, str | Path) else Held("table", _digest(source)),
+        path if in_memory is None else Held("table", hashlib.sha256(in_memory).hexdigest()),
         [cells["fin"] for _, cells in rows],
         columns["frequency_hz"],
         columns["amplitude_deg"],
@@ -115,11 +113,7 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
     )
 
 
-def _digest(frame: pd.DataFrame) -> str:
-    return hashlib.sha256(frame.to_csv(index=False).encode()).hexdigest()
-
-
-def _cells(frame: pd.DataFrame) -> list[tuple[int | None, dict[str, str]]]:
+def _cells(frame: pd.DataFrame) -> list[Row]:
     """The rows of a table in memory as those of a file, which have no line."""
     blank = frame.isna()
     return [
@@ -128,9 +122,9 @@ def _cells(frame: pd.DataFrame) -> list[tuple[int | None, dict[str, str]]]:
     ]
 
 
-def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int | None, dict[str, str]]]:
+def _rows(path: Path, header_line: int, names: list[str]) -> list[Row]:
     """Line and cells by column name of every row that is not blank or a comment."""
-    rows: list[tuple[int | None, dict[str, str]]] = []
+    rows: list[Row] = []
     with path.open(encoding="utf-8-sig", newline="") as stream:
         try:
             for _ in range(header_line):
@@ -156,7 +150,7 @@ def _rows(path: Path, header_line: int, names: list[str]) -> list[tuple[int | No
     return rows
 
 
-def _numbers(rows: list[tuple[int | None, dict[str, str]]], name: str, path: Path) -> Array:
+def _numbers(rows: list[Row], name: str, path: Path) -> Array:
     """A column of positive numbers; only a measurement may be missing, then it is NaN."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):

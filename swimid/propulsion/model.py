@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numba
 import numpy as np
@@ -21,7 +22,7 @@ STEP_S = 0.05
 NEWTON = 60
 
 
-def plate_inertia(*, height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
+def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
     """Hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
 
     >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)
@@ -38,7 +39,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
     b1 : float, 1/m
         ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
     start_m, end_m : float, m
-        Displacements since rest between which the average is taken.
+        Since rest.
 
     >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
     0.688
@@ -55,19 +56,10 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
 def terminal_speed(
     power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
 ) -> Array:
-    """Speed at which drag consumes a propulsive power: ``v (dry + linear v + quadratic v^2) = power``.
+    """Speed at which drag consumes a propulsive power (W): ``v (dry + linear v + quadratic v^2) = power``.
 
-    Parameters
-    ----------
-    power : ndarray, W
-    quadratic, linear, dry : float or ndarray
-        Coefficients of the drag, kg/m, kg/s and N.
-
-    Returns
-    -------
-    ndarray, m/s
-        The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone
-        (Eq 26).
+    The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone (Eq 26).
+    The coefficients are in kg/m, kg/s and N.
     """
     power, quadratic, linear, dry = np.broadcast_arrays(
         *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
@@ -91,18 +83,9 @@ def mean_speed(
     quadratic: Array | float,
     linear: Array | float,
 ) -> Array:
-    """Average speed from rest over a distance, under the thrust that holds the terminal speed.
+    """Average speed (m/s) from rest over a distance (m), under the thrust that holds the terminal speed.
 
-    Parameters
-    ----------
-    terminal_m_s, distance_m : ndarray
-    mass : float or ndarray, kg
-    quadratic, linear : float or ndarray
-        Coefficients of the drag, kg/m and kg/s; dry friction only takes its part of the thrust.
-
-    Returns
-    -------
-    ndarray, m/s
+    Mass in kg, quadratic and linear drag in kg/m and kg/s; dry friction only takes its part of the thrust.
 
     Notes
     -----
@@ -128,13 +111,13 @@ def mean_speed(
         return np.where(moving, distance_m / time, 0.0)
 
 
-def strouhal(frequency_hz: Array, amplitude_rad: Array, lever_m: Array, terminal_speed_m_s: Array) -> Array:
+def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
     """Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
 
     The paper's nomenclature takes the fin's length as lever; the values it prints fit the
     distance from the axle to the trailing edge (length plus gap) better.
     """
-    return frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s
+    return float(frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s)
 
 
 class RecoilScales(Scales):
@@ -188,42 +171,17 @@ class RecoilModel(Model):
         self.b1 = drag_area_kg_m / moving_mass_kg
         known = [i for i in fins.values() if i is not None]
         typical = float(np.median(known)) if known else 1e-4
+        unknown = [fin for fin, inertia in fins.items() if inertia is None]
+        efficiency, offset = "efficiency of the recoil process", "flapping amplitude offset"
+        own = "hydrodynamic inertia of {} at the common efficiency"
         self.parameters = (
-            Parameter(
-                "recoil_efficiency",
-                "1",
-                0.0,
-                1.0,
-                0.3,
-                0.1,
-                free=bool(known),
-                meaning="efficiency of the recoil process",
-                source="Eq 3",
-            ),
-            Parameter(
-                "amplitude_offset_deg",
-                "deg",
-                -10.0,
-                30.0,
-                2.0,
-                2.0,
-                meaning="flapping amplitude offset",
-                source="Eq 27",
-            ),
+            Parameter("recoil_efficiency", "1", 0.0, 1.0, 0.3, 0.1, bool(known), False, efficiency, "Eq 3"),
+            Parameter("amplitude_offset_deg", "deg", -10.0, 30.0, 2.0, 2.0, True, False, offset, "Eq 27"),
             Parameter("frequency_exponent", "1", 0.0, 6.0, 3.0, 1.0, free=False, meaning="of power, law: 3"),
             Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of power, law: 2"),
             *(
-                Parameter(
-                    f"inertia_{fin}",
-                    "kg m^2",
-                    0.0,
-                    math.inf,
-                    typical,
-                    typical,
-                    meaning=f"hydrodynamic inertia of {fin} at the common efficiency",
-                )
-                for fin, inertia in fins.items()
-                if inertia is None
+                Parameter(f"inertia_{f}", "kg m^2", 0.0, math.inf, typical, typical, meaning=own.format(f))
+                for f in unknown
             ),
         )
 
@@ -248,19 +206,11 @@ class RecoilModel(Model):
     ) -> Array:
         """Power that propels each run, W (Eqs 5, 27)."""
         efficiency, offset, p, q = values[:4]
-        effective = np.maximum(amplitude_rad - np.deg2rad(offset), 0.0)
         # the exponents are about the middle of what was driven, so that freeing one leaves eta
         f_mid, a_mid = trial.cruise.middle
-        return np.asarray(
-            8
-            * efficiency
-            * np.pi**2
-            * inertia_kg_m2
-            * f_mid**3
-            * (frequency_hz / f_mid) ** p
-            * a_mid**2
-            * (effective / a_mid) ** q
-        )
+        f, a = frequency_hz / f_mid, np.maximum(amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
+        factor = 8 * efficiency * np.pi**2 * inertia_kg_m2
+        return np.asarray(factor * f_mid**3 * f**p * a_mid**2 * a**q)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """The same with what else acts (see :meth:`Model.hooked`).
@@ -307,26 +257,22 @@ class RecoilModel(Model):
     def apart(self, trial: Trial) -> list[Trial]:
         """A fin's trial as one trial for each of its runs, called ``fin/1``, ``fin/2`` and so on."""
 
-        def of_run(values: Array | float, k: int) -> Array | float:
-            return np.asarray(values)[k : k + 1] if np.ndim(values) else values
+        def run(k: int) -> Trial:
+            def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
+                return {name: v[k : k + 1] if np.ndim(v) else v for name, v in columns.items()}
 
-        found = []
-        for k in range(len(trial.time_s)):
-            cruise = trial.cruise
-            if cruise.rows is not None:
-                cruise = replace(cruise, rows=cruise.rows[k : k + 1])
-            found.append(
-                replace(
-                    trial,
-                    id=f"{trial.id}/{k + 1}",
-                    time_s=trial.time_s[k : k + 1],
-                    measured={n: v[k : k + 1] for n, v in trial.measured.items()},
-                    inputs={n: v[k : k + 1] for n, v in trial.inputs.items()},
-                    value_sd={n: of_run(v, k) for n, v in trial.value_sd.items()},
-                    cruise=cruise,
-                )
+            rows = None if trial.cruise.rows is None else trial.cruise.rows[k : k + 1]
+            return replace(
+                trial,
+                id=f"{trial.id}/{k + 1}",
+                time_s=trial.time_s[k : k + 1],
+                measured=cut(trial.measured),
+                inputs=cut(trial.inputs),
+                value_sd=cut(trial.value_sd),
+                cruise=replace(trial.cruise, rows=rows),
             )
-        return found
+
+        return [run(k) for k in range(len(trial.time_s))]
 
 
 class SurgeModel(Model):
@@ -349,31 +295,17 @@ class SurgeModel(Model):
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
-        inf = math.inf
+        inf, size = math.inf, speed_m_s**2
+        thrust, start = (
+            "thrust over mass at the reference amplitude and frequency",
+            "speed at the first sample",
+        )
         self.parameters = (
-            Parameter(
-                "thrust_acceleration",
-                "m/s^2",
-                0.0,
-                inf,
-                speed_m_s**2,
-                speed_m_s**2,
-                meaning="thrust over mass at the reference amplitude and frequency",
-            ),
+            Parameter("thrust_acceleration", "m/s^2", 0.0, inf, size, size, meaning=thrust),
             Parameter("surge_drag", "1/m", 0.0, inf, 1.0, 1.0, meaning="quadratic drag over mass"),
             Parameter("amplitude_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=False, meaning="of thrust"),
             Parameter("frequency_exponent", "1", 0.0, 6.0, 2.0, 1.0, free=many, meaning="of thrust"),
-            Parameter(
-                "initial_speed",
-                "m/s",
-                -inf,
-                inf,
-                0.0,
-                0.2 * speed_m_s,
-                True,
-                True,
-                "speed at the first sample",
-            ),
+            Parameter("initial_speed", "m/s", -inf, inf, 0.0, 0.2 * speed_m_s, True, True, start),
         )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -451,15 +383,15 @@ def _half_steps(t: Array) -> Array:
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
     """Surge on every second of the times, by fourth-order Runge-Kutta over two; the water's speed on all."""
     count = (len(half) + 1) // 2
-    found = np.empty(count)
-    found[0] = u0
+    surge = np.empty(count)
+    surge[0] = u0
     for i in range(count - 1):
-        u, at, rate, rise = found[i], 2 * i, 0.0, 0.0
+        u, at, rate, rise = surge[i], 2 * i, 0.0, 0.0
         step = half[at + 2] - half[at]
         for stage in range(4):
             part = 0.5 * ((stage + 1) // 2)
             v = u + part * step * rate - water[at + (stage + 1) // 2]
             rate = thrust - quadratic * v * abs(v) - linear * v - dry * np.sign(v)
             rise += rate / 6.0 if stage % 3 == 0 else rate / 3.0
-        found[i + 1] = u + step * rise
-    return found
+        surge[i + 1] = u + step * rise
+    return surge

@@ -11,14 +11,14 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.notices import warn
 from swimid.progress import Progress
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: What is said of start states.
+#: How the methods tell of start states.
 _STARTS = "with each trial's initial speed estimated, a held-out one's with all else held"
 
 
@@ -57,26 +57,25 @@ def fit(
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     derived = _free_amplitude(experiment, choices)
-    n = result.value("amplitude_exponent")
-    stderr = result.stderr("thrust_acceleration")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
-    at_one = result.value("thrust_acceleration") / reference**n
-    relative = (stderr or 0.0) / result.value("thrust_acceleration")
-    spread = math.hypot(relative, (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)))
-    derived["thrust_coefficient"] = Estimate(
-        value=at_one,
-        stderr=at_one * spread,
-        unit="m/s^2",
-        status="estimated" if spread < 0.5 else "unidentifiable",
+    thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
+    at_one = thrust / reference**exponent
+    spread = math.hypot(
+        (result.stderr("thrust_acceleration") or 0.0) / thrust,
+        (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    found = [b for b in experiment.facts["beats"].values() if b["found_hz"] is not None]
-    if found:
-        values = [float(b["found_hz"]) for b in found]
+    status = "estimated" if spread < 0.5 else "unidentifiable"
+    derived["thrust_coefficient"] = Estimate(
+        value=at_one, stderr=at_one * spread, unit="m/s^2", status=status
+    )
+    beats = experiment.facts["beats"]
+    measured = [b for b in beats.values() if b["found_hz"] is not None]
+    if measured:
+        values = [float(b["found_hz"]) for b in measured]
+        scatter = float(np.std(values) / math.sqrt(len(values)))
         derived["beat_frequency"] = Estimate(
             value=float(np.median(values)),
-            stderr=max(
-                float(np.std(values) / math.sqrt(len(values))), min(float(b["stderr_hz"]) for b in found)
-            ),
+            stderr=max(scatter, min(float(b["stderr_hz"]) for b in measured)),
             unit="Hz",
             status="estimated",
         )
@@ -88,38 +87,32 @@ def fit(
         settings={
             "reference_amplitude_rad": reference,
             "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
-            "beats": experiment.facts["beats"],
+            "beats": beats,
             "waveform": experiment.facts["waveform"],
             "asymmetry": experiment.facts["asymmetry"],
         },
     )
-    checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
-    rows = [
-        [
-            name,
-            b["stated_hz"],
-            "none found" if b["found_hz"] is None else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
-        ]
-        for name, b in experiment.facts["beats"].items()
+    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats)]
+    rows: list[dict[str, blocks.Cell]] = [
+        {
+            "trial": name,
+            "stated (Hz)": b["stated_hz"],
+            "found in yaw": "none found"
+            if b["found_hz"] is None
+            else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
+        }
+        for name, b in beats.items()
     ]
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
-        tables=[
-            ev.Table(
-                id="beats",
-                title="Beat frequency",
-                columns=["trial", "stated (Hz)", "found in yaw"],
-                rows=rows,
-            )
-        ],
+        tables=[blocks.table("beats", "Beat frequency", rows)],
         figures=fit_common.figures(result),
         methods=[
-            "Surge was averaged over whole tail beats, their frequency found in the yaw, and "
-            f"du/dt = a (A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by "
-            "output-error maximum "
+            "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
+            f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
             f"likelihood, {'every trial from rest' if from_rest else _STARTS}.",
         ],
         references=list(experiment.robot.sources),
@@ -134,8 +127,7 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
     if len(amplitudes) < 2:
         return {}
     name = "amplitude_exponent"
-    free = tuple(replace(p, free=True) if p.name == name else p for p in choices)
-    result = output_error.fit(experiment.model, experiment.trials, parameters=free)
+    result = output_error.fit(experiment.model, experiment.trials, parameters=chosen(choices, freed=(name,)))
     fit_common.refuse_interrupted(result)
     value, stderr = result.value(name), result.stderr(name)
     if stderr and abs(value - 2.0) > 3 * stderr:
@@ -143,8 +135,5 @@ def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> d
             "SWM031",
             f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2",
         )
-    return {
-        f"free_{name}": Estimate(
-            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name]
-        )  # type: ignore[arg-type]
-    }
+    free = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name])  # type: ignore[arg-type]
+    return {f"free_{name}": free}

@@ -86,10 +86,9 @@ def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
     """Hydrodynamic inertia of each fin, kg m2: as given, from Eq 6 for a rectangle, or None."""
-    found: dict[str, float | None] = {}
+    inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
-        known = robot.fins.get(fin)
-        if known is None:
+        if fin not in robot.fins:
             close = nearest(fin, list(robot.fins))
             hint = f"did you mean '{close}'? " if close else ""
             raise InputError(
@@ -98,18 +97,11 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
                 column="fin",
                 hint=f"{hint}it has: {', '.join(robot.fins) or 'none'}",
             )
-        if known.hydrodynamic_inertia_kg_m2 is not None:
-            found[fin] = known.hydrodynamic_inertia_kg_m2
-        elif known.shape == "rectangle":
-            found[fin] = plate_inertia(
-                height_m=known.height_m,
-                length_m=known.length_m,
-                axle_gap_m=known.axle_gap_m,
-                density_kg_m3=robot.fluid.density_kg_m3,
-            )
-        else:
-            found[fin] = None
-    return found
+        known, density = robot.fins[fin], robot.fluid.density_kg_m3
+        inertias[fin] = known.hydrodynamic_inertia_kg_m2
+        if inertias[fin] is None and known.shape == "rectangle":
+            inertias[fin] = plate_inertia(known.height_m, known.length_m, known.axle_gap_m, density)
+    return inertias
 
 
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
@@ -123,39 +115,35 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     trials = []
     for fin, inertia in inertias.items():
         rows = np.array([f == fin for f in table.fin])
-        speed = table.mean_speed_m_s[rows]
-        distance = table.distance_m[rows]
+        speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
+        spread = np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed)
+        inputs = {
+            "frequency_hz": table.frequency_hz[rows],
+            "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
+            "distance_m": distance,
+        }
         trials.append(
             Trial(
                 id=fin,
                 role="fit",
                 time_s=np.arange(len(speed), dtype=float),
                 measured={SPEED: speed},
-                inputs={
-                    "frequency_hz": table.frequency_hz[rows],
-                    "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
-                    "distance_m": distance,
-                },
+                inputs=inputs,
                 cruise=CruiseInput(fin, inertia, middle, np.flatnonzero(rows)),
-                value_sd={
-                    SPEED: np.nan_to_num(
-                        np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed), nan=1.0
-                    )
-                },
+                value_sd={SPEED: np.nan_to_num(spread, nan=1.0)},
             )
         )
-    inputs = [*inputs_of(path, entries, [table.source]), parameters_format.origin(source)]
+    read = [*inputs_of(path, entries, [table.source]), parameters_format.origin(source)]
     facts = {"drag": drag, "drag_path": drag_path}
-    return Experiment("cruise", robot, model, trials, inputs, facts=facts)
+    return Experiment("cruise", robot, model, trials, read, facts=facts)
 
 
 # ------------------------------------------------------------ straight free swimming
 
 
 def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
-    trials, logs = [], []
-    found: dict[str, dict[str, float | str | None]] = {}
-    turning = []
+    trials, logs, turning = [], [], []
+    beat_facts: dict[str, dict[str, float | str | None]] = {}
     waveforms: dict[tuple[str, float], str] = {}
     for entry in entries.trials:
         drive = entry.drive
@@ -172,7 +160,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        found[entry.id] = beats.facts(entry, beat, used="measured")
+        beat_facts[entry.id] = beats.facts(entry, beat, used="measured")
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue
@@ -187,15 +175,8 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         if whole < 4:
             after = "" if full.all() else f" after the drive's ramp of {ramp:g} s"
             raise InputError(f"holds {whole} whole beats{after}; at least 4 are needed", file=log.path)
-        trials.append(
-            Trial(
-                id=entry.id,
-                role=entry.role,
-                time_s=time,
-                measured={"u_m_s": speed},
-                surge=SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0])),
-            )
-        )
+        steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
+        trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
     if turning:
         warn(
             "SWM018",
@@ -223,14 +204,8 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         speed_m_s=max(float(np.nanmax(t.measured["u_m_s"])) for t in trials),
     )
     waveform, asymmetry = next(iter(waveforms))
-    return Experiment(
-        "free-swim",
-        robot,
-        model,
-        trials,
-        inputs_of(path, entries, logs),
-        facts={"beats": found, "waveform": waveform, "asymmetry": asymmetry},
-    )
+    facts = {"beats": beat_facts, "waveform": waveform, "asymmetry": asymmetry}
+    return Experiment("free-swim", robot, model, trials, inputs_of(path, entries, logs), facts=facts)
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
@@ -252,19 +227,9 @@ def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surge averaged over whole beats.
+    """Surge averaged over whole beats: middle of each (s) and its average; NaN where samples are missing.
 
-    Parameters
-    ----------
-    log : Log
-        With ``u_m_s``, or with position and yaw: then the displacement over a beat along its
-        mean heading.
-    period_s : float
-
-    Returns
-    -------
-    time_s, u_m_s : ndarray, shape (beats,)
-        Middle of each beat and its average; NaN for a beat with missing samples.
+    From ``u_m_s``, or from position and yaw: then the displacement over a beat along its mean heading.
 
     Raises
     ------
@@ -285,22 +250,19 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
         )
     edges = time[0] + period_s * np.arange(count + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
-    if "u_m_s" in log:
+
+    def over_beats(values: np.ndarray) -> np.ndarray:
+        return np.diff(np.interp(edges, time, values))
+
+    def averages(values: np.ndarray) -> np.ndarray:
         # integrated to the very edges of a beat: a sample more or less would leave a ripple
-        speeds = (
-            np.diff(np.interp(edges, time, cumulative_trapezoid(log["u_m_s"][there], time, initial=0.0)))
-            / period_s
-        )
+        return over_beats(cumulative_trapezoid(values, time, initial=0.0)) / period_s
+
+    if "u_m_s" in log:
+        speeds = averages(log["u_m_s"][there])
     else:
-        x, y = (np.diff(np.interp(edges, time, log[c][there])) for c in ("x_m", "y_m"))
-        heading = (
-            np.diff(
-                np.interp(
-                    edges, time, cumulative_trapezoid(np.unwrap(log["yaw_rad"][there]), time, initial=0.0)
-                )
-            )
-            / period_s
-        )
+        x, y = (over_beats(log[c][there]) for c in ("x_m", "y_m"))
+        heading = averages(np.unwrap(log["yaw_rad"][there]))
         speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
     gaps = np.diff(time)
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):

@@ -122,6 +122,16 @@ def figure(
     return Figure(id=id, title=title, caption=caption, panels=[one])
 
 
+def panels(id: str, title: str, caption: str, panels: Sequence[Panel], columns: int = 2) -> Figure:
+    """A figure of several panels, so many side by side."""
+    return Figure(id=id, title=title, caption=caption, panels=list(panels), columns=columns)
+
+
+def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
+    """One panel; what else a :class:`Panel` takes by keyword."""
+    return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
+
+
 def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
     """A curve with a band of this half-width about it."""
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)

@@ -239,6 +239,15 @@ def _joined(text: str, unit: str) -> str:
     return text if not printed else text + printed if printed == "°" else f"{text} {printed}"
 
 
+def in_degrees(unit: str) -> tuple[float, str]:
+    """Factor and unit in which people read a quantity: degrees for radian, others as they are.
+
+    >>> in_degrees("m/s")
+    (1.0, 'm/s')
+    """
+    return (math.degrees(1.0), f"deg{unit[3:]}") if unit in ("rad", "rad/s") else (1.0, unit)
+
+
 def split_unit(name: str) -> tuple[str, str]:
     """The bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
 

@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -20,8 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
+    from swimid.files.yamlio import ResultFile
     from swimid.results.evidence import Figure
     from swimid.results.sections import Section
+
+File = TypeVar("File")
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,3 +223,24 @@ def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFram
     import pandas as pd
 
     return pd.DataFrame([list(row) for row in rows], columns=list(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class FileResult(Result, Generic[File]):
+    """A result that is a YAML file of a format of its own."""
+
+    file_type: ClassVar[type[ResultFile]]
+
+    @property
+    def file(self) -> File:
+        """What :meth:`save` writes."""
+        file: File = self.document
+        return file
+
+    @classmethod
+    def _read(cls, path: str | Path) -> Any:
+        return cls.file_type.read(path)
+
+    def _write(self, path: Path) -> list[Path]:
+        self.document.write(path)
+        return [path]

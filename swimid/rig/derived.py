@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Literal
+from functools import partial
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.notices import warn
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate
 from swimid.rig import theory
 from swimid.rig.model import COORDINATES
@@ -29,31 +29,24 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     A decay's damping ratio is given at the largest first swing, all damping taken together, and in the
     limit of small ones, where the linear part alone is left.
     """
-    found: dict[str, Estimate] = {}
-    trials = result.trials
+    first = result.trials[0]
+    quantities: dict[str, Estimate | None] = {}
     if experiment.name == "falling-weight":
-        for trial in trials:
-
-            def terminal(c: Mapping[str, float], force: float = trial.rig.pull) -> float:
-                return _terminal_speed(c, force)
-
-            _add(found, f"terminal_speed[{trial.id}]", estimate(result, trial, terminal, "m/s"))
+        for trial in result.trials:
+            terminal = partial(_terminal_speed, force=trial.rig.pull)
+            quantities[f"terminal_speed[{trial.id}]"] = propagated(result, trial, terminal, "m/s")
     if experiment.name == "free-decay":
-        first = trials[0]
-        _add(found, "natural_period_s", estimate(result, first, _period, "s"))
-        _add(found, "damping_ratio_linear", estimate(result, first, _linear_ratio, "1"))
-        amplitude = max(_first_amplitude(result, t) for t in trials)
+        quantities["natural_period_s"] = propagated(result, first, _period, "s")
+        quantities["damping_ratio_linear"] = propagated(result, first, _linear_ratio, "1")
+        amplitude = max(_first_amplitude(result, t) for t in result.trials)
         unit = COORDINATES[result.model.channels[0].name][0]
-        found["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
-
-        def ratio(c: Mapping[str, float]) -> float:
-            return _equivalent_ratio(c, amplitude)
-
-        _add(found, "damping_ratio_first_swing", estimate(result, first, ratio, "1"))
-    return found
+        quantities["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
+        ratio = partial(_equivalent_ratio, amplitude=amplitude)
+        quantities["damping_ratio_first_swing"] = propagated(result, first, ratio, "1")
+    return {name: e for name, e in quantities.items() if e is not None}
 
 
-def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
+def propagated(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
     """A function of a trial's coefficients with its standard error, to first order.
 
     Its status is that of what it depends on: ``fixed`` where that is nothing estimated, ``at-bound``
@@ -87,15 +80,14 @@ def estimate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> 
         gradient[j] = slope
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
     statuses = {result.status[label] for label, g in zip(result.labels, gradient, strict=True) if g != 0}
-    bound = "at-bound" in statuses
-    if held:
-        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "unidentifiable")
-    if not known.any():
-        return Estimate(value=centre, unit=unit, status="at-bound" if bound else "fixed")
+    if "at-bound" in statuses and (held or not known.any()):
+        return Estimate(value=centre, unit=unit, status="at-bound")
+    if not held and not known.any():
+        return Estimate(value=centre, unit=unit, status="fixed")
     variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
-    error = math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else math.nan
-    if not math.isfinite(error):
+    if held or not (math.isfinite(variance) and variance >= 0):
         return Estimate(value=centre, unit=unit, status="unidentifiable")
+    error = math.sqrt(variance)
     vague = error > UNIDENTIFIABLE * abs(centre) and unit != "1"
     return Estimate(value=centre, stderr=error, unit=unit, status="unidentifiable" if vague else "estimated")
 
@@ -106,124 +98,103 @@ def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
     The bounds rest on what is known without the force: body mass, frontal area, size. One that the stated
     force widened would let a wrong force pass with whatever follows from it.
     """
-    found = [
-        _inertia_possible(experiment, result),
-        _drag_possible(experiment, result),
-        _force_possible(experiment),
-    ]
-    return [check for check in found if check is not None]
+    limits = [_most_added(experiment, result), _most_drag(experiment, result)]
+    checks = [_estimate_possible(result, *limit) for limit in limits if limit is not None]
+    return [*checks, *_force_possible(experiment)]
 
 
-def _inertia_possible(experiment: Experiment, result: FitResult) -> ev.Check | None:
-    name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
-    limit = None if name is None else _most(experiment, result, name)
-    if name is None or limit is None:
-        return None
-    most, basis = limit
-    return _estimate_possible(
-        result, name, most, basis, "look at masses, forces and their units, and at what the model lacks"
-    )
+#: The name of an estimate, the most it can be, of what body, and what to look at where it is more.
+Limit = tuple[str, float, str, str]
 
 
-def _drag_possible(experiment: Experiment, result: FitResult) -> ev.Check | None:
-    """Whether the drag coefficient is one that any body has at the speeds reached."""
-    name = "drag_coefficient"
+def _most_drag(experiment: Experiment, result: FitResult) -> Limit | None:
+    """The largest drag coefficient of any body at the speeds reached."""
     density = experiment.robot.fluid.density_kg_m3
     sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
-    if name not in result.labels or not sized:
+    if "drag_coefficient" not in result.labels or not sized:
         return None
-    reynolds = max(
-        theory.reynolds(_fastest(result, t), 2.0 * t.rig.area_factor / density, density) for t in sized
-    )
+    numbers_reached = []
+    for trial in sized:
+        speed = np.abs(result.model.simulate(result.values(trial.id), trial)["u_m_s"])
+        fastest = float(np.nanmax(speed, initial=0.0))
+        numbers_reached.append(theory.reynolds(fastest, 2.0 * trial.rig.area_factor / density, density))
+    reynolds = max(numbers_reached)
     most = theory.most_drag_coefficient(reynolds)
     if not math.isfinite(most):
         return None
     basis = f"a body of any shape at a Reynolds number of {numbers.number(reynolds, 2)}"
-    return _estimate_possible(
-        result,
-        name,
-        most,
-        basis,
-        "look at forces, areas, lengths and their units, and at what the model lacks",
-    )
+    return "drag_coefficient", most, basis, "forces, areas, lengths"
 
 
-def _fastest(result: FitResult, trial: Trial) -> float:
-    """Highest speed of a trial as it was fitted, m/s."""
-    speed = result.model.simulate(result.values(trial.id), trial)["u_m_s"]
-    return float(np.nanmax(np.abs(speed), initial=0.0))
-
-
-def _estimate_possible(result: FitResult, name: str, most: float, basis: str, hint: str) -> ev.Check:
+def _estimate_possible(result: FitResult, name: str, most: float, basis: str, inputs: str) -> ev.Check:
     """Check of an estimate against the most a body can have; warns where it is above."""
     value, error = result.value(name), result.stderr(name) or 0.0
     unit = next(p.unit for p in result.parameters if p.name == name)
-    verdict: Literal["pass", "warn", "fail"] = "pass"
+    size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
     if value > most:
-        verdict = "fail" if value - 1.96 * error > most else "warn"
         warn(
             "SWM072",
-            f"{name} is {numbers.measured(value, error or None, unit)}, but {basis} can have "
-            f"{numbers.number(most, 2, unit)} at most: {hint}",
+            f"{name} is {size}, but {basis} can have {limit} at most: look at {inputs} and their units, and "
+            "at what the model lacks",
         )
-    return ev.Check(
-        name=f"{name.replace('_', ' ')} possible",
-        value=numbers.measured(value, error or None, unit),
-        limit=f"≤ {numbers.number(most, 2, unit)}",
-        verdict=verdict,
+    return blocks.check(
+        f"{name.replace('_', ' ')} possible",
+        size,
+        f"≤ {limit}",
+        not value > most,
+        otherwise="fail" if value - 1.96 * error > most else "warn",
         text=f"the most {basis} can have",
     )
 
 
-def _force_possible(experiment: Experiment) -> ev.Check | None:
+def _force_possible(experiment: Experiment) -> list[ev.Check]:
     """Whether weight or lift can be as large as the stated force that drives a body without a pulley."""
-    if experiment.name != "falling-weight":
-        return None
     gravity = experiment.robot.fluid.gravity_m_s2
-    worst: tuple[float, float, str] | None = None
-    for trial in experiment.trials:
+    forces: list[tuple[float, float, str]] = []
+    for trial in experiment.trials if experiment.name == "falling-weight" else []:
         rig, water = trial.rig, _most_water(experiment, trial)
-        if rig.pulley or not math.isfinite(water) or rig.inertia <= 0:
-            continue
-        most = gravity * max(rig.inertia, water - rig.inertia)
-        if worst is None or rig.pull / most > worst[0] / worst[1]:
-            worst = rig.pull, most, trial.id
-    if worst is None:
-        return None
-    force, most, name = worst
+        if not rig.pulley and math.isfinite(water) and rig.inertia > 0:
+            forces.append((rig.pull, gravity * max(rig.inertia, water - rig.inertia), trial.id))
+    if not forces:
+        return []
+    force, most, name = max(forces, key=lambda f: f[0] / f[1])
+    size, limit = numbers.number(force, 3, "N"), numbers.number(most, 3, "N")
     if force > most:
         warn(
             "SWM072",
-            f"the driving force of '{name}', {numbers.number(force, 3, 'N')}, is more than a body of its "
-            f"mass and size weighs or lifts, {numbers.number(most, 3, 'N')}: look at its unit and the mass",
+            f"the driving force of '{name}', {size}, is more than a body of its mass and size weighs or "
+            f"lifts, {limit}: look at its unit and the mass",
         )
-    return ev.Check(
-        name="driving force possible",
-        value=f"{numbers.number(force, 3, 'N')} in {name}",
-        limit=f"≤ {numbers.number(most, 3, 'N')}",
-        verdict="pass" if force <= most else "warn",
-        text="the whole weight of the body, or the lift of the largest one of its size; only a drive of "
-        "another kind is stronger",
-    )
+    return [
+        blocks.check(
+            "driving force possible",
+            f"{size} in {name}",
+            f"≤ {limit}",
+            force <= most,
+            text="the whole weight of the body, or the lift of the largest one of its size; only a drive of "
+            "another kind is stronger",
+        )
+    ]
 
 
-def _most(experiment: Experiment, result: FitResult, name: str) -> tuple[float, str] | None:
-    """Largest possible added mass or inertia, and of what."""
+def _most_added(experiment: Experiment, result: FitResult) -> Limit | None:
+    """Largest possible added mass or inertia."""
+    name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
     body, density = experiment.robot.body, experiment.robot.fluid.density_kg_m3
-    along = result.model.channels[0].name == "x_m"
+    along, inputs = result.model.channels[0].name == "x_m", "masses, forces"
+    if name is None:
+        return None
     if body.length_m and body.width_m and body.height_m:
         box = (body.length_m, body.width_m, body.height_m, density)
-        if name == "added_inertia":
-            return theory.most_added_inertia(*box), "a body in its box"
-        return theory.most_added_mass_in_box(*box, along=along), "a body in its box"
-    if name == "added_inertia":
-        return None
+        turns = name == "added_inertia"
+        most = theory.most_added_inertia(*box) if turns else theory.most_added_mass_in_box(*box, along=along)
+        return name, most, "a body in its box", inputs
     displaced = max(_displaced(experiment, t) for t in result.trials)
-    if displaced <= 0:
+    if name == "added_inertia" or displaced <= 0:
         return None
     area = max(2.0 * t.rig.area_factor / density for t in result.trials)
     most = theory.most_added_mass(displaced, area if along and area else None, density)
-    return most, "a body of its mass and size" if along and area else "a body of its mass"
+    return name, most, "a body of its mass and size" if along and area else "a body of its mass", inputs
 
 
 def _displaced(experiment: Experiment, trial: Trial) -> float:
@@ -246,11 +217,6 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
         return density * body.length_m * body.width_m * body.height_m
     factor = trial.rig.area_factor
     return theory.most_displaced(2.0 * factor / density, density) if factor else math.inf
-
-
-def _add(found: dict[str, Estimate], name: str, e: Estimate | None) -> None:
-    if e is not None:
-        found[name] = e
 
 
 def _terminal_speed(c: Mapping[str, float], force: float) -> float:

@@ -28,14 +28,12 @@ class Displacement:
     kind : str
         ``continuous`` (no encoder seen), ``clicks`` or ``sampled``.
     time_s, position : ndarray, shape (n,)
-        For ``sampled``: the instants at which steps were passed, or the samples themselves
+        For ``sampled``: the instants at which steps were passed (``events``), or the samples themselves
         where the body moves more than a step per sample.
     resolution : float or None
         Encoder step, in the unit of the displacement.
     time_sd_s, position_sd : float
         Known part of the errors (from the sampling interval, or from the step).
-    events : bool
-        Whether the samples are the instants at which the count changed.
     """
 
     kind: Kind
@@ -47,11 +45,9 @@ class Displacement:
     events: bool = False
 
 
-#: How a count may be rounded: ``floor`` shows a step once it is passed.
-ROUNDINGS = ("floor", "nearest", "ceil")
-#: True position minus count, in steps: at the instant the count changes, rising and falling,
-#: and averaged over the time it shows.
-_SHIFT = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
+#: How a count may be rounded (``floor`` shows a step once it is passed), and the true position minus the
+#: count, in steps: at the instant the count changes, rising and falling, and averaged over the time it shows.
+ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
 
 
 def step_of(position: Array) -> float | None:
@@ -65,26 +61,16 @@ def step_of(position: Array) -> float | None:
         return None
     gaps = np.diff(values)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    whole = (values - values[0]) / step
-    count = np.round(whole)
+    count = np.round((values - values[0]) / step)
     # the step itself to more digits, from the whole range
     step = float((values[-1] - values[0]) / count[-1]) if count[-1] > 0 else step
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def understand(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Tell the kind of a displacement record and bring it into usable form.
+    """Tell the kind of a displacement record without missing samples and bring it into usable form.
 
-    Parameters
-    ----------
-    time_s, position : ndarray, shape (n,)
-        Without missing samples.
-    resolution : float, optional
-        The encoder's step where it is known: decides for records that move several steps a sample.
-
-    Returns
-    -------
-    Displacement
+    The encoder's ``resolution``, where it is known, decides for records that move several steps a sample.
     """
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)
@@ -95,7 +81,7 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
     forward = moves[moves != 0]
     if len(forward) < 3 or np.mean(np.sign(forward) == np.sign(np.median(forward))) < 0.98:
         return plain  # a record that wanders is rounding, not counting
-    if np.mean(np.abs(moves) == 1) > 0.9 and not _regular(time_s):
+    if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
         # every row is the next click; before the first one the body stood still
         return Displacement("clicks", time_s, position, step)
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
@@ -115,12 +101,7 @@ def true_position(record: Displacement, rounding: str) -> Array:
     """Positions behind the counts, shape (n,), if the count is rounded that way."""
     if record.kind != "sampled" or record.resolution is None:
         return record.position
-    at_change_rising, at_change_falling, shown = _SHIFT[rounding]
+    at_change_rising, at_change_falling, shown = ROUNDINGS[rounding]
     falling = record.position[-1] < record.position[0]
     shift = (at_change_falling if falling else at_change_rising) if record.events else shown
     return record.position + shift * record.resolution
-
-
-def _regular(time_s: Array) -> bool:
-    gaps = np.diff(time_s)
-    return bool(np.std(gaps) < 0.02 * np.mean(gaps))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.profile import profile_interval
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -26,7 +25,7 @@ from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
 from swimid.rig import trials as rig_experiment
 from swimid.rig.options import FitDragOptions
-from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, odd_check, odd_one
+from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, misfit, odd_check, odd_one
 
 
 @takes(FitDragOptions)
@@ -61,24 +60,29 @@ def fit_drag(
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
-        found = _best_fit(experiment, choices, options.start_state, progress)
-        result = found.result
+        best = _best_fit(experiment, choices, options.start_state, progress)
+        result = best.result
         profiles = _profiles(result, progress) if options.profile else {}
-        pair = _two_point(experiment, options.points_m, insist=options.method == "two-point")
+        try:
+            pair = _two_point(experiment, options.points_m)
+        except NoTrustworthyResult:
+            if options.method == "two-point":
+                raise
+            pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        derived = {**found.derived, **fit_drag_derived.derived(experiment, result)}
+        derived = {**best.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
             derived=derived,
-            settings=found.facts,
+            settings=best.facts,
         )
         checks = [
             *fit_common.checks(result, file),
             *fit_drag_derived.possible(experiment, result),
-            *found.checks,
+            *best.checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
     if estimated and all(result.status[label] != "estimated" for label in estimated):
@@ -114,7 +118,7 @@ def _best_fit(
     """The fit under the reading of the logs the data prefer, and what was chosen."""
     model = experiment.model
     if start_state == "estimate":
-        choices = _with_free(choices, ("start_offset", "initial_speed"))
+        choices = chosen(choices, freed=("start_offset", "initial_speed"))
     # a friction of each trial is a random effect, never a free number
     friction = any(p.name == FRICTION and p.free for p in choices)
     choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)
@@ -123,81 +127,60 @@ def _best_fit(
         name: output_error.fit(model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: _misfit(fits[key]))
+    name = min(fits, key=lambda key: misfit(fits[key]))
     plain = fits[name]
-    found, odd = Explained(plain), odd_one(plain)
+    best, odd = Explained(plain), odd_one(plain)
     masses = experiment.facts.get("pulling_mass_kg", {})
     if experiment.name == "falling-weight":
         free_start = any(p.free for p in choices if p.name in STARTS)
         if friction or (start_state == "auto" and not free_start):
-            found = explained(plain, choices, masses, odd, insist=friction)
-    result = start_states.with_held_out(found.result)
-    checks = [*found.checks, *([odd_check(result, odd, masses)] if odd else [])]
-    facts = {**({"encoder_rounding": name} if name else {}), **found.facts}
-    return replace(found, result=result, facts=facts, checks=checks)
-
-
-def _misfit(result: output_error.FitResult) -> float:
-    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
-
-
-def _with_free(parameters: tuple[Parameter, ...], names: tuple[str, ...]) -> tuple[Parameter, ...]:
-    return tuple(replace(p, free=True) if p.name in names else p for p in parameters)
+            best = explained(plain, choices, masses, odd, insist=friction)
+    result = start_states.with_held_out(best.result)
+    checks = [*best.checks, *([odd_check(result, odd, masses)] if odd else [])]
+    facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
+    return replace(best, result=result, facts=facts, checks=checks)
 
 
 def _profiles(
     result: output_error.FitResult, progress: Progress
 ) -> dict[str, tuple[float | None, float | None]]:
     names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
-    found = {}
+    intervals = {}
     with progress("profiling", total=len(names)) as step:
         for name in names:
-            found[name] = profile_interval(result, name)
+            intervals[name] = profile_interval(result, name)
             step()
-    return found
+    return intervals
 
 
 # ------------------------------------------------------------ two-point method
 
 
-def _two_point(
-    experiment: Experiment, points_m: tuple[float, float] | None, *, insist: bool
-) -> two_point.TwoPointResult | None:
-    """The paper's method, where it applies; raises only when it was asked for."""
-    body, rig = experiment.robot.body, experiment.robot.rig
+def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> two_point.TwoPointResult:
+    """The paper's method; raises where it does not apply."""
+    body, fluid = experiment.robot.body, experiment.robot.fluid
     pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    reason = None
+    cannot = "the two-point method cannot be used: "
     if experiment.name != "falling-weight" or len(pulled) < 3:
-        reason = "it needs a falling-weight experiment with at least three pulling masses"
-    elif body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        reason = "the robot's inertial mass and frontal area are needed"
-    if reason:
-        if insist:
-            raise NoTrustworthyResult(f"the two-point method cannot be used: {reason}")
-        return None
-    gravity = experiment.robot.fluid.gravity_m_s2
-    try:
-        return two_point.two_point(
-            [
-                two_point.Drop(
-                    t.id,
-                    t.rig.pull / gravity,
-                    t.time_s - t.rig.begin_s,
-                    t.measured["x_m"] - t.rig.x0,
-                )
-                for t in pulled
-            ],
-            inertial_mass_kg=float(body.inertial_mass_kg or 0.0),
-            pulley_inertia_kg=rig.pulley_inertia_kg,
-            frontal_area_m2=float(body.frontal_area_m2 or 0.0),
-            density_kg_m3=experiment.robot.fluid.density_kg_m3,
-            gravity_m_s2=gravity,
-            points_m=points_m,
+        raise NoTrustworthyResult(
+            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
         )
-    except NoTrustworthyResult:
-        if insist:
-            raise
-        return None
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
+    drops = [
+        two_point.Drop(
+            t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0
+        )
+        for t in pulled
+    ]
+    return two_point.two_point(
+        drops,
+        mass_kg=body.inertial_mass_kg + experiment.robot.rig.pulley_inertia_kg,
+        frontal_area_m2=body.frontal_area_m2,
+        density_kg_m3=fluid.density_kg_m3,
+        gravity_m_s2=fluid.gravity_m_s2,
+        points_m=points_m,
+    )
 
 
 def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> ParameterFile:
@@ -208,16 +191,11 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     NoTrustworthyResult
         When the method gives no errors: its points do not lie on lines, or not on rising ones.
     """
-    if not all(math.isfinite(error) for error in pair.stderr.values()):
+    if not pair.answers:
         raise NoTrustworthyResult(
             "the two-point method has no answer: its speeds do not rise with the pulling mass as Eq 13 says",
             hint="look at the pulling masses, or use --method ml",
         )
-    values = {
-        "drag_coefficient": pair.drag_coefficient,
-        "added_mass": pair.added_mass,
-        "pulley_friction": pair.pulley_friction,
-    }
     parameters = {
         name: Estimate(
             value=value,
@@ -226,7 +204,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
             bounds=file.parameters[name].bounds,
             status="estimated",
         )
-        for name, value in values.items()
+        for name, value in pair.values.items()
     }
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
@@ -245,27 +223,23 @@ def _tables(
     result: output_error.FitResult,
 ) -> list[ev.Table]:
     rows: list[dict[str, blocks.Cell]] = []
-    names = ("drag_coefficient", "added_mass", "pulley_friction")
     estimates = theory.estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
-    for name in dict.fromkeys([*names, *(t.parameter for t in estimates)]):
+    for name in dict.fromkeys([*two_point.NAMES, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
-        e, known = fitted[name], "not identifiable"
-        if e.status != "unidentifiable":
-            known = numbers.measured(e.value, e.stderr, e.unit)
-        two, bias = "", ""
-        if pair is not None and name in pair.stderr:
-            two = numbers.measured(getattr(pair, name), pair.stderr[name], e.unit)
-        if pair is not None and name in pair.bias:
+        e, two, bias = fitted[name], "", ""
+        if pair is not None and name in pair.values:
+            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
             bias = numbers.number(pair.bias[name], 2, e.unit)
+        known = numbers.measured(e.value, e.stderr, e.unit)
         by_theory = [
             f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
         ]
         rows.append(
             {
                 "parameter": name,
-                "maximum likelihood": known,
+                "maximum likelihood": "not identifiable" if e.status == "unidentifiable" else known,
                 "two-point": two,
                 "two-point bias": bias,
                 "theory": "; ".join(by_theory),
@@ -287,18 +261,11 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
     order = np.argsort(grams)
     traces = []
     for i, point in enumerate(pair.points_m):
-        traces.append(
-            ev.Trace(
-                x=grams[order],
-                y=pair.speed_squared[i][order],
-                y_error=1.96 * pair.speed_squared_sd[i][order],
-                style="points",
-                label=f"at {point:.3f} m",
-                group=i,
-            )
-        )
+        x, squared, error = grams[order], pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
-        traces.append(ev.Trace(x=grams[order], y=line, group=i))
+        label = f"at {point:.3f} m"
+        traces.append(ev.Trace(x=x, y=squared, y_error=error, style="points", label=label, group=i))
+        traces.append(ev.Trace(x=x, y=line, group=i))
     return [
         blocks.figure(
             "speed-squared",
@@ -315,61 +282,48 @@ def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
 def _methods(
     experiment: Experiment, result: output_error.FitResult, method: str, pair: two_point.TwoPointResult | None
 ) -> list[str]:
-    trials = [t for t in result.trials if t.role == "fit"]
+    count = len([t for t in result.trials if t.role == "fit"])
     names = [label for label in result.labels if "[" not in label]
-    said = [
-        f"{', '.join(names)} were estimated from {len(trials)} {experiment.name} trials "
-        f"({result.samples} samples) by "
-        "output-error maximum likelihood with a single-degree-of-freedom rig model.",
+    sentences = [
+        f"{', '.join(names)} were estimated from {count} {experiment.name} trials ({result.samples} samples) "
+        "by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
     ]
-    kinds = set(experiment.facts.get("encoder", {}).values()) - {"continuous"}
-    if kinds:
+    if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
         step = experiment.facts.get("resolution_m")
         size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
-        said.append(
-            f"The displacement came from an encoder with steps{size}; its quantisation is part of "
-            "the noise model."
+        sentences.append(
+            f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise "
+            "model."
         )
     if method == "two-point" and pair is not None:
-        said.append(
-            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} "
-            f"and {pair.points_m[1]:.3f} m."
+        sentences.append(
+            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} and "
+            f"{pair.points_m[1]:.3f} m."
         )
-    return said
+    return sentences
 
 
 def _summary(
     experiment: Experiment, file: ParameterFile, evidence: ev.Evidence, pair: two_point.TwoPointResult | None
 ) -> str:
     assert file.fit is not None
-    shown = file.model_copy(
-        update={
-            "derived": {k: v for k, v in file.derived.items() if "[" not in k},
-            "parameters": {k: v for k, v in file.parameters.items() if "[" not in k},
-        }
-    )
+    samples = (file.fit.model_extra or {}).get("samples")
     lines = [
         f"{experiment.name} of {experiment.robot.name}: {len(file.fit.trials)} trials"
-        + (
-            f", {file.fit.model_extra['samples']} samples"
-            if file.fit.model_extra and "samples" in file.fit.model_extra
-            else ""
-        ),
-        rows(shown),
+        + (f", {samples} samples" if samples is not None else ""),
+        rows(fit_common.brief(file)),
     ]
-    if pair is not None and not all(math.isfinite(e) for e in pair.stderr.values()):
+    if pair is not None and not pair.answers:
         lines.append(
             "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
         )
     elif pair is not None and getattr(file.fit, "method", "") != "two-point":
-        lines.append(
-            "  two-point method: "
-            + "; ".join(
-                numbers.measured(getattr(pair, name), pair.stderr[name], unit)
-                for name, unit in (("drag_coefficient", "1"), ("added_mass", "kg"), ("pulley_friction", "N"))
-            )
-        )
+        values = [
+            numbers.measured(pair.values[name], pair.stderr[name], unit)
+            for name, unit in zip(two_point.NAMES, ("1", "kg", "N"), strict=True)
+        ]
+        lines.append("  two-point method: " + "; ".join(values))
     lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
     return "\n".join(lines)

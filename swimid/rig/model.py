@@ -14,16 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
-import numba
 import numpy as np
 
-from swimid.fitting.hooks import MOST_FORCES, Hooks, no_force
+from swimid.fitting.hooks import MOST_FORCES, NONE, Hooks, no_force
 from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Trial
 from swimid.fitting.scales import Scales
-from swimid.rig.dry_friction import MOST_EVENTS, breakaway
-from swimid.rig.forced import integrate_forced, step_ends
+from swimid.rig.equation import falling_weight_closed_form, integrate, integrate_forced, step_ends
 
 #: Coordinates a rig may log, with unit, unit of speed and whether it is a rotation.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
@@ -39,171 +38,6 @@ DEFAULT_STEP = 0.01
 MOST_STEPS = 5_000
 #: Coefficients of the equation of motion, in the order :func:`integrate` takes them.
 EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest")
-
-
-@numba.njit(cache=True, nogil=True)
-def _acceleration(x, v, side, force, inertia, quadratic, linear, dry, stiffness, rest):  # type: ignore[no-untyped-def]
-    push = force - linear * v - quadratic * v * abs(v) - stiffness * (x - rest)
-    return (push - dry * side) / inertia
-
-
-@numba.njit(cache=True, nogil=True)
-def _rk4(x, v, side, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest):  # type: ignore[no-untyped-def]
-    fm = 0.5 * (f0 + f1)
-    a1 = _acceleration(x, v, side, f0, inertia, quadratic, linear, dry, stiffness, rest)
-    v2 = v + 0.5 * h * a1
-    a2 = _acceleration(x + 0.5 * h * v, v2, side, fm, inertia, quadratic, linear, dry, stiffness, rest)
-    v3 = v + 0.5 * h * a2
-    a3 = _acceleration(x + 0.5 * h * v2, v3, side, fm, inertia, quadratic, linear, dry, stiffness, rest)
-    v4 = v + h * a3
-    a4 = _acceleration(x + h * v3, v4, side, f1, inertia, quadratic, linear, dry, stiffness, rest)
-    return x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-
-
-@numba.njit(cache=True, nogil=True)
-def _with_friction(x, v, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest):  # type: ignore[no-untyped-def]
-    """One step under dry friction, cut where the body stops and where it gets loose again."""
-    slope = (f1 - f0) / h
-    done = 0.0
-    for _ in range(MOST_EVENTS):
-        f = f0 + slope * done
-        if v == 0.0:
-            after, side = breakaway(f - stiffness * (x - rest), slope, dry, h - done)
-            if side == 0.0:
-                return x, v
-            done += after
-            f = f0 + slope * done
-        else:
-            side = 1.0 if v > 0 else -1.0
-        left = h - done
-        x1, v1 = _rk4(x, v, side, left, f, f1, inertia, quadratic, linear, dry, stiffness, rest)
-        if v1 * side >= 0.0:
-            return x1, v1
-        low, high = 0.0, left
-        cut = left * v / (v - v1) if v != 0.0 else 0.5 * left
-        for _ in range(40):
-            x1, v1 = _rk4(
-                x, v, side, cut, f, f + slope * cut, inertia, quadratic, linear, dry, stiffness, rest
-            )
-            if v1 * side > 0:
-                low = cut
-            else:
-                high = cut
-            if high - low < 1e-14:
-                break
-            cut = 0.5 * (low + high)
-        x, v = x1, 0.0
-        done += cut
-        if h - done <= 1e-14:
-            break
-    return x, v
-
-
-@numba.njit(cache=True, nogil=True)
-def integrate(  # type: ignore[no-untyped-def]
-    time, start, max_step, force, inertia, quadratic, linear, dry, stiffness, rest, x0, v0
-):
-    """Positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-        Increasing. Samples before ``start`` hold the initial state.
-    start : float, s
-        Time of release.
-    max_step : float, s
-        Each interval between samples is cut into equal steps no longer than this, so that
-        the steps do not depend on the parameters and finite differences stay smooth.
-    force : ndarray, shape (n,) or (1,)
-        Applied force at the samples (linear in between), or one constant value.
-    inertia, quadratic, linear, dry, stiffness, rest, x0, v0 : float
-        Coefficients of the equation of motion; initial position and speed.
-
-    Returns
-    -------
-    x, v : ndarray, shape (n,)
-
-    Notes
-    -----
-    Dry friction holds its sign within a step; a step in which the speed would change sign is
-    cut at the reversal, where the body sticks while the net force is below the friction, and where
-    it gets loose again. Both instants move with the parameters: kept to the grid of steps, the
-    motion would be a staircase of the friction, and its derivative wrong.
-    """
-    n = len(time)
-    positions = np.empty(n)
-    speeds = np.empty(n)
-    x, v, now = x0, v0, start
-    constant = len(force) == 1
-    for i in range(n):
-        if time[i] > now:
-            f_start = force[0] if constant or i == 0 else force[i - 1]
-            f_end = force[0] if constant else force[i]
-            width = time[i] - now
-            steps = max(1, math.ceil(width / max_step - 1e-9))
-            h = width / steps
-            for j in range(steps):
-                f0 = f_start + (f_end - f_start) * (j / steps)
-                f1 = f_start + (f_end - f_start) * ((j + 1) / steps)
-                if dry == 0.0:
-                    x, v = _rk4(x, v, 0.0, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest)
-                    continue
-                x, v = _with_friction(x, v, h, f0, f1, inertia, quadratic, linear, dry, stiffness, rest)
-            now = time[i]
-        positions[i] = x
-        speeds[i] = v
-    return positions, speeds
-
-
-@numba.njit(cache=True, nogil=True)
-def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type: ignore[no-untyped-def]
-    """Displacement and speed of a body pulled from rest by a constant force.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-    start : float, s
-        Time of release.
-    inertia : float, kg
-        M of Eq 8.
-    quadratic : float, N s2/m2
-        ``rho C_d A / 2``; zero is allowed.
-    force : float, N
-        Net force ``m_w g - f_c``; the body stays where it is when it is not positive.
-
-    Returns
-    -------
-    x, v : ndarray, shape (n,), m and m/s
-
-    Notes
-    -----
-    Eqs 9 and 10 of the boxfish paper. (Its Eq 14 misprints the argument: it is
-    ``sqrt(a1 a2) t``, not ``sqrt(a1 a2 t)``.)
-
-    >>> x, v = falling_weight_closed_form(np.array([100.0]), 0.0, 2.0, 4.0, 1.0)
-    >>> float(v[0])
-    0.5
-    """
-    x = np.zeros(len(time))
-    v = np.zeros(len(time))
-    if force <= 0.0:
-        return x, v
-    a1 = quadratic / inertia
-    a2 = force / inertia
-    rate = math.sqrt(a1 * a2)
-    for i in range(len(time)):
-        t = max(time[i] - start, 0.0)
-        phi = rate * t
-        if phi < 1e-4:
-            # series of ln cosh and tanh: no division by a vanishing drag
-            x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
-            v[i] = a2 * t * (1.0 - phi * phi / 3.0)
-        else:
-            # one exponential serves ln cosh, without overflow, and tanh
-            decay = math.exp(-2.0 * phi)
-            x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
-            v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)
-    return x, v
 
 
 class RigScales(Scales):
@@ -334,25 +168,35 @@ class RigModel(Model):
         broken = np.full(len(trial.time_s), np.nan)
         return {self.coordinate: broken, self.speed: broken}
 
-    def _moved(self, c: dict[str, float], trial: Trial, release: float) -> dict[str, Array]:
+    def _moved(
+        self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks = NONE
+    ) -> dict[str, Array]:
         """Displacement and speed under the coefficients of :meth:`_whole`."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self._broken(trial)
-        force, known = trial.inputs.get("force_N"), c["force"]
+        measured, known = trial.inputs.get("force_N"), c["force"]
+        forced = bool(hooks.force or hooks.flow)
         constant = c["linear"] == c["stiffness"] == c["v0"] == 0 and known >= 0 and c["quadratic"] >= 0
-        if force is None and constant:
+        if measured is None and constant and not forced:
             x, v = falling_weight_closed_form(
                 trial.time_s, release, c["inertia"], c["quadratic"], known - c["dry"]
             )
             return {self.coordinate: x + c["x0"], self.speed: v}
-        x, v = integrate(
-            trial.time_s,
-            release,
-            self._step(trial.time_s),
-            np.array([known]) if force is None else force + known,
-            *(c[name] for name in EQUATION),
-            c["x0"],
-            c["v0"],
+        force = np.array([known]) if measured is None else measured + known
+        equation = tuple(c[name] for name in EQUATION)
+        step = self._step(trial.time_s)
+        if not forced:
+            x, v = integrate(trial.time_s, release, step, force, *equation, c["x0"], c["v0"])
+            return {self.coordinate: x, self.speed: v}
+        ends = step_ends(trial.time_s, release, step)
+        water = np.zeros(len(ends))
+        for flow in hooks.flow:
+            water = water + flow(ends)[1][:, 0]
+        acting = [(f.function, f.constants) for f in hooks.force]
+        idle = [(no_force, np.zeros(1))] * (MOST_FORCES - len(acting))
+        forces = (part for pair in acting + idle for part in pair)
+        x, v = integrate_forced(
+            trial.time_s, release, step, force, water, c["x0"], c["v0"], equation, len(acting), *forces
         )
         return {self.coordinate: x, self.speed: v}
 
@@ -380,38 +224,10 @@ class RigModel(Model):
             late = replace(trial, time_s=time, inputs=inputs)
         if not np.isfinite(values).all():
             return self._broken(trial)
-        c = hooks.changed(self._whole(values, trial), "coefficients")
-        release = self._release(values, trial)
-        if hooks.force or hooks.flow:
-            return hooks.seen(self._forced(c, late, release, hooks), trial.time_s)
-        return hooks.seen(self._moved(c, late, release), trial.time_s)
-
-    def _forced(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
         if len(hooks.force) > MOST_FORCES:
             raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
-        if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
-            return self._broken(trial)
-        step = self._step(trial.time_s)
-        ends = step_ends(trial.time_s, release, step)
-        water = np.zeros(len(ends))
-        for flow in hooks.flow:
-            water = water + flow(ends)[1][:, 0]
-        acting = [(f.function, f.constants) for f in hooks.force]
-        idle = [(no_force, np.zeros(1))] * (MOST_FORCES - len(acting))
-        force = trial.inputs.get("force_N")
-        x, v = integrate_forced(
-            trial.time_s,
-            release,
-            step,
-            np.array([c["force"]]) if force is None else force + c["force"],
-            water,
-            c["x0"],
-            c["v0"],
-            tuple(c[name] for name in EQUATION),
-            len(acting),
-            *(part for pair in acting + idle for part in pair),
-        )
-        return {self.coordinate: x, self.speed: v}
+        c = hooks.changed(self._whole(values, trial), "coefficients")
+        return hooks.seen(self._moved(c, late, self._release(values, trial), hooks), trial.time_s)
 
     def refined(self) -> RigModel:
         """The same model with half the integration step."""
@@ -424,96 +240,69 @@ class RigModel(Model):
         return {self.coordinate: simulated[self.speed], self.speed: rate}
 
 
-def _nuisances(coordinate: str, *, length: float, speed: float, free_start: bool) -> tuple[Parameter, ...]:
+def _parameter(
+    name: str, unit: str, start: float, scale: float, meaning: str, *, lower: float = 0.0, **more: Any
+) -> Parameter:
+    """One without an upper bound."""
+    return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
+
+
+def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
+    """One about zero."""
+    return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
+
+
+def _drag(area_known: bool, source: str = "") -> Parameter:
+    """The drag coefficient; where the frontal area is not known, the quadratic coefficient itself."""
+    if area_known:
+        return Parameter(
+            "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
+        )
+    return _parameter("quadratic_drag", "N s^2/m^2", 1.0, 1.0, "quadratic drag", source=source)
+
+
+def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
+    """Where, how fast and when a trial starts."""
     unit, speed_unit, _ = COORDINATES[coordinate]
-    inf = math.inf
+    own: dict[str, Any] = {"per_trial": True}
     return (
-        Parameter("start_offset", unit, -inf, inf, 0.0, length, free_start, True, "displacement at release"),
-        Parameter("initial_speed", speed_unit, -inf, inf, 0.0, speed, free_start, True, "speed at release"),
-        Parameter("clock_offset", "s", -inf, inf, 0.0, 0.1, False, True, "release against the log's clock"),
+        _signed("start_offset", unit, length, "displacement at release", free=free, **own),
+        _signed("initial_speed", speed_unit, speed, "speed at release", free=free, **own),
+        _signed("clock_offset", "s", 0.1, "release against the log's clock", free=False, **own),
     )
 
 
 def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: bool) -> RigModel:
-    """The falling-weight model (boxfish paper, Eqs 7, 8).
+    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia and driving force.
 
-    Parameters
-    ----------
-    mass_kg, force_N : float
-        Typical inertia and driving force, for starting values and scales.
-    area_known : bool
-        Estimate the drag coefficient; else the quadratic coefficient itself.
-    pulley : bool
-        Whether a pulley's friction acts; without one it is fixed at zero.
+    ``area_known``: the drag coefficient is estimated, else the quadratic coefficient itself; without a
+    ``pulley`` its friction is fixed at zero.
     """
-    inf = math.inf
-    drag = (
-        Parameter("drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source="Eq 7")
-        if area_known
-        else Parameter(
-            "quadratic_drag", "N s^2/m^2", 0.0, inf, 1.0, 1.0, meaning="quadratic drag", source="Eq 7"
-        )
-    )
+    half, friction = 0.5 * mass_kg, 0.1 * force_N if pulley else 0.0
+    common = "pulley friction of a trial against the common one"
     parameters = (
-        drag,
-        Parameter(
-            "added_mass",
-            "kg",
-            0.0,
-            inf,
-            0.5 * mass_kg,
-            0.5 * mass_kg,
-            meaning="added mass m_a",
-            source="Eq 8",
+        _drag(area_known, "Eq 7"),
+        _parameter("added_mass", "kg", half, half, "added mass m_a", source="Eq 8"),
+        _parameter(
+            "pulley_friction", "N", friction, 0.2 * force_N, "pulley friction f_c", free=pulley, source="Eq 7"
         ),
-        Parameter(
-            "pulley_friction",
-            "N",
-            0.0,
-            inf,
-            0.1 * force_N if pulley else 0.0,
-            0.2 * force_N,
-            free=pulley,
-            meaning="pulley friction f_c",
-            source="Eq 7",
-        ),
-        Parameter("linear_drag", "N s/m", 0.0, inf, 0.0, 0.1, free=False, meaning="linear drag"),
-        Parameter(
-            "friction_deviation",
-            "N",
-            -inf,
-            inf,
-            0.0,
-            0.05 * force_N,
-            free=False,
-            per_trial=True,
-            meaning="pulley friction of a trial against the common one",
-        ),
-        *_nuisances("x_m", length=0.01, speed=0.05, free_start=False),
+        _parameter("linear_drag", "N s/m", 0.0, 0.1, "linear drag", free=False),
+        _signed("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
+        *_start("x_m", length=0.01, speed=0.05, free=False),
     )
     return RigModel("falling-weight", parameters, "x_m")
 
 
 def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
     """A body under a measured force: added mass and drag; friction and offset on request."""
-    inf = math.inf
-    drag = (
-        Parameter("drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d")
-        if area_known
-        else Parameter("quadratic_drag", "N s^2/m^2", 0.0, inf, 1.0, 1.0, meaning="quadratic drag")
-    )
-    scale = max(mass_kg, 0.1)
+    half = 0.5 * max(mass_kg, 0.1)
     parameters = (
-        drag,
-        Parameter("added_mass", "kg", 0.0, inf, 0.5 * scale, 0.5 * scale, meaning="added mass"),
-        Parameter("linear_drag", "N s/m", 0.0, inf, 0.0, 1.0, free=False, meaning="linear drag"),
-        Parameter(
-            "dry_friction", "N", 0.0, inf, 0.0, 0.2 * force_N, free=False, meaning="dry friction", kinked=True
-        ),
-        Parameter(
-            "force_offset", "N", -inf, inf, 0.0, 0.1 * force_N, free=False, meaning="force sensor offset"
-        ),
-        *_nuisances("x_m", length=0.01, speed=0.05, free_start=True),
+        _drag(area_known),
+        _parameter("added_mass", "kg", half, half, "added mass"),
+        _parameter("linear_drag", "N s/m", 0.0, 1.0, "linear drag", free=False),
+        _parameter("dry_friction", "N", 0.0, 0.2 * force_N, "dry friction", free=False, kinked=True),
+        _signed("force_offset", "N", 0.1 * force_N, "force sensor offset", free=False),
+        *_start("x_m", length=0.01, speed=0.05, free=True),
     )
     return RigModel("towed", parameters, "x_m")
 
@@ -521,12 +310,10 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
 def free_decay(
     coordinate: str, *, inertia: float, stiffness: float | None, guess: float, amplitude: float
 ) -> RigModel:
-    """Free decay of one coordinate.
+    """Free decay of one of :data:`COORDINATES`.
 
     Parameters
     ----------
-    coordinate : str
-        A key of :data:`COORDINATES`.
     inertia : float
         Known inertia, kg or kg m2.
     stiffness : float or None
@@ -539,68 +326,27 @@ def free_decay(
         Of the first swing, for scales.
     """
     unit, _, rotation = COORDINATES[coordinate]
-    inf = math.inf
+    force, mass = ("N m", "kg m^2") if rotation else ("N", "kg")
+    kind, loss = ("inertia", "damping") if rotation else ("mass", "drag")
     rate = math.sqrt(guess / inertia)
-    force, moment = ("N m", "N m") if rotation else ("N", "N")
-    per_speed, per_speed2 = f"{force} s/{unit}", f"{force} s^2/{unit}^2"
-    names = (
-        ("added_inertia", "quadratic_damping", "linear_damping")
-        if rotation
-        else ("added_mass", "quadratic_drag", "linear_drag")
-    )
-    damping = 0.01 * inertia * rate
+    damping, speed = 0.01 * inertia * rate, amplitude * rate
+    quadratic, known = damping / speed, stiffness is not None
     parameters = (
-        Parameter(
-            names[0],
-            "kg m^2" if rotation else "kg",
-            0.0,
-            inf,
-            0.0,
-            0.3 * inertia,
-            free=stiffness is not None,
-            meaning="added inertia" if rotation else "added mass",
-        ),
-        Parameter(
-            names[1],
-            per_speed2,
-            0.0,
-            inf,
-            damping / (amplitude * rate),
-            damping / (amplitude * rate),
-            meaning="quadratic damping",
-        ),
-        Parameter(names[2], per_speed, 0.0, inf, damping, damping, meaning="linear damping"),
-        Parameter(
+        _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
+        _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
+        _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
+        _parameter(
             "stiffness",
-            f"{moment}/{unit}",
-            0.0,
-            inf,
+            f"{force}/{unit}",
             guess if stiffness is None else stiffness,
             guess,
-            free=stiffness is None,
-            meaning="restoring stiffness",
+            "restoring stiffness",
+            free=not known,
         ),
-        Parameter(
-            "dry_friction",
-            force,
-            0.0,
-            inf,
-            0.0,
-            0.01 * guess * amplitude,
-            free=False,
-            meaning="dry friction",
-            kinked=True,
+        _parameter(
+            "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),
-        Parameter(
-            "rest_position", unit, -inf, inf, 0.0, 0.05 * amplitude, per_trial=True, meaning="rest position"
-        ),
-        *_nuisances(coordinate, length=amplitude, speed=amplitude * rate, free_start=True),
+        _signed("rest_position", unit, 0.05 * amplitude, "rest position", per_trial=True),
+        *_start(coordinate, length=amplitude, speed=speed, free=True),
     )
     return RigModel("free-decay", parameters, coordinate)
-
-
-def warm_up() -> None:
-    """Compile the kernels of this module."""
-    time = np.array([0.0, 0.1])
-    integrate(time, 0.0, 0.1, np.array([1.0]), 1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0)
-    falling_weight_closed_form(time, 0.0, 1.0, 1.0, 1.0)

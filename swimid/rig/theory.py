@@ -139,11 +139,11 @@ def most_drag_coefficient(reynolds_number: float) -> float:
 
 def estimates(robot: Robot) -> list[Theory]:
     """What the robot file quotes, and what follows from the size of its body."""
-    found = list(robot.theory)
+    quoted = list(robot.theory)
     body = robot.body
     if body.length_m and body.width_m and body.height_m:
         value = prism_added_mass(body.length_m, body.width_m, body.height_m, robot.fluid.density_kg_m3)
-        found.append(
+        quoted.append(
             Theory(parameter="added_mass", value=value, unit="kg", basis="square prism", source="DNV-RP-C205")
         )
-    return found
+    return quoted

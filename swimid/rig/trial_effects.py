@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,13 +14,13 @@ from scipy import optimize, stats
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, random_effect
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Parameter
+from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.odd_trial import ODD, TIMES, Odd, odd_trial
 from swimid.fitting.residual_tests import fit_autoregression
 from swimid.fitting.sandwich import HETEROGENEITY
 from swimid.notices import warn
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate
 
 #: Another explanation than rest at the first sample is taken when it improves the fit beyond chance ...
@@ -41,15 +42,7 @@ TREND = 1e-2
 
 @dataclass(frozen=True)
 class Explained:
-    """A fit, and what was found to differ between its trials.
-
-    Attributes
-    ----------
-    facts : dict
-        For the settings of the parameter file.
-    derived : dict of str to Estimate
-    checks : list of Check
-    """
+    """A fit, and what was found to differ between its trials; ``facts`` are for the file's settings."""
 
     result: FitResult
     facts: dict[str, Any] = field(default_factory=dict)
@@ -88,28 +81,27 @@ def explained(
         When a friction was insisted on that these trials do not tell.
     """
     if insist:
-        return _with_friction(plain, choices, pulling_kg, odd, *_friction(plain, odd, insist=True))
+        return _by_chance(plain, choices, pulling_kg, odd, *_friction(plain, odd))
     fits: dict[str, FitResult] = {}
     for name in (*STARTS, DRAG):
         rival = _freed(plain, choices, name)
         if rival is not None and _significant(plain, rival):
             fits[name] = rival
-    chance, spread = _friction(plain, odd)
-    if spread.p_value < HETEROGENEITY:
-        fits[FRICTION] = chance
+    with suppress(NoTrustworthyResult):
+        chance, spread = _friction(plain, odd)
+        if spread.p_value < HETEROGENEITY:
+            fits[FRICTION] = chance
     rest = {"start_state": "rest"}
     if not fits:
         return Explained(plain, rest)
-    least = min(_misfit(rival) for rival in fits.values())
+    least = min(misfit(rival) for rival in fits.values())
     drag = fits.pop(DRAG, None)
-    if drag is not None and _misfit(drag) < 1.1 * least:
+    if drag is not None and (not fits or misfit(drag) < 1.1 * least):
         # one number for all trials explains as much as one for each
         return Explained(plain, rest, checks=[_lacks_drag(plain, drag)])
-    if not fits:
-        return Explained(plain, rest)
-    reason = min(fits, key=lambda name: _misfit(fits[name]))
+    reason = min(fits, key=lambda name: misfit(fits[name]))
     if reason == FRICTION:
-        return _with_friction(plain, choices, pulling_kg, odd, chance, spread)
+        return _by_chance(plain, choices, pulling_kg, odd, chance, spread)
     best = fits[reason]
     unit = next(p.unit for p in choices if p.name == reason)
     warn(
@@ -131,15 +123,14 @@ def odd_one(plain: FitResult) -> Odd | None:
 
 def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None]) -> ev.Check:
     """That one trial contradicts the others, and what that does to the answer; warns of it."""
-    moved = _beyond(result, odd.others)
+    units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
-        f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), _unit(result, label))}"
+        f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
         for label in odd.others.labels
         if "[" not in label
     )
-    stated = pulling_kg.get(odd.trial)
+    stated, hint = pulling_kg.get(odd.trial), ""
     mass = None if stated is None else _mass_that_fits(odd, stated)
-    hint = ""
     if mass is not None and stated is not None:
         hint = f" It would agree with a pulling mass of {1e3 * mass:.3g} g; stated are {1e3 * stated:.3g} g."
     times = numbers.number(odd.times, 2)
@@ -149,23 +140,16 @@ def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None
         f"{hint} Without it: {without}. Look at what is written of it, or leave it out of the fit with "
         "role: validate",
     )
-    return ev.Check(
-        name="no trial contradicts the others",
-        value=f"{odd.trial}: {times} times the others' error",
-        limit=f"below {TIMES:g} times, or p ≥ {ODD:g}",
-        verdict="fail" if moved else "warn",
-        text=f"without it {', '.join(moved)} would lie outside the stated interval" if moved else "",
-    )
+    value = f"{odd.trial}: {times} times the others' error"
+    limit = f"below {TIMES:g} times, or p ≥ {ODD:g}"
+    return _answer_moved("no trial contradicts the others", value, limit, result, odd.others, "without")
 
 
 # ------------------------------------------------------------ friction by chance
 
 
-def _friction(
-    plain: FitResult, odd: Odd | None, *, insist: bool = False
-) -> tuple[FitResult, random_effect.Spread]:
-    """The fit with a friction that differs by chance."""
-    none = random_effect.Spread(0.0, 0.0, 1.0)
+def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effect.Spread]:
+    """The fit with a friction that differs by chance; raises where these trials do not tell it."""
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
     if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < random_effect.FEWEST:
@@ -173,20 +157,13 @@ def _friction(
     elif COMMON not in plain.labels:
         reason = f"{COMMON} is held"
     if reason:
-        if insist:
-            raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
-        return plain, none
-    try:
-        # where the others agree the model is nearly linear; pulled off by an odd one it is not
-        near = odd.others if odd is not None and COMMON in odd.others.labels else None
-        return random_effect.fit(plain, FRICTION, COMMON, near=near)
-    except NoTrustworthyResult:
-        if insist:
-            raise
-        return plain, none
+        raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
+    # where the others agree the model is nearly linear; pulled off by an odd one it is not
+    near = odd.others if odd is not None and COMMON in odd.others.labels else None
+    return random_effect.fit(plain, FRICTION, COMMON, near=near)
 
 
-def _with_friction(
+def _by_chance(
     plain: FitResult,
     choices: tuple[Parameter, ...],
     pulling_kg: Mapping[str, float | None],
@@ -200,7 +177,8 @@ def _with_friction(
     checks = []
     drag = _freed(plain, choices, DRAG)
     if drag is not None:
-        drag, _ = _friction(drag, None)
+        with suppress(NoTrustworthyResult):
+            drag, _ = _friction(drag, None)
         error = drag.stderr(DRAG)
         if error and drag.value(DRAG) > float(stats.norm.isf(SIGNIFICANCE / 2)) * error:
             checks.append(_lacks_drag(chance, drag))
@@ -223,13 +201,11 @@ def _with_friction(
         refused = "would push in some trials: it differs by more than there is of it"
         warn("SWM072", f"the friction that each trial asks for {refused}, so it is not taken for a friction")
     if refused:
+        limit = f"no trend (p ≥ {TREND:g}), none that pushes"
+        text = "all parameters take up a part of what the model lacks"
         checks.append(
-            ev.Check(
-                name="friction differs by chance only",
-                value=refused,
-                limit=f"no trend (p ≥ {TREND:g}), none that pushes",
-                verdict="fail",
-                text="all parameters take up a part of what the model lacks",
+            blocks.check(
+                "friction differs by chance only", refused, limit, False, otherwise="fail", text=text
             )
         )
         return Explained(plain, facts, checks=checks)
@@ -252,9 +228,10 @@ def _freed(plain: FitResult, choices: tuple[Parameter, ...], name: str) -> FitRe
     """The fit with one more parameter free; None where there is none to free, or it cannot be estimated."""
     if not any(p.name == name and not p.free for p in choices):
         return None
-    freed = tuple(replace(p, free=True) if p.name == name else p for p in choices)
     try:
-        return output_error.fit(plain.model, plain.trials, parameters=freed, tested=False)
+        return output_error.fit(
+            plain.model, plain.trials, parameters=chosen(choices, freed=(name,)), tested=False
+        )
     except NoTrustworthyResult:
         return None
 
@@ -267,32 +244,28 @@ def _lacks_drag(without: FitResult, drag: FitResult) -> ev.Check:
         "a linear drag beside the quadratic one would explain most of what the fit leaves over "
         f"({size}): try --free {DRAG}",
     )
-    moved = _beyond(without, drag)
-    return ev.Check(
-        name="no drag left out",
-        value=f"{DRAG} {size}",
-        limit="0 within chance",
-        verdict="fail" if moved else "warn",
-        text=f"with it {', '.join(moved)} would lie outside the stated interval" if moved else "",
-    )
+    return _answer_moved("no drag left out", f"{DRAG} {size}", "0 within chance", without, drag, "with")
 
 
-def _beyond(stated: FitResult, other: FitResult) -> list[str]:
-    """Shared parameters whose 95 % interval does not hold the other fit's value."""
-    found = []
+def _answer_moved(
+    name: str, value: str, limit: str, stated: FitResult, other: FitResult, how: str
+) -> ev.Check:
+    """A check that is not passed; it fails where a 95 % interval does not hold the other fit's value."""
+    moved = []
     for label in stated.labels:
         error = stated.stderr(label)
         if "[" in label or label not in other.labels:
             continue
         if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
-            found.append(label)
-    return found
+            moved.append(label)
+    text = f"{how} it {', '.join(moved)} would lie outside the stated interval" if moved else ""
+    return blocks.check(name, value, limit, False, otherwise="fail" if moved else "warn", text=text)
 
 
 def _significant(plain: FitResult, rival: FitResult) -> bool:
     """Whether the rival's extra unknowns lower the error beyond what coloured noise allows."""
     extra = len(rival.labels) - len(plain.labels)
-    before, after = _misfit(plain), _misfit(rival)
+    before, after = misfit(plain), misfit(rival)
     if after <= 0 or before <= after or after > GAIN * before:
         return False
     colour = 1.0
@@ -305,7 +278,8 @@ def _significant(plain: FitResult, rival: FitResult) -> bool:
     return bool(stats.chi2.sf(statistic, extra) < SIGNIFICANCE)
 
 
-def _misfit(result: FitResult) -> float:
+def misfit(result: FitResult) -> float:
+    """Sum of squared residuals of the fitted trials."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
@@ -318,10 +292,6 @@ def _own(result: FitResult, name: str) -> str:
     return ", ".join(
         f"{label[len(name) + 1 : -1]} {result.estimate[result.labels.index(label)]:+.3g}" for label in labels
     )
-
-
-def _unit(result: FitResult, label: str) -> str:
-    return next(p.unit for p in result.parameters if p.name == label)
 
 
 def _mass_that_fits(odd: Odd, stated: float) -> float | None:
@@ -345,6 +315,8 @@ def _mass_that_fits(odd: Odd, stated: float) -> float | None:
     if best in (0, len(grid) - 1):
         return None
     ends = (grid[best - 1], grid[best + 1])
-    found = optimize.minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    optimum = optimize.minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-5})
     # it agrees when it is then predicted as well as the others are
-    return stated * math.exp(float(found.x)) if found.fun * odd.times**2 <= TIMES**2 * error(0.0) else None
+    return (
+        stated * math.exp(float(optimum.x)) if optimum.fun * odd.times**2 <= TIMES**2 * error(0.0) else None
+    )

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
 from swimid.fitting.experiment import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.inputs import RigInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Trial, chosen
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
@@ -50,12 +49,12 @@ def load(source: str | Path | TrialSet, *, coordinate: str | None = None) -> Exp
     robot = trials_format.robot_of(entries, path)
     if coordinate is not None and not isinstance(entries, FreeDecay):
         warn("SWM004", "--coordinate belongs to a free-decay experiment and has no effect here")
+    if isinstance(entries, FreeDecay):
+        return _free_decay(path, entries, robot, coordinate)
     if isinstance(entries, FallingWeight):
         return _falling_weight(path, entries, robot)
-    if isinstance(entries, Towed):
-        return _towed(path, entries, robot)
-    assert isinstance(entries, FreeDecay)
-    return _free_decay(path, entries, robot, coordinate)
+    assert isinstance(entries, Towed)
+    return _towed(path, entries, robot)
 
 
 def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
@@ -70,36 +69,24 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
     return mass
 
 
-def _area_factor(entry: RigTrial, robot: Robot) -> float | None:
-    """``rho A / 2`` of Eq 7, or None where the frontal area is not known."""
-    area = entry.frontal_area_m2 or robot.body.frontal_area_m2
-    density = entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3
-    return None if area is None else 0.5 * density * area
-
-
-def _area_factors(entries: list[Any], robot: Robot, path: Path) -> list[float | None]:
-    factors = [_area_factor(e, robot) for e in entries]
-    for entry, factor in zip(entries, factors, strict=True):
-        if factor is None and entry.fluid_density_kg_m3 is not None:
+def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float | None]:
+    """``rho A / 2`` of Eq 7 for each trial; None for all where the frontal area is not known."""
+    areas = [entry.frontal_area_m2 or robot.body.frontal_area_m2 for entry in entries]
+    densities = [entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3 for entry in entries]
+    for entry, area in zip(entries, areas, strict=True):
+        if area is None and entry.fluid_density_kg_m3 is not None:
             raise InputError(
                 f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
                 file=path,
                 column="fluid_density_kg_m3",
                 hint="give frontal_area_m2 in the trial or in the robot file",
             )
-    known = [f is not None for f in factors]
-    if any(known) and not all(known):
-        missing = entries[known.index(False)].id
+    if any(areas) and None in areas:
+        missing = entries[areas.index(None)].id
         raise InputError(
             f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
         )
-    return factors
-
-
-def _samples(log: Log, column: str) -> tuple[Array, Array]:
-    """Times and values without the missing samples."""
-    there = np.isfinite(log[column])
-    return log.time_s[there], log[column][there]
+    return [None if a is None else 0.5 * rho * a for a, rho in zip(areas, densities, strict=True)]
 
 
 # ------------------------------------------------------------ falling weight
@@ -111,7 +98,8 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("x_m",))
         logs.append(log.source)
-        time, position = _samples(log, "x_m")
+        there = np.isfinite(log["x_m"])
+        time, position = log.time_s[there], log["x_m"][there]
         if len(time) < 5:
             raise InputError(
                 f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m"
@@ -129,31 +117,27 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         area_known=factors[0] is not None,
         pulley=any(k.pulley for k in known),
     )
-    # No trial was released a whole trial's length away from its log.
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
-    model.parameters = tuple(
-        replace(p, lower=-span, upper=span) if p.name == "clock_offset" else p for p in model.parameters
+    model.parameters = chosen(
+        model.parameters,
+        # no trial was released a whole trial's length away from its log
+        bounds={"clock_offset": (-span, span)},
+        # a start that is not the origin carries the noise of the sample it is taken from
+        freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
     )
-    # A start that is not the origin carries the noise of the sample it is taken from.
-    if any(k.x0 != 0 for k in known):
-        model.parameters = tuple(
-            replace(p, free=True) if p.name == "start_offset" else p for p in model.parameters
-        )
 
     def trials(rounding: str) -> list[Trial]:
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
             position = encoder.true_position(record, rounding)
             # the row that sets the origin is a definition, not a measurement
-            use = np.ones(len(position), dtype=bool)
-            if record.kind == "clicks" and record.position[0] == 0:
-                use[0] = False
+            first = int(record.kind == "clicks" and record.position[0] == 0)
             made.append(
                 Trial(
                     id=entry.id,
                     role=entry.role,
-                    time_s=record.time_s[use],
-                    measured={"x_m": position[use]},
+                    time_s=record.time_s[first:],
+                    measured={"x_m": position[first:]},
                     rig=one,
                     value_sd={"x_m": record.position_sd} if record.position_sd else {},
                     time_sd_s=record.time_sd_s,
@@ -199,9 +183,8 @@ def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, 
         return time, position
     warn(
         "SWM018",
-        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; "
-        f"the {time[-1] - time[last]:.3g} s after that are left out "
-        "(end_s in the trials file sets the end yourself)",
+        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {time[-1] - time[last]:.3g} "
+        "s after that are left out (end_s in the trials file sets the end yourself)",
     )
     return time[:last], position[:last]
 
@@ -215,6 +198,7 @@ def _falling(
     position: Array,
     record: encoder.Displacement,
 ) -> RigInput:
+    """What is known of a drop, its release among it."""
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -261,40 +245,25 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
         if np.isnan(force).any():
-            row = int(np.argmax(np.isnan(force)))
             raise InputError(
                 "the applied force is missing; it drives the model and cannot be masked",
                 file=log.path,
-                line=log.line(row),
+                line=log.line(int(np.argmax(np.isnan(force)))),
                 column="force_N",
             )
         measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
         first = float(measured["x_m"][np.isfinite(measured["x_m"])][0]) if "x_m" in measured else 0.0
         forces.append(float(np.sqrt(np.mean(force**2))))
-        trials.append(
-            Trial(
-                id=entry.id,
-                role=entry.role,
-                time_s=log.time_s,
-                measured=measured,
-                inputs={"force_N": force},
-                rig=RigInput(
-                    inertia=_mass(entry, robot, path),
-                    area_factor=factor or 0.0,
-                    release_s=float(log.time_s[0]),
-                    x0=first,
-                ),
-            )
-        )
+        mass, begin = _mass(entry, robot, path), float(log.time_s[0])
+        known = RigInput(mass, area_factor=factor or 0.0, release_s=begin, x0=first)
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
     model = rig.towed(
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
         area_known=factors[0] is not None,
     )
     if not any("x_m" in t.measured for t in trials):
-        model.parameters = tuple(
-            replace(p, free=False) if p.name == "start_offset" else p for p in model.parameters
-        )
+        model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
 
 
@@ -315,20 +284,10 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         periods.append(period)
         amplitudes.append(amplitude)
         inertia = _inertia(entry, robot, axis, rotation, path)
-        trials.append(
-            Trial(
-                id=entry.id,
-                role=entry.role,
-                time_s=time,
-                measured={name: values},
-                rig=RigInput(inertia, release_s=float(time[0]), x0=float(values[0])),
-            )
-        )
+        known = RigInput(inertia, release_s=float(time[0]), x0=float(values[0]))
+        trials.append(Trial(entry.id, entry.role, time, {name: values}, rig=known))
     inertia = trials[0].rig.inertia
-    rig_values = robot.rig
-    stiffness = (
-        getattr(rig_values, f"{axis}_stiffness_N_m_rad", None) if rotation else rig_values.stiffness_N_m
-    )
+    stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad" if rotation else "stiffness_N_m", None)
     guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
@@ -340,14 +299,8 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         name, inertia=inertia, stiffness=stiffness, guess=guess, amplitude=float(np.median(amplitudes))
     )
     facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
-    return Experiment(
-        "free-decay",
-        robot,
-        model,
-        trials,
-        inputs_of(path, entries, [log.source for log in logs]),
-        facts=facts,
-    )
+    inputs = inputs_of(path, entries, [log.source for log in logs])
+    return Experiment("free-decay", robot, model, trials, inputs, facts=facts)
 
 
 def _coordinate(logs: list[Log]) -> str:

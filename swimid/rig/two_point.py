@@ -20,22 +20,16 @@ from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array
-from swimid.rig.model import falling_weight_closed_form
+from swimid.rig.equation import falling_weight_closed_form
+
+#: What the method gives: 1, kg, N.
+NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 
 
 @dataclass(frozen=True)
 class Drop:
-    """One falling-weight trial for this method.
+    """One falling-weight trial for this method, since release and without missing samples."""
 
-    Attributes
-    ----------
-    id : str
-    pulling_mass_kg : float
-    time_s, displacement_m : ndarray, shape (n,)
-        Since release, without missing samples.
-    """
-
-    id: str
     pulling_mass_kg: float
     time_s: Array
     displacement_m: Array
@@ -47,24 +41,18 @@ class TwoPointResult:
 
     Attributes
     ----------
-    drag_coefficient, added_mass, pulley_friction : float
-        1, kg, N.
-    stderr : dict of name to float
-        Statistical error and method bias together.
-    bias : dict of name to float
-        What the method gives on perfect data of its own answer, minus that answer.
+    values, stderr, bias : dict of name to float
+        Of :data:`NAMES`; the standard error is of chance and bias together. The bias is what the method gives
+        on perfect data of its own answer, minus that answer.
     points_m : tuple of float
         The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
-    speed_squared : ndarray, shape (2, k), m2/s2
-    speed_squared_sd : ndarray, shape (2, k), m2/s2
+    speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
     slopes, intercepts : ndarray, shape (2,)
         Of squared speed against pulling mass: alpha and beta of Eq 13.
     """
 
-    drag_coefficient: float
-    added_mass: float
-    pulley_friction: float
+    values: dict[str, float]
     stderr: dict[str, float]
     bias: dict[str, float]
     points_m: tuple[float, float]
@@ -73,6 +61,11 @@ class TwoPointResult:
     speed_squared_sd: Array
     slopes: Array
     intercepts: Array
+
+    @property
+    def answers(self) -> bool:
+        """Whether the speeds lie on rising lines, so that there are errors."""
+        return all(map(math.isfinite, self.stderr.values()))
 
 
 def speed_at(
@@ -107,13 +100,11 @@ def speed_at(
 def two_point(
     drops: Sequence[Drop],
     *,
-    inertial_mass_kg: float,
-    pulley_inertia_kg: float,
+    mass_kg: float,
     frontal_area_m2: float,
     density_kg_m3: float,
     gravity_m_s2: float,
     points_m: tuple[float, float] | None = None,
-    half_width_m: float | None = None,
 ) -> TwoPointResult:
     """Drag coefficient, added mass and pulley friction from speeds at two displacements.
 
@@ -121,11 +112,11 @@ def two_point(
     ----------
     drops : sequence of Drop
         At least three different pulling masses.
+    mass_kg : float
+        Inertia of body and pulley.
     points_m : (x1, x2), optional
         Default a quarter and a half of the displacement all drops reached. The paper took
-        0.293 and 0.584 m.
-    half_width_m : float, optional
-        Of the stretch each speed is fitted over, default a sixth of x1.
+        0.293 and 0.584 m. Each speed is fitted over a stretch of a sixth of x1 to either side.
 
     Raises
     ------
@@ -139,43 +130,60 @@ def two_point(
     points = points_m or (0.255 * reach, 0.51 * reach)
     if not 0 < points[0] < points[1]:
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
-    width = half_width_m or points[0] / 6
-    measured = np.array([[speed_at(d.time_s, d.displacement_m, p, width) for d in drops] for p in points])
-    squared = measured[:, :, 0] ** 2
-    squared_sd = 2 * np.abs(measured[:, :, 0]) * measured[:, :, 1]
-    moving = inertial_mass_kg + pulley_inertia_kg + float(masses.mean())
+    width = points[0] / 6
 
-    def solve(values: Array) -> tuple[Array, Array, Array]:
-        slopes, intercepts = np.array([np.polyfit(masses, v, 1) for v in values]).T
+    def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
+        """Speed at the points and its standard error, each shape (2, k)."""
+        pairs = list(zip(drops, displacements, strict=True))
+        fits = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
+        return fits[:, :, 0], fits[:, :, 1]
+
+    def solve(squared: Array) -> tuple[Array, Array, Array]:
+        slopes, intercepts = np.array([np.polyfit(masses, v, 1) for v in squared]).T
         a1 = _a1(slopes[0] / slopes[1], points)
         # tanh^2 phi(x) = 1 - exp(-2 a1 x), from Eq 14
         saturation = -np.expm1(-2 * a1 * np.array(points))
         drag = float(np.mean(2 * gravity_m_s2 * saturation / (density_kg_m3 * frontal_area_m2 * slopes)))
+        moving = mass_kg + float(masses.mean())
         added = density_kg_m3 * drag * frontal_area_m2 / (2 * a1) - moving
         friction = float(np.mean(-gravity_m_s2 * intercepts / slopes))
         return np.array([drag, added, friction]), slopes, intercepts
 
+    measured, measured_sd = speeds([d.displacement_m for d in drops])
+    squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, slopes, intercepts = solve(squared)
-    statistical = _statistical(solve, squared, squared_sd, slopes, intercepts, masses)
-    perfect = _perfect_speeds(
-        drops,
-        masses,
-        answer,
-        points,
-        width,
-        inertial_mass_kg + pulley_inertia_kg,
-        0.5 * density_kg_m3 * frontal_area_m2,
-        gravity_m_s2,
-    )
-    bias = solve(perfect**2)[0] - answer
-    names = ("drag_coefficient", "added_mass", "pulley_friction")
-    total = np.sqrt(statistical**2 + bias**2)
+
+    # from the scatter of the squared speeds about their lines
+    scatter = squared - (slopes[:, None] * masses + intercepts[:, None])
+    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
+    spread = np.maximum(squared_sd, pooled)
+    variance = np.zeros(3)
+    for at in np.ndindex(squared.shape):
+        moved = squared.copy()
+        moved[at] += spread[at]
+        try:
+            variance += (solve(moved)[0] - answer) ** 2
+        except NoTrustworthyResult:
+            variance = np.full(3, np.inf)
+            break
+
+    drag, added, friction = answer
+    area_factor = 0.5 * density_kg_m3 * frontal_area_m2 * drag
+    perfect = [
+        falling_weight_closed_form(
+            d.time_s, 0.0, mass_kg + added + weight, area_factor, weight * gravity_m_s2 - friction
+        )[0]
+        for d, weight in zip(drops, masses, strict=True)
+    ]
+    bias = solve(speeds(perfect)[0] ** 2)[0] - answer
+
+    def named(values: Array) -> dict[str, float]:
+        return dict(zip(NAMES, map(float, values), strict=True))
+
     return TwoPointResult(
-        drag_coefficient=float(answer[0]),
-        added_mass=float(answer[1]),
-        pulley_friction=float(answer[2]),
-        stderr=dict(zip(names, map(float, total), strict=True)),
-        bias=dict(zip(names, map(float, bias), strict=True)),
+        values=named(answer),
+        stderr=named(np.sqrt(np.sqrt(variance) ** 2 + bias**2)),
+        bias=named(bias),
         points_m=(float(points[0]), float(points[1])),
         pulling_mass_kg=masses,
         speed_squared=squared,
@@ -201,36 +209,3 @@ def _a1(ratio: float, points: tuple[float, float]) -> float:
         return math.expm1(-2 * a1 * x1) / math.expm1(-2 * a1 * x2) - ratio
 
     return float(optimize.brentq(mismatch, 1e-9 / x1, 50 / x1))
-
-
-def _statistical(solve, squared, squared_sd, slopes, intercepts, masses) -> Array:  # type: ignore[no-untyped-def]
-    """Standard errors from the scatter of the squared speeds about their lines."""
-    scatter = squared - (slopes[:, None] * masses + intercepts[:, None])
-    pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
-    spread = np.maximum(squared_sd, pooled)
-    answer = solve(squared)[0]
-    variance = np.zeros(3)
-    for i, j in np.ndindex(squared.shape):
-        moved = squared.copy()
-        moved[i, j] += spread[i, j]
-        try:
-            variance += (solve(moved)[0] - answer) ** 2
-        except NoTrustworthyResult:
-            return np.full(3, np.inf)
-    return np.sqrt(variance)
-
-
-def _perfect_speeds(drops, masses, answer, points, width, mass, area_factor, gravity) -> Array:  # type: ignore[no-untyped-def]
-    """Speeds the method reads off perfect displacements computed at its own answer."""
-    drag, added, friction = answer
-    speeds = np.empty((2, len(drops)))
-    for k, (drop, weight) in enumerate(zip(drops, masses, strict=True)):
-        x, _ = falling_weight_closed_form(
-            drop.time_s, 0.0, mass + added + weight, area_factor * drag, weight * gravity - friction
-        )
-        for i, point in enumerate(points):
-            try:
-                speeds[i, k] = speed_at(drop.time_s, x, point, width)[0]
-            except NoTrustworthyResult:
-                return np.full((2, len(drops)), np.nan)
-    return speeds

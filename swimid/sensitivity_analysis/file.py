@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -120,9 +119,10 @@ class Measured(yamlio.Document):
     channels: dict[str, MeasuredChannel]
 
 
-class SensitivityFile(yamlio.Document):
+class SensitivityFile(yamlio.ResultFile):
     """A sensitivity file."""
 
+    kind: ClassVar[str] = "sensitivity file"
     format: Literal["swimid-sensitivity/1"] = FORMAT
     verdict: Literal["good", "caution", "bad"]
     model: str
@@ -139,21 +139,3 @@ class SensitivityFile(yamlio.Document):
     sweep: Sweep | None = None
     measured: list[Measured] = []
     provenance: dict[str, Any] = Field(default_factory=dict)
-
-
-def write(path: str | Path, sensitivity: SensitivityFile) -> None:
-    """Write a sensitivity file, whole or not at all."""
-    yamlio.write(path, sensitivity.model_dump(mode="python", exclude_none=True))
-
-
-def read(path: str | Path) -> SensitivityFile:
-    """Read a sensitivity file.
-
-    Raises
-    ------
-    InputError
-        When it is none.
-    """
-    path = Path(path)
-    data = yamlio.of_format(path, FORMAT, "sensitivity file")
-    return yamlio.validate(data, SensitivityFile, path)

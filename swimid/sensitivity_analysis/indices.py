@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,6 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.progress import Progress, silent
-from swimid.sensitivity_analysis.threads import in_threads
 
 #: Share of the evaluations that may break down.
 BROKEN = 0.01
@@ -24,40 +25,52 @@ ENDS = (2.5, 97.5)
 #: Levels of the grid on which Morris's trajectories move; the step is half of them.
 LEVELS = 4
 
+#: Outputs, shape (s,), at a point, shape (d,); NaN where the model breaks down.
 Evaluate = Callable[[Array], Array]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Sobol:
-    """Sobol indices of s outputs to d parameters, those of g groups of outputs after them.
+class Indices:
+    """What indices of s outputs to d parameters rest on.
+
+    Attributes
+    ----------
+    mean, sd : ndarray, shape (s,)
+        Of the outputs over the ranges.
+    evaluations, broken, left_out : int
+        Evaluations in all, those that broke down, and rows of the design replaced for it (Sobol) or
+        trajectories dropped (Morris).
+    """
+
+    mean: Array
+    sd: Array
+    evaluations: int
+    broken: int
+    left_out: int
+
+
+@dataclass(frozen=True)
+class Sobol(Indices):
+    """Sobol indices, those of g groups of outputs after them.
 
     Attributes
     ----------
     first, total : ndarray, shape (s + g, d)
     first_ci, total_ci : ndarray, shape (2, s + g, d)
         Ends of the 95 % intervals.
-    mean, sd : ndarray, shape (s,)
-        Of the outputs over the ranges.
-    evaluations, broken, replaced : int
-        Evaluations in all, those that broke down, and rows of the design replaced for it.
     """
 
     first: Array
     total: Array
     first_ci: Array
     total_ci: Array
-    mean: Array
-    sd: Array
-    evaluations: int
-    broken: int
-    replaced: int
 
 
 @dataclass(frozen=True)
-class Morris:
-    """Elementary effects of d parameters on s outputs, means over g groups of outputs after them.
-
-    Effects are per whole range of the parameter, in the output's unit.
+class Morris(Indices):
+    """Elementary effects per whole range, in the output's unit; means over g groups of outputs after them.
 
     Attributes
     ----------
@@ -65,21 +78,12 @@ class Morris:
         Mean, mean magnitude and standard deviation of the effects.
     mu_star_ci : ndarray, shape (2, s + g, d)
         Ends of the 95 % interval.
-    mean, sd : ndarray, shape (s,)
-        Of the outputs over the design.
-    evaluations, broken, dropped : int
-        Evaluations in all, those that broke down, and trajectories dropped for it.
     """
 
     mu: Array
     mu_star: Array
     sigma: Array
     mu_star_ci: Array
-    mean: Array
-    sd: Array
-    evaluations: int
-    broken: int
-    dropped: int
 
 
 def sobol(
@@ -90,17 +94,14 @@ def sobol(
     samples: int = 256,
     seed: int = 0,
     groups: Sequence[Sequence[int]] = (),
-    names: Sequence[str] = (),
-    jobs: int = 1,
-    checkpoint: Checkpoint | None = None,
-    progress: Progress = silent,
+    **how: Any,
 ) -> Sobol:
     """First-order and total Sobol indices (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
 
     Parameters
     ----------
     evaluate : callable
-        Outputs, shape (s,), at a point, shape (d,); NaN where the model breaks down. Called from threads.
+        Called from threads.
     lower, upper : ndarray, shape (d,), d >= 2
         Uniform ranges.
     samples : int
@@ -109,12 +110,8 @@ def sobol(
         Of the scrambled Sobol sequence and of the bootstrap.
     groups : sequence of sequences of int
         Outputs to pool: the indices of their summed variance (Gamboa et al. 2014, doi:10.1214/14-EJS895).
-    names : sequence of str
-        Of the parameters, for the error.
-    jobs : int
-        Threads; the result does not depend on it.
-    checkpoint : Checkpoint, optional
-        Keeps every evaluation.
+    **how
+        Names, jobs, checkpoint and progress, as :class:`Runs` takes them.
 
     Returns
     -------
@@ -139,41 +136,37 @@ def sobol(
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
-    runs = _Runs(evaluate, samples * (d + 2), names, jobs, checkpoint or Checkpoint(), progress)
-    rows, unused = np.arange(samples), samples
-    values = runs.of([f"{r}.{p}" for r in rows for p in range(d + 2)], design[:samples].reshape(-1, d))
-    values = values.reshape(samples, d + 2, -1)
-    replaced = 0
+    runs = Runs(evaluate, samples * (d + 2), **how)
+
+    def of_rows(rows: NDArray[np.intp]) -> Array:
+        labels = [f"{r}.{p}" for r in rows for p in range(d + 2)]
+        return runs.of(labels, design[rows].reshape(-1, d)).reshape(len(rows), d + 2, -1)
+
+    unused = samples
+    values = of_rows(np.arange(samples))
     while (bad := np.flatnonzero(~np.isfinite(values).all(axis=(1, 2)))).size:
         if unused + len(bad) > len(design):
             runs.refuse()
-        rows[bad] = np.arange(unused, unused + len(bad))
+        values[bad] = of_rows(np.arange(unused, unused + len(bad)))
         unused += len(bad)
-        replaced += len(bad)
-        labels = [f"{r}.{p}" for r in rows[bad] for p in range(d + 2)]
-        values[bad] = runs.of(labels, design[rows[bad]].reshape(-1, d)).reshape(len(bad), d + 2, -1)
     outputs = np.moveaxis(values, 0, -1)  # (d + 2, s, n)
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    parts = {"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}
-    found = sobol_indices(func=parts, n=samples)
+    estimated = sobol_indices(func={"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}, n=samples)
     shape = (outputs.shape[1], d)
-    first, total = found.first_order.reshape(shape), found.total_order.reshape(shape)
     rng = np.random.default_rng([seed, 1])
     drawn = [_resampled(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
-    first_ci = np.percentile([one for one, _ in drawn], ENDS, axis=0)
-    total_ci = np.percentile([two for _, two in drawn], ENDS, axis=0)
     return Sobol(
-        _pooled(first, sd**2, groups),
-        _pooled(total, sd**2, groups),
-        first_ci,
-        total_ci,
         mean,
         sd,
         runs.done,
         len(runs.broken),
-        replaced,
+        left_out=unused - samples,
+        first=_pooled(estimated.first_order.reshape(shape), sd**2, groups),
+        total=_pooled(estimated.total_order.reshape(shape), sd**2, groups),
+        first_ci=np.percentile([first for first, _ in drawn], ENDS, axis=0),
+        total_ci=np.percentile([total for _, total in drawn], ENDS, axis=0),
     )
 
 
@@ -205,10 +198,7 @@ def morris(
     samples: int = 32,
     seed: int = 0,
     groups: Sequence[Sequence[int]] = (),
-    names: Sequence[str] = (),
-    jobs: int = 1,
-    checkpoint: Checkpoint | None = None,
-    progress: Progress = silent,
+    **how: Any,
 ) -> Morris:
     """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007), by SALib.
 
@@ -216,7 +206,7 @@ def morris(
     ----------
     samples : int
         Trajectories, each of d + 1 points, on a grid of :data:`LEVELS` levels.
-    evaluate, lower, upper, seed, groups, names, jobs, checkpoint
+    evaluate, lower, upper, seed, groups, **how
         As :func:`sobol` takes them.
 
     Returns
@@ -241,55 +231,68 @@ def morris(
 
     problem = {"num_vars": d, "names": [str(k) for k in range(d)], "bounds": [[0.0, 1.0]] * d}
     unit = sample(problem, samples, num_levels=LEVELS, seed=seed)
-    runs = _Runs(evaluate, len(unit), names, jobs, checkpoint or Checkpoint(), progress)
+    runs = Runs(evaluate, len(unit), **how)
     labels = [f"trajectory {r}.{p}" for r in range(samples) for p in range(d + 1)]
     values = runs.of(labels, lower + unit * (upper - lower))
     whole = np.isfinite(values).all(axis=1).reshape(samples, d + 1).all(axis=1)
     kept = np.repeat(whole, d + 1)
     settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": seed}
     parts = [analyze(problem, unit[kept], one, **settings) for one in values[kept].T]
-    mu, mu_star, sigma, half = (
-        _averaged(np.array([part[key] for part in parts]), groups)
-        for key in ("mu", "mu_star", "sigma", "mu_star_conf")
-    )
+
+    def averaged(key: str) -> Array:
+        effects = np.array([part[key] for part in parts])
+        return np.concatenate([effects, *(effects[list(m)].mean(axis=0)[None] for m in groups)])
+
+    mu_star, half = averaged("mu_star"), averaged("mu_star_conf")
     return Morris(
-        mu,
-        mu_star,
-        sigma,
-        np.array([np.maximum(mu_star - half, 0.0), mu_star + half]),
         values[kept].mean(axis=0),
         values[kept].std(axis=0),
         runs.done,
         len(runs.broken),
-        int((~whole).sum()),
+        left_out=int((~whole).sum()),
+        mu=averaged("mu"),
+        mu_star=mu_star,
+        sigma=averaged("sigma"),
+        mu_star_ci=np.array([np.maximum(mu_star - half, 0.0), mu_star + half]),
     )
 
 
-def _averaged(effects: Array, groups: Sequence[Sequence[int]]) -> Array:
-    return np.concatenate([effects, *(effects[list(m)].mean(axis=0)[None] for m in groups)])
+class Runs:
+    """Evaluations in threads: kept, counted, and refused when too many break down.
 
-
-class _Runs:
-    """Evaluations in threads: kept, counted, and refused when too many break down."""
+    Parameters
+    ----------
+    evaluate : callable
+    planned : int
+        Evaluations the design needs.
+    names : sequence of str
+        Of the parameters, for the error.
+    jobs : int
+        Threads; the result does not depend on it.
+    checkpoint : Checkpoint, optional
+        Keeps every evaluation.
+    progress : Progress
+    """
 
     def __init__(
         self,
         evaluate: Evaluate,
         planned: int,
-        names: Sequence[str],
-        jobs: int,
-        checkpoint: Checkpoint,
-        progress: Progress,
+        *,
+        names: Sequence[str] = (),
+        jobs: int = 1,
+        checkpoint: Checkpoint | None = None,
+        progress: Progress = silent,
     ) -> None:
         self.evaluate, self.planned, self.names = evaluate, planned, names
-        self.jobs, self.checkpoint, self.progress = jobs, checkpoint, progress
+        self.jobs, self.checkpoint, self.progress = jobs, checkpoint or Checkpoint(), progress
         self.done = 0
         self.broken: list[Array] = []
         self._fine: list[Array] = []
 
     def of(self, labels: Sequence[str], points: Array) -> Array:
         """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
-        found = []
+        rows = []
         work = list(zip(labels, points, strict=True))
         with (
             self.progress("sensitivity", total=len(points)) as step,
@@ -298,21 +301,16 @@ class _Runs:
             for outputs, point in zip(results, points, strict=True):
                 whole = bool(np.isfinite(outputs).all())
                 (self._fine if whole else self.broken).append(point)
-                found.append(outputs if whole else np.full(len(outputs), np.nan))
+                rows.append(outputs if whole else np.full(len(outputs), np.nan))
                 self.done += 1
                 if len(self.broken) > BROKEN * self.planned:
                     self.refuse()
                 step()
-        return np.array(found)
+        return np.array(rows)
 
-    def _one(self, work: tuple[str, Array]) -> NDArray[np.float64]:
+    def _one(self, work: tuple[str, Array]) -> Array:
         label, point = work
-        known = self.checkpoint.get(label)
-        if known is not None:
-            return known
-        outputs = self.evaluate(point)
-        self.checkpoint.put(label, outputs)
-        return outputs
+        return self.checkpoint.kept(label, lambda: self.evaluate(point))
 
     def refuse(self) -> NoReturn:
         """Say where the model breaks down.
@@ -337,10 +335,51 @@ class _Runs:
             spans = ", ".join(f"{n} {a:.3g} to {b:.3g}" for n, a, b in zip(names, low, high, strict=True))
             return f"all that were tried, over {spans}"
         fine = np.array(self._fine)
-        apart = [ks_2samp(bad[:, k], fine[:, k]).statistic for k in range(bad.shape[1])]
-        k = int(np.argmax(apart))
+        distances = [ks_2samp(bad[:, k], fine[:, k]).statistic for k in range(bad.shape[1])]
+        k = int(np.argmax(distances))
         also = float(np.mean((fine[:, k] >= low[k]) & (fine[:, k] <= high[k])))
         return (
             f"all of them have {names[k]} between {low[k]:.3g} and {high[k]:.3g}, as have {100 * also:.0f} % "
             "of the others"
         )
+
+
+@contextmanager
+def in_threads(
+    work: Callable[[Item], Result], items: Iterable[Item], jobs: int
+) -> Iterator[Iterator[Result]]:
+    """Results of work on items, in the items' order.
+
+    Parameters
+    ----------
+    work : callable
+        Called with one item, in any thread. The first failure, an interrupt too, is that of every item
+        which has not begun by then.
+    items : iterable
+        What to work on.
+    jobs : int
+        Threads; at least one.
+
+    Yields
+    ------
+    iterator
+        Waits for each result. What has not begun when the block is left is cancelled.
+    """
+    failures: list[BaseException] = []
+
+    def one(item: Item) -> Result:
+        # Whoever waits for the results may hear of a failure late, and the queue would go on till then.
+        if failures:
+            raise failures[0]
+        try:
+            return work(item)
+        except BaseException as failure:
+            failures.append(failure)
+            raise
+
+    pool = ThreadPoolExecutor(max(jobs, 1))
+    try:
+        waiting = [pool.submit(one, item) for item in items]
+        yield (future.result() for future in waiting)
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError
 from swimid.fitting import metrics
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
@@ -29,10 +29,8 @@ OVER_CYCLES: dict[str, Callable[[list[float]], Any]] = {
     "surge_m": np.sum,
     "heave_m": np.sum,
 }
-#: Names of a misfit begin so.
-MISFIT = "misfit_"
-#: Samples of a run without a beat.
-SAMPLES = 1000
+#: Steps between the samples of a run without a beat.
+STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -43,19 +41,17 @@ class Run:
     ----------
     trial : Trial
         At those times, which hold whole beats or cycles.
-    beats : int
-        Whole beats at the end that count; 0: the whole record.
+    last : slice
+        The samples that count: those of the last whole beats, or all.
     begin_s : float
         Where the first cycle begins.
-    frequency_hz : float or None
     measured : dict of channel to (times, values, scale, unit)
         Samples a misfit is taken over; it is divided by ``scale``.
     """
 
     trial: Trial
-    beats: int
+    last: slice
     begin_s: float
-    frequency_hz: float | None
     measured: Mapping[str, tuple[Array, Array, float, str]]
 
 
@@ -68,8 +64,6 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
         Standard deviation of each channel's noise: makes misfits of the measured channels, over it, or in
         the channel's unit where it is not known. None: no misfits.
     """
-    beat = trial.swim.drive
-    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     measured = {}
     units = {c.name: c.unit for c in model.channels}
     for name, values in trial.measured.items() if noise is not None else ():
@@ -78,22 +72,19 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
             sd = (noise or {}).get(name, 0.0)
             scale, unit = (sd, "1") if sd > 0 else (1.0, units[name])
             measured[name] = (trial.time_s[there], values[there], scale, unit)
-    if beat is None:
-        fine = replace(trial, time_s=np.linspace(begin, end, SAMPLES + 1), measured={}, inputs={})
-        return Run(fine, 0, begin, None, measured)
-    step = 1.0 / (beat.frequency_hz * PER_BEAT)
-    ramp = max(begin, beat.ramp_s)
-    if not model.in_space:
-        window = swim_quantities.last_beats(ramp, end, beat.frequency_hz)
-        beats, anchor = (window.beats if window else 0), end
-    else:
-        beats, anchor = 0, 0.0 if begin <= 0 else ramp
-    inner = anchor + step * np.arange(
-        math.ceil((begin - anchor) / step + 1e-6), math.floor((end - anchor) / step - 1e-6) + 1
-    )
-    times = np.concatenate(([begin], inner, [end]))
-    fine = replace(trial, time_s=times, measured={}, inputs={})
-    return Run(fine, beats, anchor, beat.frequency_hz, measured)
+    drive = trial.swim.drive
+    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+    times, last, anchor = np.linspace(begin, end, STEPS + 1), slice(None), begin
+    if drive is not None:
+        ramp = max(begin, drive.ramp_s)
+        anchor = 0.0 if begin <= 0 else ramp
+        if not model.in_space:
+            window = swim_quantities.last_beats(ramp, end, drive.frequency_hz)
+            last, anchor = slice(-(window.beats * PER_BEAT + 1) if window else None, None), end
+        step = 1.0 / (drive.frequency_hz * PER_BEAT)
+        first, stop = math.ceil((begin - anchor) / step + 1e-6), math.floor((end - anchor) / step - 1e-6) + 1
+        times = np.concatenate(([begin], anchor + step * np.arange(first, stop), [end]))
+    return Run(replace(trial, time_s=times, measured={}, inputs={}), last, anchor, measured)
 
 
 def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
@@ -104,63 +95,52 @@ def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
     range of passive joints. In space the quantities of :mod:`swimid.swimmer.stroke_cycles` over all
     cycles: largest speed and pitch rate, mean speed and pitch rate, last pitch, way ahead and up in all.
     """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        columns = model.simulate(values, run.trial)
-    found: dict[str, Quantity] = {}
-    if model.in_space:
-        if model.free_base:
-            found |= _in_space(columns, run)
-    else:
-        found |= _in_plane(model, columns, run)
-    last = _last(run)
+    columns = model.attempt(values, run.trial)
+    quantities: dict[str, Quantity] = {}
+    if model.free_base:
+        quantities |= (_in_space if model.in_space else _in_plane)(model, columns, run)
     for axis in model.passive:
-        found[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column][last])), "rad")
-    for name, (times, seen, scale, unit) in run.measured.items():
+        angle = columns[axis.column][run.last]
+        quantities[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(angle)), "rad")
+    for name, (times, measured, scale, unit) in run.measured.items():
         simulated = columns[name]
         error = math.nan
         if np.isfinite(simulated).all():
-            error = math.sqrt(float(np.mean((seen - CubicSpline(run.trial.time_s, simulated)(times)) ** 2)))
-        found[f"{MISFIT}{name}"] = Quantity(error / scale, unit)
-    return found
-
-
-def _last(run: Run) -> slice:
-    return slice(-(run.beats * PER_BEAT + 1), None) if run.beats else slice(None)
+            there = CubicSpline(run.trial.time_s, simulated)(times)
+            error = math.sqrt(float(np.mean((measured - there) ** 2)))
+        quantities[f"misfit_{name}"] = Quantity(error / scale, unit)
+    return quantities
 
 
 def _in_plane(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
-    if not model.free_base:
-        return {}
-    last = _last(run)
-    time = run.trial.time_s[last]
-    surge, heading = columns[model.velocity[0]][last], columns[model.pose[2]][last]
+    time = run.trial.time_s[run.last]
+    surge, heading = columns[model.velocity[0]][run.last], columns[model.pose[2]][run.last]
     turn = model.pose[2].removesuffix("_rad")
     duration = float(time[-1] - time[0])
     rate = float(heading[-1] - heading[0]) / duration
     course = heading - rate * (time - time[0])
-    found = {
+    quantities = {
         "mean_surge_m_s": Quantity(float(np.trapezoid(surge, time)) / duration, "m/s"),
         "surge_amplitude_m_s": Quantity(0.5 * float(np.ptp(surge)), "m/s"),
         f"{turn}_amplitude_rad": Quantity(0.5 * float(np.ptp(course)), "rad"),
     }
     beat = run.trial.swim.beat
     if beat is None or beat.bias_rad or beat.asymmetry:
-        found[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
-    return found
+        quantities[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
+    return quantities
 
 
-def _in_space(columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
-    time = run.trial.time_s
-    whole = stroke_cycles.Window(float(time[0]), float(time[-1]))
-    cycles = []
-    if run.frequency_hz is not None:
-        cycles = stroke_cycles.windows(time, run.frequency_hz, begin_s=run.begin_s)
-    told = [stroke_cycles.quantities(time, columns, window) for window in cycles or [whole]]
-    found = {}
-    for name, unit in stroke_cycles.QUANTITIES.items():
-        of_each = [q.get(name, math.nan) for q in told]
-        found[name] = Quantity(float(OVER_CYCLES.get(name, np.mean)(of_each)), unit)
-    return found
+def _in_space(_model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
+    time, drive = run.trial.time_s, run.trial.swim.drive
+    windows = (
+        stroke_cycles.windows(time, drive.frequency_hz, begin_s=run.begin_s) if drive is not None else []
+    )
+    windows = windows or [stroke_cycles.Window(float(time[0]), float(time[-1]))]
+    cycles = [stroke_cycles.quantities(time, columns, window) for window in windows]
+    return {
+        name: Quantity(float(OVER_CYCLES.get(name, np.mean)([c.get(name, math.nan) for c in cycles])), unit)
+        for name, unit in stroke_cycles.QUANTITIES.items()
+    }
 
 
 # ------------------------------------------------------------ another drive
@@ -180,21 +160,6 @@ def drive_of(trial: Trial) -> dict[str, float]:
     return {}
 
 
-def check_axes(names: list[str], trial: Trial) -> None:
-    """Refuse axes that the trial's drive does not have.
-
-    Raises
-    ------
-    UsageError
-    """
-    allowed = list(drive_of(trial))
-    if not allowed:
-        raise UsageError(f"the trial '{trial.id}' has no drive to sweep: measured joints move it")
-    for name in names:
-        if name not in allowed:
-            raise UsageError(f"--sweep: the drive has no '{name}'", hint=suggestion(name, allowed))
-
-
 def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
     """The trial under another drive, from rest at its start pose.
 
@@ -203,38 +168,31 @@ def driven_otherwise(trial: Trial, drive: Mapping[str, float]) -> Trial:
     """
     stroke, beat = trial.swim.stroke, trial.swim.beat
     given = {**drive_of(trial), **drive}
-    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+    frequency, end = given["frequency_hz"], float(trial.time_s[-1])
     if isinstance(stroke, Cycle):
-        moved = replace(stroke, frequency_hz=given["frequency_hz"], scale=given["scale"])
-        count = max(math.floor((end - begin) * stroke.frequency_hz + 1e-6), 1)
-        begin, end = 0.0, count / moved.frequency_hz
-        swim = replace(trial.swim, stroke=moved)
+        swim = replace(trial.swim, stroke=replace(stroke, frequency_hz=frequency, scale=given["scale"]))
+        end = max(math.floor((end - float(trial.time_s[0])) * stroke.frequency_hz + 1e-6), 1) / frequency
     else:
         assert isinstance(beat, Beat)
-        moved_beat = replace(
-            beat,
-            frequency_hz=given["frequency_hz"],
-            amplitude_rad=math.radians(given["amplitude_deg"]),
-            bias_rad=math.radians(given["bias_deg"]),
-        )
-        begin, end = 0.0, max(end, beat.ramp_s + swim_quantities.BEATS / given["frequency_hz"])
-        swim = replace(trial.swim, beat=moved_beat)
+        amplitude, bias = math.radians(given["amplitude_deg"]), math.radians(given["bias_deg"])
+        moved = replace(beat, frequency_hz=frequency, amplitude_rad=amplitude, bias_rad=bias)
+        swim = replace(trial.swim, beat=moved)
+        end = max(end, beat.ramp_s + swim_quantities.BEATS / frequency)
     # a model keeps trajectories by the trial's name
     name = ", ".join([trial.id, *(f"{k} {v!r}" for k, v in drive.items())])
-    return replace(trial, id=name, time_s=np.array([begin, end]), measured={}, inputs={}, swim=swim)
+    return replace(trial, id=name, time_s=np.array([0.0, end]), measured={}, inputs={}, swim=swim)
 
 
 def errors(model: Swimmer, values: Array, trial: Trial) -> dict[str, tuple[float, float]]:
     """Root-mean-square error of each measured channel, and the same over its measured range."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(values, trial)
-    found = {}
-    for name, seen in trial.measured.items():
-        there = np.isfinite(seen)
+    simulated = model.attempt(values, trial)
+    errors = {}
+    for name, measured in trial.measured.items():
+        there = np.isfinite(measured)
         if there.sum() > 1 and np.isfinite(simulated[name][there]).all():
-            score = metrics.score(seen, simulated[name])
-            found[name] = (score.rmse, score.nrmse)
-    return found
+            score = metrics.score(measured, simulated[name])
+            errors[name] = (score.rmse, score.nrmse)
+    return errors
 
 
 def possible(model: Swimmer, values: Array) -> bool:

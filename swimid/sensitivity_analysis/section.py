@@ -8,20 +8,20 @@ from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader
 from swimid.results.sections import LONG_TABLE, Block, Cell, Grid, Section, Tone
-from swimid.sensitivity_analysis import file as sensitivity
-from swimid.sensitivity_analysis.file import Index, Output, SensitivityFile
+from swimid.sensitivity_analysis.evidence import ranked
+from swimid.sensitivity_analysis.file import FORMAT, Index, Output, SensitivityFile
 
 _SOURCES = {"bounds": "bounds", "stderr": "± 2 std. errors", "share": "share of the value", "given": "given"}
 
 
-@reader(format=sensitivity.FORMAT, read=sensitivity.read)
+@reader(format=FORMAT, read=SensitivityFile.read)
 def section(path: Path, file: SensitivityFile, evidence: Evidence | None) -> Section:
     """The section of a sensitivity file."""
     blocks: list[Block] = []
     if file.outputs:
         pooled = [o for o in file.outputs if o.trial is None]
-        told = pooled or file.outputs
-        blocks += [_ranges(file), _shares(told) if file.method == "sobol" else _effects(told)]
+        outputs = pooled or file.outputs
+        blocks += [_ranges(file), _shares(outputs) if file.method == "sobol" else _effects(outputs)]
     return Section(
         path=path,
         kind="Sensitivity",
@@ -76,21 +76,18 @@ def _index(index: Index) -> Cell:
     return Cell(f"{numbers.fixed(index.value, 2)} ({low} … {high})", numeric=True)
 
 
+def _ranked(outputs: list[Output]) -> list[tuple[Output, str]]:
+    return [(o, name) for o in outputs for name, _, _ in ranked(o)]
+
+
 def _shares(outputs: list[Output]) -> Grid:
     rows = []
-    for o in outputs:
-        for name, s in sorted(o.shares.items(), key=lambda item: -item[1].total.value):
-            said = "negligible" if s.negligible else "told" if s.first_told else "first not told from zero"
-            tone: Tone = "muted" if s.negligible else "good" if s.first_told else "caution"
-            rows.append(
-                [
-                    Cell(o.quantity, "code"),
-                    Cell(name, "code"),
-                    _index(s.first),
-                    _index(s.total),
-                    Cell(said, tone),
-                ]
-            )
+    for o, name in _ranked(outputs):
+        s = o.shares[name]
+        verdict = "negligible" if s.negligible else "told" if s.first_told else "first not told from zero"
+        tone: Tone = "muted" if s.negligible else "good" if s.first_told else "caution"
+        names = [Cell(o.quantity, "code"), Cell(name, "code")]
+        rows.append([*names, _index(s.first), _index(s.total), Cell(verdict, tone)])
     caption = (
         "Shares of an output's variance, with 95 % intervals: by the coefficient alone, and with every "
         "interaction it takes part in. Good: narrow intervals. Negligible: the total's whole interval lies "
@@ -102,18 +99,16 @@ def _shares(outputs: list[Output]) -> Grid:
 
 def _effects(outputs: list[Output]) -> Grid:
     rows = []
-    for o in outputs:
-        for name, e in sorted(o.effects.items(), key=lambda item: -item[1].mu_star):
-            rows.append(
-                [
-                    Cell(o.quantity, "code"),
-                    Cell(name, "code"),
-                    Cell(numbers.number(e.mu_star, 3, o.unit), numeric=True),
-                    Cell(numbers.interval(*e.mu_star_ci95), numeric=True),
-                    Cell(numbers.number(e.mu, 3), numeric=True),
-                    Cell(numbers.number(e.sigma, 3), numeric=True),
-                ]
-            )
+    for o, name in _ranked(outputs):
+        e = o.effects[name]
+        texts = [
+            numbers.number(e.mu_star, 3, o.unit),
+            numbers.interval(*e.mu_star_ci95),
+            numbers.number(e.mu, 3),
+            numbers.number(e.sigma, 3),
+        ]
+        names = [Cell(o.quantity, "code"), Cell(name, "code")]
+        rows.append([*names, *(Cell(text, numeric=True) for text in texts)])
     caption = (
         "Elementary effects per whole range of the coefficient. mu* is their mean magnitude; a sigma as "
         "large means interactions or curvature; mu far below mu* means that the effect changes its sign."

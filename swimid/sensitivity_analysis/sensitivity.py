@@ -1,4 +1,4 @@
-"""``sensitivity``: which coefficient each output hangs on, and how outputs change with the drive."""
+"""``sensitivity``: what each output is most sensitive to, and how outputs change with the drive."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,19 +16,21 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded, warn
+from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
+from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
 from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis import outputs as sensitivity_outputs
 from swimid.sensitivity_analysis.file import (
+    FORMAT,
     Axis,
     Effects,
     Index,
@@ -45,12 +47,13 @@ from swimid.sensitivity_analysis.file import (
 from swimid.sensitivity_analysis.indices import Morris, Sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.sensitivity_analysis.outputs import Run
-from swimid.sensitivity_analysis.studied import Sensitivity
-from swimid.sensitivity_analysis.threads import in_threads
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar.model import prepare
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Rows of the design, or trajectories, where nothing else is asked for.
 SAMPLES = {"sobol": 256, "morris": 32, "none": 0}
@@ -62,17 +65,42 @@ CONSTANT = 1e-9
 MOST_POINTS = 10_000
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, eq=False)
+class Sensitivity(FileResult[SensitivityFile]):
+    """Sensitivity indices of coefficients, and outputs over a grid of drives."""
+
+    format = FORMAT
+    file_type = SensitivityFile
+
+    @property
+    def indices(self) -> pd.DataFrame:
+        """A row for each coefficient of each output: Sobol shares, or elementary effects (Morris)."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [
+                {"output": o.quantity, "trial": o.trial, "coefficient": name, **index.model_dump()}
+                for o in self.file.outputs
+                for name, index in {**o.shares, **o.effects}.items()
+            ]
+        )
+
+    @classmethod
+    def _told(cls, document: SensitivityFile, evidence: ev.Evidence | None) -> str:
+        return (
+            sensitivity_evidence.summary(document, evidence)
+            if evidence
+            else super()._told(document, evidence)
+        )
+
+
+class Study(NamedTuple):
     """What is varied, and what is looked at.
 
     Attributes
     ----------
-    applied : Applied
-    ranges : dict of str to Range
-    runs : list of Run
-    starts : list of ndarray
-        Parameter vector of each run, its start state in it.
+    runs : list of (Run, ndarray)
+        With the parameter vector of each, its start state in it.
     columns : list of (quantity, trial, unit)
         Outputs in order.
     centre : ndarray, shape (s,)
@@ -81,18 +109,17 @@ class Study:
 
     applied: Applied
     ranges: Mapping[str, Range]
-    runs: Sequence[Run]
-    starts: Sequence[Array]
+    runs: Sequence[tuple[Run, Array]]
     columns: Sequence[tuple[str, str, str]]
     centre: Array
 
     @property
     def groups(self) -> dict[str, list[int]]:
         """The outputs of each quantity that more than one trial has."""
-        found: dict[str, list[int]] = {}
+        groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
-            found.setdefault(quantity, []).append(k)
-        return {quantity: members for quantity, members in found.items() if len(members) > 1}
+            groups.setdefault(quantity, []).append(k)
+        return {quantity: members for quantity, members in groups.items() if len(members) > 1}
 
 
 @takes(SensitivityOptions)
@@ -129,7 +156,6 @@ def sensitivity(
         raise UsageError("--method none leaves nothing to do without --sweep")
     with recorded(repeat=True) as notices:
         experiment, applied = _loaded(trials, options)
-        model = _swimmer(experiment.model)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
@@ -140,7 +166,7 @@ def sensitivity(
         workers = options.jobs or os.cpu_count() or 1
         file = SensitivityFile(
             verdict="caution",
-            model=model.name,
+            model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(params).name if params is not None else None,
@@ -153,24 +179,23 @@ def sensitivity(
         checks = []
         if method != "none":
             study = _study(experiment, applied, over)
-            common: dict[str, Any] = {
-                "samples": count,
-                "seed": options.seed,
-                "groups": list(study.groups.values()),
-                "names": list(over),
-                "jobs": workers,
-                "checkpoint": keep,
-                "progress": progress,
-            }
-            low, high = (np.array([getattr(r, end) for r in over.values()]) for end in ("low", "high"))
-            function = indices.sobol if method == "sobol" else indices.morris
-            found = function(_evaluation(study), low, high, **common)
-            file.outputs = _outputs(study, found)
-            left_out = found.replaced if isinstance(found, Sobol) else found.dropped
-            file.simulations = Simulations(
-                evaluated=found.evaluations, broken=found.broken, left_out=left_out
+            estimates = (indices.sobol if method == "sobol" else indices.morris)(
+                _evaluation(study),
+                np.array([r.low for r in over.values()]),
+                np.array([r.high for r in over.values()]),
+                samples=count,
+                seed=options.seed,
+                groups=list(study.groups.values()),
+                names=list(over),
+                jobs=workers,
+                checkpoint=keep,
+                progress=progress,
             )
-            checks += sensitivity_evidence.index_checks(file, _step_change(study, found))
+            file.outputs = _outputs(study, estimates)
+            file.simulations = Simulations(
+                evaluated=estimates.evaluations, broken=estimates.broken, left_out=estimates.left_out
+            )
+            checks += sensitivity_evidence.index_checks(file, _step_change(study, estimates))
             checks += sensitivity_evidence.correlation_check(_correlated(applied, over))
         if swept is not None:
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
@@ -187,106 +212,77 @@ def sensitivity(
         figures=sensitivity_evidence.figures(file),
         notices=blocks.notices(notices),
         methods=sensitivity_evidence.methods(file),
-        references=[*sensitivity_evidence.references(file), *experiment.robot.sources],
+        references=[*sensitivity_evidence.REFERENCES[method], *experiment.robot.sources],
         provenance=origin,
     )
     summary = sensitivity_evidence.summary(file, evidence)
-    made = Sensitivity("sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file)
-    made = made.saved(output)
+    result = Sensitivity(
+        "sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file
+    )
+    saved = result.saved(output)
     keep.done()
-    return made
+    return saved
 
 
 def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
-    chosen, readings = dict(options.chosen), dict(options.readings)
     if options.params is None:
         if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(source, readings=readings, max_step=options.dt)
-        return experiment, Applied(experiment.model, chosen=chosen)
-    loaded = catalogue.load(
-        source,
-        options.params,
-        robot=options.robot,
-        chosen=chosen,
-        readings=readings,
-        max_step=options.dt,
-    )
-    model = loaded.experiment.model
-    if model.swimmer is None:
-        raise UsageError(f"a study needs a robot with links, not the model '{model.name}'")
-    return loaded.experiment, loaded.applied
+        experiment = swimmer.load(source, readings=dict(options.readings), max_step=options.dt)
+        return experiment, Applied(experiment.model, chosen=dict(options.chosen))
+    experiment, applied = catalogue.load(source, options)
+    if applied.model.swimmer is None:
+        raise UsageError(f"a study needs a robot with links, not the model '{applied.model.name}'")
+    return experiment, applied
 
 
-def _swimmer(model: Model) -> Swimmer:
+def _swimmer(applied: Applied) -> Swimmer:
     """The model as that of a robot with links, on which :func:`_loaded` insists."""
-    assert model.swimmer is not None
-    return model.swimmer
+    assert applied.model.swimmer is not None
+    return applied.model.swimmer
 
 
 # ------------------------------------------------------------ what is varied
 
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
-    """The range of every coefficient that is varied.
-
-    Raises
-    ------
-    UsageError
-        For a range that cannot be read or is not known.
-    """
-    model = applied.model
-    own: dict[str, tuple[float, float]] = {}
-    rule = "bounds"
-    rules = []
-    for text in texts:
-        name, equals, ends = text.partition("=")
-        if equals:
-            own[name.strip()] = _ends(name.strip(), ends)
-        else:
-            rules.append(text.strip())
+    """The range of every coefficient that is varied."""
+    parted = [text.partition("=") for text in texts]
+    own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parted if equals}
+    rules = [name.strip() for name, equals, _ in parted if not equals]
     if len(rules) > 1:
         raise UsageError(f"--range: {' and '.join(rules)} contradict each other")
     rule = rules[0] if rules else "bounds"
-    shared = {p.name: p for p in model.parameters if not p.per_trial}
+    shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
     for name in (*own, *coefficients):
         if name not in shared:
             raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
         if name in applied.chosen:
             raise UsageError(f"{name} is held by --set and cannot be varied")
-    wanted = [
-        p
-        for p in shared.values()
-        if (p.name in coefficients if coefficients else p.free or p.name in own)
-        and p.name not in applied.chosen
-    ]
-    values = applied.values()
-    errors = dict(zip(*_stderr(applied), strict=True))
-    found, without = {}, []
-    for p in wanted:
-        value = float(values[model.index(p.name)])
+    values = dict(zip([p.name for p in applied.model.parameters], applied.values().tolist(), strict=True))
+    names, covariance = applied.uncertain()
+    errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    ranges = {}
+    for p in shared.values():
+        wanted = p.name in coefficients if coefficients else p.free or p.name in own
+        if not wanted or p.name in applied.chosen:
+            continue
         if p.name in own:
             low, high, source = *own[p.name], "given"
         else:
-            low, high, source = _by_rule(p, value, rule, errors)
+            low, high, source = _by_rule(p, values[p.name], rule, errors)
         if math.isnan(low):
-            without.append(p.name)
+            if coefficients:
+                raise UsageError(f"{p.name} has no standard error to make a range of")
             continue
         if not (math.isfinite(low) and math.isfinite(high)):
             raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
         if not low < high:
             raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}")
-        found[p.name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
-    if coefficients and without:
-        raise UsageError(f"{without[0]} has no standard error to make a range of")
-    if not found:
+        ranges[p.name] = Range(value=values[p.name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+    if not ranges:
         raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
-    return found
-
-
-def _stderr(applied: Applied) -> tuple[list[str], list[float]]:
-    names, covariance = applied.uncertain()
-    return names, [float(v) for v in np.sqrt(np.diag(covariance))]
+    return ranges
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
@@ -296,8 +292,7 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
     kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
     pairs = [
         (float(covariance[i, j] / (sd[i] * sd[j])), names[i], names[j])
-        for n, i in enumerate(kept)
-        for j in kept[n + 1 :]
+        for i, j in itertools.combinations(kept, 2)
     ]
     return max(pairs, key=lambda pair: abs(pair[0]), default=None)
 
@@ -338,112 +333,95 @@ def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float])
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """The runs with their start states, and what they come to with the given coefficients.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        When a run breaks down with them.
-    """
-    model = _swimmer(experiment.model)
-    runs, starts, columns, centre = [], [], [], []
+    """The runs with their start states, and what they come to with the given coefficients."""
+    model = _swimmer(applied)
+    runs, columns, centre = [], [], []
     for trial in experiment.trials:
         values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
         run = sensitivity_outputs.run_of(model, trial, applied.noise())
-        told = sensitivity_outputs.outputs(model, values, run)
-        broken = [name for name, q in told.items() if not math.isfinite(q.value)]
+        quantities = sensitivity_outputs.outputs(model, values, run)
+        broken = [name for name, q in quantities.items() if not math.isfinite(q.value)]
         if broken or not sensitivity_outputs.possible(model, values):
             raise NoTrustworthyResult(
                 f"the simulation of '{trial.id}' breaks down with the given coefficients",
                 hint="check the parameters and the drive, or take a smaller --dt",
             )
-        runs.append(run)
-        starts.append(values)
-        columns += [(name, trial.id, q.unit) for name, q in told.items()]
-        centre += [q.value for q in told.values()]
+        runs.append((run, values))
+        columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
+        centre += [q.value for q in quantities.values()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is held and nothing yields")
-    return Study(applied, over, runs, starts, columns, np.array(centre))
+    return Study(applied, over, runs, columns, np.array(centre))
 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
     """From coefficients to the outputs, NaN where a simulation breaks down."""
-    known = model or _swimmer(study.applied.model)
+    known = model or _swimmer(study.applied)
     places = [known.index(name) for name in study.ranges]
 
     def evaluate(point: Array) -> Array:
-        found: list[float] = []
-        for run, start in zip(study.runs, study.starts, strict=True):
+        results: list[float] = []
+        for run, start in study.runs:
             values = start.copy()
             values[places] = point
             if not sensitivity_outputs.possible(known, values):
                 return np.full(len(study.columns), np.nan)
-            found += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
-        return np.array(found)
+            results += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
+        return np.array(results)
 
     return evaluate
 
 
-def _step_change(study: Study, found: Sobol | Morris) -> float:
+def _step_change(study: Study, estimates: Sobol | Morris) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
-    finer = _swimmer(study.applied.model).refined()
+    finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given) - study.centre)
-    vary = found.sd > CONSTANT * np.abs(found.mean)
-    return float(np.max(change[vary] / found.sd[vary], initial=0.0))
+    vary = estimates.sd > CONSTANT * np.abs(estimates.mean)
+    return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 
 
-def _outputs(study: Study, found: Sobol | Morris) -> list[Output]:
-    units = {quantity: unit for quantity, _, unit in study.columns}
-    heads: list[dict[str, Any]] = [
-        {
-            "quantity": quantity,
-            "trial": trial,
-            "unit": unit,
-            "value": float(study.centre[k]),
-            "mean": float(found.mean[k]),
-            "sd": float(found.sd[k]),
-        }
+def _outputs(study: Study, estimates: Sobol | Morris) -> list[Output]:
+    outputs = [
+        Output(
+            quantity=quantity,
+            trial=trial,
+            unit=unit,
+            value=float(study.centre[k]),
+            mean=float(estimates.mean[k]),
+            sd=float(estimates.sd[k]),
+        )
         for k, (quantity, trial, unit) in enumerate(study.columns)
     ]
     for quantity, members in study.groups.items():
-        sd = float(np.sqrt(np.mean(found.sd[members] ** 2)))
-        heads.append({"quantity": quantity, "unit": units[quantity], "sd": sd})
-    names = list(study.ranges)
-    told = []
-    for row, head in enumerate(heads):
-        constant = head["sd"] <= CONSTANT * abs(head.get("mean", 0.0))
-        if isinstance(found, Sobol) and not constant:
-            head["shares"] = {name: _shares(found, row, k) for k, name in enumerate(names)}
-        if isinstance(found, Morris):
-            head["effects"] = {name: _effects(found, row, k) for k, name in enumerate(names)}
-        told.append(Output(**head))
-    return told
+        sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
+        outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
+    for row, one in enumerate(outputs):
+        assert one.sd is not None
+        if isinstance(estimates, Morris):
+            one.effects = {name: _effects(estimates, row, k) for k, name in enumerate(study.ranges)}
+        elif one.sd > CONSTANT * abs(one.mean or 0.0):
+            one.shares = {name: _shares(estimates, row, k) for k, name in enumerate(study.ranges)}
+    return outputs
 
 
-def _shares(found: Sobol, row: int, k: int) -> Shares:
-    first = Index(
-        value=float(found.first[row, k]),
-        ci95=(float(found.first_ci[0, row, k]), float(found.first_ci[1, row, k])),
-    )
-    total = Index(
-        value=float(found.total[row, k]),
-        ci95=(float(found.total_ci[0, row, k]), float(found.total_ci[1, row, k])),
-    )
-    return Shares(
-        first=first,
-        total=total,
-        first_told=first.ci95[0] > 0,
-        negligible=total.ci95[1] < NEGLIGIBLE,
-    )
+def _ci95(ends: Array, row: int, k: int) -> tuple[float, float]:
+    return float(ends[0, row, k]), float(ends[1, row, k])
 
 
-def _effects(found: Morris, row: int, k: int) -> Effects:
+def _shares(sobol: Sobol, row: int, k: int) -> Shares:
+    first = Index(value=float(sobol.first[row, k]), ci95=_ci95(sobol.first_ci, row, k))
+    total = Index(value=float(sobol.total[row, k]), ci95=_ci95(sobol.total_ci, row, k))
+    negligible = total.ci95[1] < NEGLIGIBLE
+    return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)
+
+
+def _effects(morris: Morris, row: int, k: int) -> Effects:
     return Effects(
-        mu=float(found.mu[row, k]),
-        mu_star=float(found.mu_star[row, k]),
-        mu_star_ci95=(float(found.mu_star_ci[0, row, k]), float(found.mu_star_ci[1, row, k])),
-        sigma=float(found.sigma[row, k]),
+        mu=float(morris.mu[row, k]),
+        mu_star=float(morris.mu_star[row, k]),
+        mu_star_ci95=_ci95(morris.mu_star_ci, row, k),
+        sigma=float(morris.sigma[row, k]),
     )
 
 
@@ -453,12 +431,7 @@ def _effects(found: Morris, row: int, k: int) -> Effects:
 def _swept(
     experiment: Experiment, sweep: Mapping[str, tuple[float, float, int]], name: str | None
 ) -> Trial | None:
-    """The trial whose drive is swept.
-
-    Raises
-    ------
-    UsageError
-    """
+    """The trial whose drive is swept."""
     if not sweep:
         if name is not None:
             raise UsageError("--trial belongs to --sweep")
@@ -470,7 +443,12 @@ def _swept(
         raise UsageError(f"there is no trial '{name}'", hint=suggestion(name, list(known)))
     driven = [t for t in experiment.trials if sensitivity_outputs.drive_of(t)]
     trial = known[name] if name is not None else (driven or experiment.trials)[0]
-    sensitivity_outputs.check_axes(list(sweep), trial)
+    allowed = list(sensitivity_outputs.drive_of(trial))
+    if not allowed:
+        raise UsageError(f"the trial '{trial.id}' has no drive to sweep: measured joints move it")
+    for axis in sweep:
+        if axis not in allowed:
+            raise UsageError(f"--sweep: the drive has no '{axis}'", hint=suggestion(axis, allowed))
     for axis, (low, high, count) in sweep.items():
         if not low < high or count < 2:
             raise UsageError(f"--sweep {axis}: needs LOW below HIGH and two points or more")
@@ -492,17 +470,13 @@ def _sweep(
     progress: Progress,
 ) -> Sweep:
     """Outputs over the grid with their deviations, by the delta method from the coefficients' covariance."""
-    model = _swimmer(applied.model)
+    model = _swimmer(applied)
     axes = [Axis(name=name, values=[float(v) for v in np.linspace(*axis)]) for name, axis in sweep.items()]
     grid = [dict(zip(sweep, point, strict=True)) for point in itertools.product(*(a.values for a in axes))]
     values = applied.values()
     known = bool(applied.uncertain()[0])
-    if known and (untold := applied.without_error()):
-        warn(
-            "SWM055",
-            f"{', '.join(untold)} {'has' if len(untold) == 1 else 'have'} no standard error in the parameter "
-            "file: what is not known of them is not in the deviations of the sweep",
-        )
+    if known:
+        applied.warn_without_error("the deviations of the sweep")
 
     def run(drive: Mapping[str, float]) -> Run:
         return sensitivity_outputs.run_of(model, sensitivity_outputs.driven_otherwise(trial, drive))
@@ -511,26 +485,25 @@ def _sweep(
     if not units:
         raise NoTrustworthyResult("the trial has no output: its base is held and nothing yields")
 
-    def one(k: int) -> Array:
-        kept = checkpoint.get(f"sweep {k}")
-        if kept is not None:
-            return kept
-        moved = run(grid[k])
-
+    def one(moved: Run) -> Array:
         def compute(point: Array) -> dict[str, Quantity]:
             return sensitivity_outputs.outputs(model, point, moved)
 
-        told = applied.with_errors(values, compute)
-        row = np.array([[told[n].value, told[n].stderr or 0.0] for n in units]).ravel()
-        checkpoint.put(f"sweep {k}", row)
-        return row
+        quantities = applied.with_errors(values, compute)
+        return np.array([[quantities[n].value, quantities[n].stderr or 0.0] for n in units]).ravel()
 
-    found = []
-    with progress("sweep", total=len(grid)) as step, in_threads(one, range(len(grid)), jobs) as rows:
+    def kept(k: int) -> Array:
+        return checkpoint.kept(f"sweep {k}", lambda: one(run(grid[k])))
+
+    computed = []
+    with (
+        progress("sweep", total=len(grid)) as step,
+        indices.in_threads(kept, range(len(grid)), jobs) as rows,
+    ):
         for row in rows:
-            found.append(row)
+            computed.append(row)
             step()
-    table = np.array(found).reshape(len(axes[0].values), -1, len(units), 2)
+    table = np.array(computed).reshape(len(axes[0].values), -1, len(units), 2)
     lost = ~np.isfinite(table[..., 0]).all(axis=-1)
     table[lost] = np.nan
     outputs = [
@@ -549,16 +522,16 @@ def _measured(
     experiment: Experiment, applied: Applied, sweep: Mapping[str, tuple[float, float, int]]
 ) -> list[Measured]:
     """The actual error of every trial that has the axes of the sweep."""
-    model = _swimmer(experiment.model)
+    model = _swimmer(applied)
     units = {c.name: c.unit for c in model.channels}
-    found = []
+    trials = []
     for trial in experiment.trials:
         drive = sensitivity_outputs.drive_of(trial)
         if not trial.measured or not set(sweep) <= set(drive):
             continue
         values, _, _ = compare_series.start_of(applied, trial, refit=True)
         errors = sensitivity_outputs.errors(model, values, trial)
-        found.append(
+        trials.append(
             Measured(
                 trial=trial.id,
                 role=trial.role,  # type: ignore[arg-type]
@@ -570,4 +543,4 @@ def _measured(
                 },
             )
         )
-    return found
+    return trials

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
 from swimid.progress import Progress, silent
 
 Array = NDArray[np.float64]
-ENDINGS = (".mp4", ".gif")
 #: Pictures a second.
 RATE_HZ = 25.0
-#: Longer side of the picture, pixels: film and GIF.
+#: Longer side of the picture, pixels, by the file's ending.
 SIZE = {".mp4": 960, ".gif": 560}
 #: A path longer than so many robots makes a fixed picture useless: the view then follows.
 LONGEST = 12.0
@@ -38,24 +36,6 @@ _SHIFT = 4
 
 
 @dataclass(frozen=True)
-class Link:
-    """How one link is drawn.
-
-    Attributes
-    ----------
-    length_m : float
-    begin_m : float
-        Distance of its front end from the robot's, all joints straight.
-    passive : bool
-        It hangs on a passive joint.
-    """
-
-    length_m: float
-    begin_m: float
-    passive: bool
-
-
-@dataclass(frozen=True)
 class Film:
     """What is shown.
 
@@ -64,7 +44,10 @@ class Film:
     time_s : ndarray, shape (n,)
     x_m, y_m, heading_rad : ndarray, shape (links, n)
         Front end and heading of every link; y points up in the picture.
-    links : sequence of Link
+    lengths_m, begins_m : ndarray, shape (links,)
+        Length of every link, and distance of its front end from the robot's, all joints straight.
+    passive : collection of int
+        The links on passive joints.
     length_m, width_m : float
         Of the robot.
     title : str
@@ -76,11 +59,13 @@ class Film:
     x_m: Array
     y_m: Array
     heading_rad: Array
-    links: Sequence[Link]
+    lengths_m: Array
+    begins_m: Array
+    passive: Collection[int]
     length_m: float
     width_m: float
     title: str
-    tapered: bool = True
+    tapered: bool
 
 
 def half_width(share: Array, width: float, length: float) -> Array:
@@ -97,16 +82,16 @@ def half_width(share: Array, width: float, length: float) -> Array:
     return np.maximum(width * thickness / 0.10 * 0.5, 0.5 * THINNEST * length)
 
 
-def outline(link: Link, film: Film) -> Array:
+def outline(film: Film, link: int) -> Array:
     """A link's outline in its own axes, x forward from its front end; shape (points, 2), m."""
-    along = np.linspace(0.0, link.length_m, 24)
+    along = np.linspace(0.0, film.lengths_m[link], 24)
     if film.tapered:
-        half = half_width((link.begin_m + along) / film.length_m, film.width_m, film.length_m)
+        half = half_width((film.begins_m[link] + along) / film.length_m, film.width_m, film.length_m)
     else:
         half = np.full(len(along), 0.5 * BAR * film.length_m)
     port = np.column_stack((-along, half))
     # a round front closes the gap that a bent joint opens
-    round_front = link.begin_m > 0 or not film.tapered
+    round_front = film.begins_m[link] > 0 or not film.tapered
     turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 12)[1:-1] if round_front else np.empty(0)
     cap = half[0] * np.column_stack((np.cos(turn), np.sin(turn)))
     return np.concatenate((cap, port, port[::-1] * (1.0, -1.0)))
@@ -118,7 +103,7 @@ def write(path: Path, film: Film, *, view: str = "auto", progress: Progress = si
     Parameters
     ----------
     path : Path
-        Ending in .mp4 or .gif.
+        With an ending of :data:`SIZE`.
     view : {"auto", "fixed", "follow"}
         Whether the picture holds the whole path or moves with the robot.
 
@@ -126,47 +111,39 @@ def write(path: Path, film: Film, *, view: str = "auto", progress: Progress = si
     -------
     str
         A remark for the user, empty when there is none.
-
-    Raises
-    ------
-    UsageError
-        For another ending.
     """
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {' or '.join(ENDINGS)}")
-    camera = _Camera.over(film, view, SIZE[ending])
+    camera = _Camera.over(film, view, SIZE[path.suffix.lower()])
     shown = np.arange(film.time_s[0], film.time_s[-1] + 1e-9, 1.0 / RATE_HZ)
-    remark = ""
     with atomic.replacing(path) as temporary, progress("animation", total=len(shown)) as step:
         writer = open_writer(temporary, RATE_HZ, camera.width, camera.height)
-        if isinstance(writer, Mpeg4):
-            remark = REMARK.format("animation")
         try:
             for time in shown:
                 writer.write(float(time - shown[0]), picture(film, camera, float(time)))
                 step()
         finally:
             writer.close()
-    return remark
+    return REMARK.format("animation") if isinstance(writer, Mpeg4) else ""
 
 
 def picture(film: Film, camera: _Camera, time_s: float) -> Frame:
     """One frame."""
-    x, y, heading = (_at(film.time_s, rows, time_s) for rows in (film.x_m, film.y_m, film.heading_rad))
-    camera = camera.looking_at(float(np.mean(x)), float(np.mean(y)))
+    x, y, heading = (
+        np.array([np.interp(time_s, film.time_s, row) for row in rows])
+        for rows in (film.x_m, film.y_m, film.heading_rad)
+    )
+    if camera.follows:
+        camera = camera.centred(float(np.mean(x)), float(np.mean(y)))
     frame = np.full((camera.height, camera.width, 3), WATER, dtype=np.uint8)
     _grid(frame, camera)
     past = film.time_s <= time_s
     points = np.column_stack((np.append(film.x_m[0][past], x[0]), np.append(film.y_m[0][past], y[0])))
     cv2.polylines(frame, [camera.pixels(points)], False, TRACE, 2, cv2.LINE_AA, _SHIFT)
     # from the tail forward, so that each link overlaps the one behind it
-    for i in reversed(range(len(film.links))):
-        link = film.links[i]
-        c, s = math.cos(heading[i]), math.sin(heading[i])
-        shape = outline(link, film) @ np.array([[c, s], [-s, c]]) + (x[i], y[i])
+    for link in reversed(range(len(film.lengths_m))):
+        c, s = math.cos(heading[link]), math.sin(heading[link])
+        shape = outline(film, link) @ np.array([[c, s], [-s, c]]) + (x[link], y[link])
         pixels = camera.pixels(shape)
-        cv2.fillPoly(frame, [pixels], PASSIVE if link.passive else DRIVEN, cv2.LINE_AA, _SHIFT)
+        cv2.fillPoly(frame, [pixels], PASSIVE if link in film.passive else DRIVEN, cv2.LINE_AA, _SHIFT)
         cv2.polylines(frame, [pixels], True, INK, 1, cv2.LINE_AA, _SHIFT)
     _scale_bar(frame, camera, film.length_m)
     _text(frame, f"{time_s:6.2f} s", (12, 26))
@@ -174,64 +151,44 @@ def picture(film: Film, camera: _Camera, time_s: float) -> Frame:
     return frame
 
 
-def _at(time: Array, rows: Array, moment: float) -> Array:
-    return np.array([np.interp(moment, time, row) for row in rows])
-
-
 @dataclass(frozen=True)
 class _Camera:
     """From metres to pixels."""
 
-    left: float
-    bottom: float
     scale: float
     width: int
     height: int
     follows: bool
+    left: float = 0.0
+    bottom: float = 0.0
 
     @classmethod
     def over(cls, film: Film, view: str, size: int) -> _Camera:
-        lengths = np.array([[link.length_m] for link in film.links])
         ends = [
-            np.concatenate((rows, rows - lengths * turn(film.heading_rad)))
+            np.concatenate((rows, rows - film.lengths_m[:, None] * turn(film.heading_rad)))
             for rows, turn in ((film.x_m, np.cos), (film.y_m, np.sin))
         ]
         path = [float(np.ptp(rows[0])) for rows in (film.x_m, film.y_m)]
         follows = view == "follow" or (view == "auto" and max(path) > LONGEST * film.length_m)
+        spans = [float(np.ptp(rows)) + MARGIN * film.length_m for rows in ends]
         if follows:
-            spans = (3.2 * film.length_m, 1.9 * film.length_m)
-        else:
-            spans = tuple(float(np.ptp(rows)) + MARGIN * film.length_m for rows in ends)  # type: ignore[assignment]
+            spans = [3.2 * film.length_m, 1.9 * film.length_m]
         scale = size / max(spans)
         # neither a strip nor odd numbers, which encoders refuse
-        sides = [2 * math.ceil(max(span * scale, 0.4 * size) / 2) for span in spans]
+        width, height = (2 * math.ceil(max(span * scale, 0.4 * size) / 2) for span in spans)
         middle = [0.5 * float(rows.min() + rows.max()) for rows in ends]
-        return cls(
-            middle[0] - 0.5 * sides[0] / scale,
-            middle[1] - 0.5 * sides[1] / scale,
-            scale,
-            sides[0],
-            sides[1],
-            follows,
-        )
+        return cls(scale, width, height, follows).centred(*middle)
 
-    def looking_at(self, x: float, y: float) -> _Camera:
-        if not self.follows:
-            return self
-        return _Camera(
-            x - 0.5 * self.width / self.scale,
-            y - 0.5 * self.height / self.scale,
-            self.scale,
-            self.width,
-            self.height,
-            True,
-        )
+    def centred(self, x: float, y: float) -> _Camera:
+        """The same, looking at a point."""
+        left, bottom = x - 0.5 * self.width / self.scale, y - 0.5 * self.height / self.scale
+        return replace(self, left=left, bottom=bottom)
 
     def pixels(self, points: Array) -> NDArray[np.int32]:
         x = (points[:, 0] - self.left) * self.scale
         y = self.height - (points[:, 1] - self.bottom) * self.scale
-        found: NDArray[np.int32] = np.round(np.column_stack((x, y)) * 2**_SHIFT).astype(np.int32)
-        return found
+        pixels: NDArray[np.int32] = np.round(np.column_stack((x, y)) * 2**_SHIFT).astype(np.int32)
+        return pixels
 
 
 def round_length(wanted: float) -> float:

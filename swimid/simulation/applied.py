@@ -12,7 +12,7 @@ import numpy as np
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Array, Model
 from swimid.notices import warn
-from swimid.results.parameters import ParameterFile
+from swimid.results.parameters import Estimate, Fit, ParameterFile
 
 #: Derivatives are taken over this share of a standard error, and of a parameter's size at most.
 STEP, SMALLEST = 0.05, 1e-3
@@ -59,6 +59,8 @@ class Applied:
         names = [p.name for p in self.model.parameters]
         #: What a robot file says of its coefficients; a fit starts elsewhere.
         self.stated = self.model.stated()
+        #: The file's estimates by parameter, or ``name[trial]``.
+        self.known = {} if self.file is None else self.file.parameters
         for name, value in self.chosen.items():
             if name not in names:
                 hint = suggestion(name, names)
@@ -68,12 +70,11 @@ class Applied:
                 warn("SWM053", f"{name} = {value:g} lies outside its bounds, {p.lower:g} to {p.upper:g}")
         if self.file is not None:
             self._check(names)
-            self._warn_doubtful()
+            self._warn_doubtful(self.file.fit)
 
     def _check(self, names: list[str]) -> None:
         """Refuse a file of another robot: parameters too many, or too few."""
-        assert self.file is not None
-        known = {label.split("[")[0] for label in self.file.parameters}
+        known = {label.split("[")[0] for label in self.known}
         strange = sorted(known - set(names))
         missing = [
             p.name
@@ -92,19 +93,14 @@ class Applied:
                     hint=f"are these the parameters of another robot? This one has: {', '.join(names)}",
                 )
 
-    def _warn_doubtful(self) -> None:
+    def _warn_doubtful(self, fit: Fit | None) -> None:
         """Tell which values the fit that wrote them does not vouch for."""
-        assert self.file is not None
         name = self.path.name if self.path else "the parameter file"
-        if self.file.fit is not None and not self.file.fit.converged:
+        if fit is not None and not fit.converged:
             warn(
                 "SWM062", f"{name}: the fit did not converge; these are the values at which its search ended"
             )
-        unknown = [
-            label
-            for label, known in self.file.parameters.items()
-            if known.status == "unidentifiable" and label not in self.chosen
-        ]
+        unknown = [n for n, e in self.known.items() if e.status == "unidentifiable" and n not in self.chosen]
         if unknown:
             warn(
                 "SWM062",
@@ -127,17 +123,11 @@ class Applied:
         if name in self.chosen:
             return float(self.chosen[name])
         label = f"{name}[{trial}]" if per_trial else name
-        if self.file is not None and label in self.file.parameters:
-            return self.file.parameters[label].value
-        return self.stated.get(name, start)
-
-    def knows(self, name: str, trial: str) -> bool:
-        """Whether the file holds this trial's own value of a parameter."""
-        return self.file is not None and f"{name}[{trial}]" in self.file.parameters
+        return self.known[label].value if label in self.known else self.stated.get(name, start)
 
     def fitted_per_trial(self) -> set[str]:
         """Names of parameters the file holds for some trial."""
-        return {n.split("[")[0] for n in self.file.parameters if "[" in n} if self.file else set()
+        return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:
         """Standard deviation of the noise of each channel the parameters were fitted to."""
@@ -150,43 +140,44 @@ class Applied:
 
     # -------------------------------------------------------- uncertainty
 
+    def _carried(self) -> dict[str, Estimate]:
+        """What the file says of the shared parameters, but for those set by the user."""
+        names = [p.name for p in self.model.parameters]
+        return {n: self.known[n] for n in names if n in self.known and n not in self.chosen}
+
     def uncertain(self) -> tuple[list[str], Array]:
         """Shared parameters with a standard error, and their covariance."""
         if self.file is None:
             return [], np.empty((0, 0))
-        errors = {
-            p.name: self.file.parameters[p.name].stderr
-            for p in self.model.parameters
-            if p.name in self.file.parameters and p.name not in self.chosen
-        }
-        names = [name for name, e in errors.items() if e and math.isfinite(e)]
-        sd = np.array([float(errors[name] or 0.0) for name in names])
-        correlation = np.eye(len(names))
+        errors = {n: e.stderr for n, e in self._carried().items() if e.stderr and math.isfinite(e.stderr)}
+        names, sd = list(errors), np.array(list(errors.values()), dtype=float)
         groups = self.file.settings.get("shared", {})
         owner = {member: group for group, members in groups.items() for member in members}
         labels = [owner.get(name, name) for name in names]
-        listed = self.file.correlation.names if self.file.correlation else []
+        stated = self.file.correlation
+        listed = stated.names if stated else []
+        correlation = np.eye(len(names))
         for i, first in enumerate(labels):
             for j, second in enumerate(labels):
                 if first == second:
                     correlation[i, j] = 1.0
-                elif self.file.correlation and first in listed and second in listed:
-                    row, column = listed.index(first), listed.index(second)
-                    correlation[i, j] = self.file.correlation.matrix[row][column]
+                elif stated and first in listed and second in listed:
+                    correlation[i, j] = stated.matrix[listed.index(first)][listed.index(second)]
         return names, correlation * np.outer(sd, sd)
 
-    def without_error(self) -> list[str]:
-        """Shared parameters that were not identified, and have no standard error to carry along."""
-        if self.file is None:
-            return []
-        return [
-            p.name
-            for p in self.model.parameters
-            if p.name in self.file.parameters
-            and p.name not in self.chosen
-            and self.file.parameters[p.name].status in ("unidentifiable", "at-bound")
-            and not self.file.parameters[p.name].stderr
+    def warn_without_error(self, where: str) -> None:
+        """Name the shared parameters that were not identified and have no standard error to carry along."""
+        lost = [
+            name
+            for name, e in self._carried().items()
+            if e.status in ("unidentifiable", "at-bound") and not e.stderr
         ]
+        if lost:
+            warn(
+                "SWM055",
+                f"{', '.join(lost)} {'has' if len(lost) == 1 else 'have'} no standard error in the parameter "
+                f"file: what is not known of them is not in {where}",
+            )
 
     def with_errors(
         self, values: Array, compute: Callable[[Array], Mapping[str, Quantity]]
@@ -203,25 +194,25 @@ class Applied:
         names, covariance = self.uncertain()
         if not names:
             return centre
-        slopes: dict[str, list[float]] = {name: [] for name in centre}
+        slopes = np.zeros((len(centre), len(names)))
         for k, name in enumerate(names):
             index = self.model.index(name)
             p = self.model.parameters[index]
             size = max(abs(values[index]), p.scale)
             step = min(STEP * math.sqrt(covariance[k, k]), SMALLEST * size)
-            ends = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
-            found = []
-            for end in ends:
-                moved = values.copy()
-                moved[index] = end
-                found.append(compute(moved))
-            width = float(ends[1] - ends[0])
-            for key in centre:
-                rise = found[1][key].value - found[0][key].value if key in found[0] and key in found[1] else 0
-                slopes[key].append(rise / width if width else 0.0)
+            low, high = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
+            before, after = (compute(_with(values, index, end)) for end in (low, high))
+            for row, key in enumerate(centre):
+                if key in before and key in after and high > low:
+                    slopes[row, k] = (after[key].value - before[key].value) / float(high - low)
         result = {}
-        for key, quantity in centre.items():
-            slope = np.array(slopes[key])
+        for (key, quantity), slope in zip(centre.items(), slopes, strict=True):
             variance = float(slope @ covariance @ slope)
             result[key] = replace(quantity, stderr=math.sqrt(variance) if variance > 0 else 0.0)
         return result
+
+
+def _with(values: Array, index: int, value: float) -> Array:
+    moved = values.copy()
+    moved[index] = value
+    return moved

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,9 @@ from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
+from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
-from swimid.logs.trials import StrokeDrive
+from swimid.logs.trials import StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
@@ -27,7 +30,7 @@ from swimid.robots.file import Robot
 from swimid.simulation import catalogue, swim_quantities
 from swimid.simulation.applied import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
-from swimid.simulation.run import Case
+from swimid.simulation.run import Case, Quantities
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
@@ -37,6 +40,8 @@ from swimid.swimmer.spatial.stroke import Cycle
 DURATION_S, RATE_HZ = 15.0, 50.0
 #: More integration steps than this are taken for a slip.
 MOST_STEPS = 20_000_000
+#: A course so long that the start from rest does not matter.
+FAR_M = 1e9
 #: A joint bent farther than this is no swimming beat.
 STEEPEST_DEG = 90.0
 
@@ -46,16 +51,31 @@ def place(options: SimulateOptions) -> Path | None:
     return None if options.params is None else parameters_format.place(options.params)
 
 
+def _case(
+    options: SimulateOptions,
+    applied: Applied,
+    trial: Trial,
+    robot: str,
+    *,
+    extra: Mapping[str, Any] | None = None,
+    quantities: Quantities | None = None,
+    per_run: bool = False,
+    **metadata: Any,
+) -> Case:
+    comments = _metadata(options, robot, **metadata)
+    return Case(trial.id, applied, applied.values(), trial, extra or {}, comments, quantities, per_run)
+
+
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
     """Comment lines every log has."""
-    found: dict[str, Any] = {"robot": robot}
-    if options.params is not None:
-        found["params"] = parameters_format.place(options.params).name
-    if options.chosen:
-        found["set"] = dict(options.chosen)
-    if options.readings:
-        found["readings"] = dict(options.readings)
-    return {**found, **more}
+    path = place(options)
+    return {
+        "robot": robot,
+        **({} if path is None else {"params": path.name}),
+        **({"set": dict(options.chosen)} if options.chosen else {}),
+        **({"readings": dict(options.readings)} if options.readings else {}),
+        **more,
+    }
 
 
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
@@ -69,11 +89,12 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     return np.arange(count + 1) / rate
 
 
-def _needs(what: str, **given: Any) -> None:
-    """Refuse the run when one of the options is missing."""
-    for name, value in given.items():
-        if value is None:
+def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
+    """These options, without each of which the run is refused."""
+    for name in names:
+        if getattr(options, name) is None:
             raise UsageError(f"{what} needs --{name.replace('_', '-')}")
+    return [getattr(options, name) for name in names]
 
 
 def of_options(options: SimulateOptions) -> Case:
@@ -86,16 +107,14 @@ def of_options(options: SimulateOptions) -> Case:
     InputError
         For anything wrong in a file.
     """
-    if options.params is None:
+    path = place(options)
+    if path is None:
         if options.robot is None:
             raise UsageError("name a parameter file (--params) or a robot (--robot)")
         return _swim(options, None, options.robot, None)
     file = catalogue.read_parameters(options.params)
     if file.model in ("multilink", "multibody"):
-        name, folder = catalogue.robot_of_parameters(
-            file, parameters_format.place(options.params), options.robot
-        )
-        return _swim(options, file, name, folder)
+        return _swim(options, file, *catalogue.robot_of_parameters(file, path, options.robot))
     if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     makers = {
@@ -110,10 +129,10 @@ def of_options(options: SimulateOptions) -> Case:
             f"the model '{file.model}' can be simulated for recorded trials only",
             hint="give them with --trials",
         )
-    return makers[file.model](options, file)
+    return makers[file.model](options, file, path)
 
 
-def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[Case]:
+def of_trials(trials: str | Path | TrialSet, options: SimulateOptions, only: str | None) -> list[Case]:
     """Recorded trials with their own drives and start states.
 
     Raises
@@ -125,19 +144,13 @@ def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[
     """
     if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
-    loaded = catalogue.load(
-        trials,
-        options.params,
-        robot=options.robot,
-        chosen=dict(options.chosen),
-        readings=dict(options.readings),
-        max_step=options.dt,
-    )
-    experiment, applied = loaded.experiment, loaded.applied
+    experiment, applied = catalogue.load(trials, options)
     names = [t.id for t in experiment.trials]
     if only is not None and only not in names:
         hint = suggestion(only, names)
-        raise UsageError(f"there is no trial '{only}' in {trials.name}", hint=hint)
+        name = trials_format.place(trials).name
+        raise UsageError(f"there is no trial '{only}' in {name}", hint=hint)
+    model = experiment.model
     cases = []
     for trial in experiment.trials:
         if only not in (None, trial.id):
@@ -145,28 +158,21 @@ def of_trials(trials: Path, options: SimulateOptions, only: str | None) -> list[
         values = applied.values(trial.id)
         metadata = _metadata(options, experiment.robot.name, experiment=experiment.name, trial=trial.id)
         extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
-        compute, per_run = None, False
-        model = experiment.model
-        swimmer_model = model.swimmer
-        if swimmer_model is not None:
-            beat, stroke = trial.swim.beat, trial.swim.stroke
-            if beat is not None:
-                metadata["drive"] = drive_block(beat)
-            if stroke is not None:
-                metadata["drive"] = stroke_block(stroke)
-            metadata["dt_s"] = swimmer_model.max_step
-            extra = commands(swimmer_model, trial, values)
-            frequency = _frequency(swimmer_model, trial, values)
-            compute = _swim_quantities(swimmer_model, trial, frequency)
+        quantities = None
+        if model.swimmer is not None:
+            if trial.swim.drive is not None:
+                metadata["drive"] = drive_block(trial.swim)
+            metadata["dt_s"] = model.swimmer.max_step
+            extra = commands(model.swimmer, trial, values)
+            quantities = _swim_quantities(model.swimmer, trial, values)
         elif model.timed_runs:
-            per_run = True
             extra = {
                 "fin": [trial.id] * len(trial.time_s),
                 "frequency_hz": trial.inputs["frequency_hz"],
                 "amplitude_deg": np.rad2deg(trial.inputs["amplitude_rad"]),
                 "distance_m": trial.inputs["distance_m"],
             }
-        cases.append(Case(trial.id, applied, values, trial, extra, metadata, compute, per_run))
+        cases.append(Case(trial.id, applied, values, trial, extra, metadata, quantities, model.timed_runs))
     return cases
 
 
@@ -186,43 +192,55 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
             file=place(options) or robot_format.locate(name, folder),
             column=error.column,
         ) from error
-    experiment = "free-swim" if model.free_base and not model.in_space else "multibody"
-    metadata = _metadata(options, robot.name, experiment=experiment, dt_s=options.dt)
-    pose = (0.0,) * len(model.pose) if model.free_base else None
+    swim = SwimInput(pose=(0.0,) * len(model.pose) if model.free_base else None)
+    beaten = options.frequency_hz is not None or options.amplitude_deg is not None
+    metadata: dict[str, Any] = {
+        "experiment": "free-swim" if model.free_base and not model.in_space else "multibody",
+        "dt_s": options.dt,
+    }
     if options.input is not None:
-        if options.frequency_hz is not None or options.amplitude_deg is not None:
+        if beaten:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
-        time, joints = _recorded_joints(options, model)
-        trial = Trial("run", "fit", time, {}, swim=SwimInput(joints=joints, pose=pose))
+        time, joints = _recorded_joints(options.input, options, model)
+        swim = replace(swim, joints=joints)
         metadata["input"] = options.input.name
     elif options.stroke is not None:
-        stroke = swimmer.cycle_of(_stroke(options), model)
-        trial = Trial("run", "fit", _times(options, stroke), {}, swim=SwimInput(stroke=stroke, pose=pose))
-        metadata["drive"] = stroke_block(stroke)
-    elif model.driven:
-        beat = _beat(options, model)
-        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(beat, pose=pose))
-        metadata["drive"] = drive_block(beat)
+        swim = replace(swim, stroke=swimmer.cycle_of(_stroke(options.stroke, options), model))
+        time = _times(options, swim.stroke)
     else:
-        if options.frequency_hz is not None or options.amplitude_deg is not None:
+        if model.driven:
+            swim = replace(swim, beat=_beat(options, model))
+        elif beaten:
             raise UsageError(f"the robot '{robot.name}' has no driven joint: there is nothing to beat")
-        trial = Trial("run", "fit", _times(options), {}, swim=SwimInput(pose=pose))
-    frequency = _frequency(model, trial, values)
-    return Case(
-        "run",
+        time = _times(options)
+    if swim.drive is not None:
+        metadata["drive"] = drive_block(swim)
+    trial = Trial("run", "fit", time, {}, swim=swim)
+    return _case(
+        options,
         applied,
-        values,
         trial,
-        commands(model, trial, values),
-        metadata,
-        _swim_quantities(model, trial, frequency),
+        robot.name,
+        extra=commands(model, trial, values),
+        quantities=_swim_quantities(model, trial, values),
+        **metadata,
     )
 
 
-def drive_block(beat: drive.Beat) -> dict[str, Any]:
-    """A beat as the ``drive`` of a trials file."""
+def drive_block(swim: SwimInput) -> dict[str, Any]:
+    """A beat or a stroke as the ``drive`` of a trials file."""
+    if swim.stroke is not None:
+        stroke: Cycle = swim.stroke
+        return {
+            "stroke": stroke.name,
+            "frequency_hz": stroke.frequency_hz,
+            "scale": stroke.scale,
+            "ramp_s": stroke.ramp_s,
+            **({} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}),
+        }
+    beat: drive.Beat = swim.beat
     return {
         "waveform": beat.waveform,
         "frequency_hz": beat.frequency_hz,
@@ -234,19 +252,7 @@ def drive_block(beat: drive.Beat) -> dict[str, Any]:
     }
 
 
-def stroke_block(stroke: Cycle) -> dict[str, Any]:
-    """A stroke as the ``drive`` of a trials file."""
-    return {
-        "stroke": stroke.name,
-        "frequency_hz": stroke.frequency_hz,
-        "scale": stroke.scale,
-        "ramp_s": stroke.ramp_s,
-        **({} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}),
-    }
-
-
-def _stroke(options: SimulateOptions) -> StrokeDrive:
-    assert options.stroke is not None
+def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
     if options.amplitude_deg is not None or options.bias_deg or options.asymmetry:
         raise UsageError(
             "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
@@ -254,7 +260,7 @@ def _stroke(options: SimulateOptions) -> StrokeDrive:
     # a beat is eased in by default, a stroke begins as it is
     ramp = 0.0 if options.ramp_s == options.declared()["ramp_s"].default else options.ramp_s
     return StrokeDrive(
-        stroke=options.stroke,
+        stroke=name,
         frequency_hz=options.frequency_hz,
         scale=options.scale,
         ramp_s=ramp,
@@ -263,10 +269,8 @@ def _stroke(options: SimulateOptions) -> StrokeDrive:
 
 
 def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
-    _needs("a beat", frequency_hz=options.frequency_hz, amplitude_deg=options.amplitude_deg)
-    assert options.frequency_hz is not None
-    assert options.amplitude_deg is not None
-    f, rate = options.frequency_hz, options.sample_rate_hz or RATE_HZ
+    f, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
+    rate = options.sample_rate_hz or RATE_HZ
     if f * options.dt >= 0.5:
         raise UsageError(
             f"a beat of {f:g} Hz cannot be integrated with steps of {options.dt:g} s",
@@ -278,7 +282,7 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
         law = axis.driven
         assert law is not None
         bias_gain = law.gain if law.bias_gain is None else law.bias_gain
-        bend = abs(law.gain) * options.amplitude_deg + abs(bias_gain * options.bias_deg)
+        bend = abs(law.gain) * amplitude + abs(bias_gain * options.bias_deg)
         if bend > STEEPEST_DEG:
             warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
             break
@@ -287,19 +291,18 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
     return drive.Beat(
         options.waveform,
         f,
-        math.radians(options.amplitude_deg),
+        math.radians(amplitude),
         math.radians(options.bias_deg),
         options.asymmetry if options.waveform == "a-cpg" else 0.0,
         options.ramp_s,
     )
 
 
-def _recorded_joints(options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
+def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
     """Sample times, and each driven joint's motion from a log."""
-    assert options.input is not None
     measured = [a.column for a in model.driven]
     commanded = [name.replace("joint", "cmd") for name in measured]
-    log = log_format.read(options.input, optional=(*measured, *commanded))
+    log = log_format.read(path, optional=(*measured, *commanded))
     joints = []
     for axis, joint, command in zip(model.driven, measured, commanded, strict=True):
         servo = axis.driven is not None and axis.driven.servo is not None
@@ -330,42 +333,27 @@ def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
     }
 
 
-def _frequency(model: Swimmer, trial: Trial, values: Array) -> float | None:
-    """Frequency of a run's beat, Hz: the drive's, or that found in its first driven joint."""
-    beat = trial.swim.drive
-    if beat is not None:
-        return float(beat.frequency_hz)
-    for angle in commands(model, trial, values).values():
-        found = find_beat(trial.time_s, angle)
-        if found is not None:
-            return found.frequency_hz
+def beat_frequency(
+    model: Swimmer, trial: Trial, values: Array, measured: Sequence[Array] = ()
+) -> float | None:
+    """Frequency of a run's beat, Hz: the drive's, else that of its driven joints, else of ``measured``."""
+    if trial.swim.drive is not None:
+        return float(trial.swim.drive.frequency_hz)
+    for angle in (*commands(model, trial, values).values(), *measured):
+        beat = find_beat(trial.time_s, angle)
+        if beat is not None:
+            return beat.frequency_hz
     return None
 
 
-def _cycle_quantities(model: Swimmer, trial: Trial, frequency: float) -> Any:
-    """A function from parameter vectors to what each cycle comes to."""
-    cycles = stroke_cycles.windows(trial.time_s, frequency)
-
-    def compute(values: Array) -> dict[str, Quantity]:
-        with np.errstate(over="ignore", invalid="ignore"):
-            columns = model.simulate(values, trial)
-        found = {}
-        for k, window in enumerate(cycles):
-            for name, value in stroke_cycles.quantities(trial.time_s, columns, window).items():
-                found[f"cycle_{k + 1}_{name}"] = Quantity(value, stroke_cycles.QUANTITIES[name])
-        return found
-
-    return compute if cycles else None
-
-
-def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> Any:
-    """A function from parameter vectors to the quantities of the last beats; None without a beat."""
+def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities | None:
+    """From parameter vectors to what the last beats come to, or each stroke; None without a beat."""
+    frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
-    body = model.body
+    body, beat = model.body, trial.swim.beat
     if body is None:
-        return _cycle_quantities(model, trial, frequency)
-    beat = trial.swim.beat
+        return _stroke_quantities(model, trial, frequency)
     begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
     ramp = max(begin, beat.ramp_s) if beat is not None else begin
     window = swim_quantities.last_beats(ramp, end, frequency)
@@ -375,98 +363,97 @@ def _swim_quantities(model: Swimmer, trial: Trial, frequency: float | None) -> A
     # the run itself begins where the trial does
     lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
     fine = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
-    told = beat is not None and bool(beat.bias_rad or beat.asymmetry)
+    turning = beat is not None and bool(beat.bias_rad or beat.asymmetry)
 
     def compute(values: Array) -> dict[str, Quantity]:
-        with np.errstate(over="ignore", invalid="ignore"):
-            columns = model.simulate(values, fine)
+        columns = model.attempt(values, fine)
         last = {name: v[len(lead) :] for name, v in columns.items()}
-        return swim_quantities.quantities(body, values, last, window, told_to_turn=told)
+        return swim_quantities.quantities(body, values, last, window, told_to_turn=turning)
 
     return compute
+
+
+def _stroke_quantities(model: Swimmer, trial: Trial, frequency: float) -> Quantities | None:
+    """From parameter vectors to what each stroke comes to; None where not one is whole."""
+    windows = stroke_cycles.windows(trial.time_s, frequency)
+
+    def compute(values: Array) -> dict[str, Quantity]:
+        columns = model.attempt(values, trial)
+        return {
+            f"cycle_{k}_{name}": Quantity(value, stroke_cycles.QUANTITIES[name])
+            for k, window in enumerate(windows, 1)
+            for name, value in stroke_cycles.quantities(trial.time_s, columns, window).items()
+        }
+
+    return compute if windows else None
 
 
 # ------------------------------------------------------------ other models
 
 
-def _robot(options: SimulateOptions, file: ParameterFile) -> Robot:
-    assert options.params is not None
-    name, folder = catalogue.robot_of_parameters(file, parameters_format.place(options.params), options.robot)
-    return robot_format.read(name, folder)
+def _robot(options: SimulateOptions, file: ParameterFile, path: Path) -> Robot:
+    return robot_format.read(*catalogue.robot_of_parameters(file, path, options.robot))
 
 
-def _body_inertia(robot: Robot) -> float:
-    mass = robot.body.inertial_mass_kg
-    if mass is None:
-        raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
-    return mass
-
-
-def _area_factor(file: ParameterFile, robot: Robot) -> tuple[bool, float]:
-    """Whether the drag coefficient is known, and ``rho A / 2``."""
+def _rig_body(file: ParameterFile, robot: Robot) -> tuple[float, bool, float]:
+    """Mass of the body (kg), whether its drag coefficient is known, and ``rho A / 2`` (kg/m)."""
+    mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
-    area = robot.body.frontal_area_m2
     if known and area is None:
         raise InputError(f"the robot '{robot.name}' has no body.frontal_area_m2 for its drag coefficient")
-    return known, 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
+    if mass is None:
+        raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
+    return mass, known, 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
 
 
-def _falling_weight(options: SimulateOptions, file: ParameterFile) -> Case:
-    _needs("a falling weight", pulling_mass_kg=options.pulling_mass_kg)
-    assert options.pulling_mass_kg is not None
-    robot = _robot(options, file)
-    known, factor = _area_factor(file, robot)
-    force = options.pulling_mass_kg * robot.fluid.gravity_m_s2
-    inertia = _body_inertia(robot) + options.pulling_mass_kg + robot.rig.pulley_inertia_kg
+def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
+    (pulling,) = _needed(options, "a falling weight", "pulling_mass_kg")
+    robot = _robot(options, file, path)
+    mass, known, factor = _rig_body(file, robot)
+    force = pulling * robot.fluid.gravity_m_s2
+    inertia = mass + pulling + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
-    applied = Applied(model, file, place(options), options.chosen)
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
     def compute(values: Array) -> dict[str, Quantity]:
         c = model.coefficients(values, on_rig)
         net = force - c["dry"]
-        found = {}
+        quantities = {}
         if net > 0 and (c["quadratic"] > 0 or c["linear"] > 0):
             # q v^2 + l v = F
             top = 2 * net / (c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * net))
-            found["terminal_speed_m_s"] = Quantity(top, "m/s")
+            quantities["terminal_speed_m_s"] = Quantity(top, "m/s")
         simulated = model.simulate(values, trial)
-        found["last_speed_m_s"] = Quantity(float(simulated[model.speed][-1]), "m/s")
-        found["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
-        return found
+        quantities["last_speed_m_s"] = Quantity(float(simulated[model.speed][-1]), "m/s")
+        quantities["distance_m"] = Quantity(float(simulated["x_m"][-1]), "m")
+        return quantities
 
-    metadata = _metadata(
-        options, robot.name, experiment="falling-weight", pulling_mass_kg=options.pulling_mass_kg
-    )
-    return Case("run", applied, applied.values(), trial, {}, metadata, compute)
+    applied = Applied(model, file, path, options.chosen)
+    metadata: dict[str, Any] = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
+    return _case(options, applied, trial, robot.name, quantities=compute, **metadata)
 
 
-def _towed(options: SimulateOptions, file: ParameterFile) -> Case:
-    _needs("towing", input=options.input)
-    assert options.input is not None
-    robot = _robot(options, file)
-    known, factor = _area_factor(file, robot)
-    log = log_format.read(options.input, required=("force_N",), optional=())
-    if np.isnan(log["force_N"]).any():
+def _towed(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
+    (source,) = _needed(options, "towing", "input")
+    robot = _robot(options, file, path)
+    mass, known, factor = _rig_body(file, robot)
+    log = log_format.read(source, required=("force_N",), optional=())
+    force = log["force_N"]
+    if np.isnan(force).any():
         raise InputError("the applied force is missing in places", file=log.path, column="force_N")
-    model = rig.towed(
-        mass_kg=_body_inertia(robot),
-        force_N=max(float(np.abs(log["force_N"]).max()), 1e-9),
-        area_known=known,
-    )
-    applied = Applied(model, file, place(options), options.chosen)
-    on_rig = RigInput(_body_inertia(robot), area_factor=factor, release_s=float(log.time_s[0]))
-    force = {"force_N": log["force_N"]}
-    trial = Trial("run", "fit", log.time_s, {}, inputs=force, rig=on_rig)
-    metadata = _metadata(options, robot.name, experiment="towed", input=options.input.name)
-    return Case("run", applied, applied.values(), trial, force, metadata)
+    largest = max(float(np.abs(force).max()), 1e-9)
+    model = rig.towed(mass_kg=mass, force_N=largest, area_known=known)
+    on_rig = RigInput(mass, area_factor=factor, release_s=float(log.time_s[0]))
+    trial = Trial("run", "fit", log.time_s, {}, inputs={"force_N": force}, rig=on_rig)
+    applied = Applied(model, file, path, options.chosen)
+    metadata: dict[str, Any] = {"experiment": "towed", "input": source.name}
+    return _case(options, applied, trial, robot.name, extra=trial.inputs, **metadata)
 
 
-def _arma(options: SimulateOptions, file: ParameterFile) -> Case:
-    assert options.params is not None
-    model = arma.model_of(file, parameters_format.place(options.params))
-    applied = Applied(model, file, place(options), options.chosen)
+def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
+    model = arma.model_of(file, path)
+    applied = Applied(model, file, path, options.chosen)
     robot = options.robot or file.robot or "unknown"
     if options.input is None:
         if model.sine is None:
@@ -475,90 +462,78 @@ def _arma(options: SimulateOptions, file: ParameterFile) -> Case:
             )
         count = round((options.duration_s or DURATION_S) / model.sample_time_s)
         trial = Trial("run", "fit", np.linspace(0.0, count * model.sample_time_s, count + 1), {})
-        return Case("run", applied, applied.values(), trial, {}, _metadata(options, robot, experiment="arma"))
+        return _case(options, applied, trial, robot, experiment="arma")
     wanted = () if model.sine else (model.source,)
     log = log_format.read(options.input, required=wanted, optional=(model.output,))
     measured = {model.output: log[model.output]} if model.output in log else {}
-    inputs = {name: log[name] for name in wanted}
-    trial = Trial("run", "fit", log.time_s, measured, inputs=inputs)
-    metadata = _metadata(options, robot, experiment="arma", input=options.input.name)
-    return Case("run", applied, applied.values(), trial, inputs, metadata)
+    trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
+    metadata: dict[str, Any] = {"experiment": "arma", "input": options.input.name}
+    return _case(options, applied, trial, robot, extra=trial.inputs, **metadata)
 
 
-def _cruise(options: SimulateOptions, file: ParameterFile) -> Case:
-    _needs(
-        "cruising",
-        frequency_hz=options.frequency_hz,
-        amplitude_deg=options.amplitude_deg,
-        fin=options.fin,
-    )
-    assert options.params is not None
-    assert options.fin is not None
-    robot = _robot(options, file)
-    drag_path = catalogue.drag_file(file, parameters_format.place(options.params))
+def _cruise(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
+    frequency, amplitude, fin = _needed(options, "cruising", "frequency_hz", "amplitude_deg", "fin")
+    distance = options.distance_m
+    robot = _robot(options, file, path)
+    drag_path = catalogue.drag_file(file, path)
     drag = parameters_format.read(drag_path, model=("falling-weight", "towed", "free-decay"))
     area, mass = propulsion.drag_numbers(drag, parameters_format.place(drag_path), robot)
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
-    inertias = propulsion.fin_inertias(robot, [options.fin, *unknown], robot_format.locate(robot.name))
-    model = RecoilModel(
-        drag_area_kg_m=area,
-        moving_mass_kg=mass,
-        fins={fin: None if fin in unknown else i for fin, i in inertias.items()},
-    )
-    applied = Applied(model, file, place(options), options.chosen)
+    inertias = propulsion.fin_inertias(robot, [fin, *unknown], robot_format.locate(robot.name))
+    fins = {name: None if name in unknown else inertia for name, inertia in inertias.items()}
+    model = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=fins)
+    applied = Applied(model, file, path, options.chosen)
     values = applied.values()
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
         if values[model.index(name)] != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
-    cruise = CruiseInput(options.fin, None if options.fin in unknown else inertias[options.fin])
-    far = 1e9
     inputs = {
-        "frequency_hz": np.array([options.frequency_hz]),
-        "amplitude_rad": np.deg2rad([float(options.amplitude_deg or 0.0)]),
-        "distance_m": np.array([options.distance_m or far]),
+        "frequency_hz": np.array([frequency]),
+        "amplitude_rad": np.deg2rad([float(amplitude)]),
+        "distance_m": np.array([distance or FAR_M]),
     }
-    trial = Trial(options.fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=cruise)
+    trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, fins[fin]))
 
     def compute(values: Array) -> dict[str, Quantity]:
         mean = float(model.simulate(values, trial)[SPEED][0])
-        terminal = mean / float(velocity_ratio(model.b1, 0.0, options.distance_m or far))
-        found = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
-        if options.distance_m is not None:
-            found[SPEED] = Quantity(mean, "m/s")
-        found["propulsive_force_N"] = Quantity(area * terminal**2, "N")
-        return found
+        terminal = mean / float(velocity_ratio(model.b1, 0.0, distance or FAR_M))
+        quantities = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
+        if distance is not None:
+            quantities[SPEED] = Quantity(mean, "m/s")
+        quantities["propulsive_force_N"] = Quantity(area * terminal**2, "N")
+        return quantities
 
-    extra: dict[str, Any] = {
-        "fin": [options.fin],
+    extra = {
+        "fin": [fin],
         "frequency_hz": inputs["frequency_hz"],
-        "amplitude_deg": np.array([options.amplitude_deg]),
-        "distance_m": np.array([options.distance_m or math.nan]),
+        "amplitude_deg": np.array([amplitude]),
+        "distance_m": np.array([distance or math.nan]),
     }
-    metadata = _metadata(options, robot.name, experiment="cruise")
-    return Case(options.fin, applied, values, trial, extra, metadata, compute, per_run=True)
+    return _case(
+        options,
+        applied,
+        trial,
+        robot.name,
+        extra=extra,
+        quantities=compute,
+        per_run=True,
+        experiment="cruise",
+    )
 
 
-def _surge(options: SimulateOptions, file: ParameterFile) -> Case:
-    _needs("a beat", frequency_hz=options.frequency_hz, amplitude_deg=options.amplitude_deg)
-    assert options.params is not None
-    assert options.frequency_hz is not None
-    assert options.amplitude_deg is not None
-    robot = _robot(options, file)
+def _surge(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
+    frequency, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
+    robot = _robot(options, file, path)
     model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
-    catalogue.set_references(model, file, parameters_format.place(options.params))
-    applied = Applied(model, file, place(options), options.chosen)
-    surge = SurgeInput(options.frequency_hz, math.radians(options.amplitude_deg))
+    catalogue.set_references(model, file, path)
+    applied = Applied(model, file, path, options.chosen)
+    surge = SurgeInput(frequency, math.radians(amplitude))
     trial = Trial("run", "fit", _times(options), {}, surge=surge)
 
     def compute(values: Array) -> dict[str, Quantity]:
         return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
 
-    metadata = _metadata(
-        options,
-        robot.name,
-        experiment="free-swim",
-        drive={"frequency_hz": options.frequency_hz, "amplitude_deg": options.amplitude_deg},
-    )
-    return Case("run", applied, applied.values(), trial, {}, metadata, compute)
+    drive = {"frequency_hz": frequency, "amplitude_deg": amplitude}
+    return _case(options, applied, trial, robot.name, quantities=compute, experiment="free-swim", drive=drive)

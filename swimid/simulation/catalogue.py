@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError
@@ -19,7 +19,6 @@ from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
 from swimid.simulation.applied import Applied
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.model import DEFAULT_STEP
 
 #: Experiments whose trials tell each model's parameters.
 EXPERIMENTS = {
@@ -34,8 +33,7 @@ EXPERIMENTS = {
 }
 
 
-@dataclass(frozen=True)
-class Loaded:
+class Loaded(NamedTuple):
     """An experiment and the parameters to simulate it with."""
 
     experiment: Experiment
@@ -53,30 +51,17 @@ def read_parameters(source: parameters_format.Source) -> ParameterFile:
     return parameters_format.read(source, model=tuple(EXPERIMENTS))
 
 
-def load(
-    trials: str | Path | TrialSet,
-    parameters: parameters_format.Source | None,
-    *,
-    robot: str | None = None,
-    chosen: dict[str, float] | None = None,
-    readings: dict[str, str] | None = None,
-    max_step: float = DEFAULT_STEP,
-) -> Loaded:
+def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
     """A trials file of any experiment as the model of a parameter file, and its values.
 
     Parameters
     ----------
     trials : path or TrialSet
-    parameters : path, ParameterFile, result of a fit, or None
-        Without any, the values of the robot file, or the model's start values where it has none.
-    robot : str, optional
-        Accept the parameters for this robot although the file names another one.
-    chosen : dict of str to float, optional
-        Values that win over the file's.
-    readings : dict, optional
-        Readings of the robot's source over those of the parameter file.
-    max_step : float, s
-        Integration step of a multi-link robot.
+    options : Options
+        Of a verb: ``params`` (a parameter file, or None for the values of the robot file, else the model's
+        start values), ``robot`` (accept the parameters for it although the file names another one),
+        ``readings`` (over those of the parameter file), ``dt`` (integration step of a robot with links, s),
+        and where the verb has it ``chosen`` (values that win over the file's).
 
     Raises
     ------
@@ -84,9 +69,11 @@ def load(
         For anything wrong in one of the files: another experiment than the parameters' model
         describes, another robot, missing columns.
     """
+    parameters, chosen = options.params, dict(getattr(options, "chosen", {}))
+    readings, max_step = dict(options.readings), options.dt
     if parameters is None:
         experiment = _of_trials(trials, readings, max_step)
-        return Loaded(experiment, Applied(experiment.model, chosen=chosen or {}))
+        return Loaded(experiment, Applied(experiment.model, chosen=chosen))
     trials_path, path = trials_format.place(trials), parameters_format.place(parameters)
     file = read_parameters(parameters)
     entries: Any = trials_format.read(trials)
@@ -97,10 +84,11 @@ def load(
             file=trials_path,
             column="experiment",
         )
-    _check_robot(entries.robot, trials_path, file, path, robot)
+    if options.robot is None:
+        _check_robot(entries.robot, trials_path, file, path)
     if file.model in ("multilink", "multibody"):
-        options = {**dict(file.settings.get("readings", {})), **(readings or {})}
-        experiment = swimmer.load(trials, readings=options, max_step=max_step)
+        readings = {**file.settings.get("readings", {}), **readings}
+        experiment = swimmer.load(trials, readings=readings, max_step=max_step)
     elif file.model in ("falling-weight", "towed", "free-decay"):
         experiment = _rig(trials, file)
     elif file.model == "arma":
@@ -108,10 +96,10 @@ def load(
     else:
         experiment = _propulsion(trials, file, path)
     experiment = replace(experiment, inputs=[*experiment.inputs, parameters_format.origin(parameters)])
-    return Loaded(experiment, Applied(experiment.model, file, path, chosen or {}))
+    return Loaded(experiment, Applied(experiment.model, file, path, chosen))
 
 
-def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str] | None, max_step: float) -> Experiment:
+def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
     """The model that a trials file and its robot suggest: of links where the robot has any."""
     entries: Any = trials_format.read(trials)
     if entries.experiment == "arma":
@@ -144,12 +132,10 @@ def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = Non
     return file.robot, path.parent
 
 
-def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path, accepted: str | None) -> None:
+def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) -> None:
     """Refuse the parameters of one robot for the trials of another."""
     mine = robot_format.read(name, trials_path.parent).name
-    if file.robot is None or accepted is not None:
-        return
-    if file.robot in (mine, name):
+    if file.robot is None or file.robot in (mine, name):
         return
     try:
         theirs = robot_format.read(file.robot, path.parent).name
@@ -190,15 +176,15 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
     # as the fit named it, relative to where it ran; else beside the parameter file
     places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
-    found = next((p for p in places if p.is_file()), None)
-    if found is None:
+    place = next((p for p in places if p.is_file()), None)
+    if place is None:
         raise InputError(
             f"the drag file {named} it was made with is not there",
             file=path,
             column="settings.drag_file",
             hint="put it beside this file",
         )
-    return found
+    return place
 
 
 def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:

@@ -1,9 +1,9 @@
-"""Tables and figures of ``swimid compare``."""
+"""Checks, tables, figures and sentences of ``swimid compare``."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -13,14 +13,18 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.simulation import compare_strokes_evidence
+from swimid.simulation import compare_series, compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
-from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, CycleTable, TrialComparison
+from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
 
+#: Error over the measured range, up to which a channel is described well, and up to which at all.
+GOOD, USABLE = 0.15, 0.30
+#: The same for the mean speeds of the trials, over those measured.
+GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 #: Trials drawn one by one.
 MAX_TRIALS = 8
-#: Channels drawn for each of them.
-MAX_PANELS = 4
+#: Channels drawn for each of them, and samples of each.
+MAX_PANELS, MAX_SAMPLES = 4, 800
 #: A setting with more values than this, and than half the trials, is no axis.
 MOST_LEVELS = 12
 #: What a mean speed is drawn over, by how many values of it were driven.
@@ -30,132 +34,188 @@ AXES = {
     "bias_deg": "bias (°)",
     "asymmetry": "asymmetry",
 }
+T = TypeVar("T")
+
+
+# ------------------------------------------------------------ verdict
+
+
+def checks(file: ComparisonFile) -> list[ev.Check]:
+    """Errors against their limits, and which start states were estimated."""
+    what = "root-mean-square error over all trials, over the measured range"
+    graded = [
+        _graded(f"error of {name}", score.nrmse, GOOD, USABLE, "measured range", what)
+        for name, score in file.channels.items()
+    ]
+    share = _speed_share(file)
+    if share is not None:
+        what = "root-mean-square difference over the trials, over the root mean square measured"
+        graded.append(_graded("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what))
+    fitted = [t.id for t in file.trials if t.start == "estimated"]
+    if fitted:
+        what = (
+            "from the trials themselves, all shared parameters held: offsets of pose and start speed do not "
+            "count as errors (--no-refit-start)"
+        )
+        value = f"estimated for {len(fitted)} of {len(file.trials)} trials"
+        graded.append(ev.check("start states", value, None, text=what))
+    return graded
+
+
+def _graded(name: str, share: float | None, good: float, usable: float, of: str, text: str) -> ev.Check:
+    """A check that warns above the first limit and fails above the second."""
+    value = math.inf if share is None else share
+    limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
+    return blocks.check(
+        name,
+        numbers.percent(share),
+        limit,
+        value <= good,
+        otherwise="warn" if value <= usable else "fail",
+        text=text,
+    )
+
+
+def _speed_share(file: ComparisonFile) -> float | None:
+    """Error of the mean speeds over their size."""
+    measured = [speed for _, speed, _ in file.mean_speeds]
+    size = float(np.sqrt(np.mean(np.square(measured)))) if measured else 0.0
+    return file.mean_speed_rmse_m_s / size if file.mean_speed_rmse_m_s is not None and size > 0 else None
+
+
+def answer(file: ComparisonFile) -> str:
+    """Errors of the velocities, else of the first channels, as a sentence."""
+    parts = []
+    for name in _rates(file.channels) or list(file.channels)[:3]:
+        s = file.channels[name]
+        parts.append(
+            f"{name}: RMSE {numbers.number(s.rmse, 3, s.unit)} ({numbers.percent(s.nrmse)} of its range), "
+            f"VAF {numbers.percent(s.vaf)}"
+        )
+    if file.mean_speed_rmse_m_s is not None:
+        parts.append(f"mean speeds: RMSE {numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}")
+    return "; ".join(parts) + "."
+
+
+def _rates(names: Iterable[str]) -> list[str]:
+    """Surge, and turning rate."""
+    return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
+
+
+def methods(file: ComparisonFile) -> list[str]:
+    """Sentences for a paper."""
+    sentences = [
+        f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
+        f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
+        "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
+    ]
+    if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
+        sentences.append(
+            "Surge, sway and turning rate were derived from the measured pose and, in the same way, from "
+            "the simulated one, by a cubic fitted over "
+            f"{2 * compare_series.WINDOW_BEATS:g} beats around each sample."
+        )
+    if any(t.start == "estimated" for t in file.trials):
+        sentences.append(
+            "Where the parameter file held no start state of a trial it was estimated from the whole trial "
+            "with all shared parameters held."
+        )
+    return sentences
+
+
+# ------------------------------------------------------------ tables
 
 
 def tables(file: ComparisonFile) -> list[ev.Table]:
     """Errors of every trial, mean speeds, and every stroke."""
-    found = [_scores(file)]
-    if any(t.mean_speed is not None for t in file.trials):
-        found.append(_speeds(file))
-    if any(t.cycles for t in file.trials):
-        found.append(_cycles(file))
-    return found
-
-
-def _degrees(value: float | None, unit: str) -> tuple[float | None, str]:
-    """An angle as people read it."""
-    if unit in ("rad", "rad/s"):
-        return None if value is None else math.degrees(value), f"deg{unit[3:]}"
-    return value, unit
+    return [_scores(file), *_speeds(file), *_cycles(file)]
 
 
 def _text(value: float | None, unit: str) -> str:
-    shown, its = _degrees(value, unit)
-    return numbers.number(shown, 3, its)
+    """A number as people read it: angles in degrees."""
+    factor, shown = numbers.in_degrees(unit)
+    return numbers.number(None if value is None else factor * value, 3, shown)
 
 
 def settled(s: ChannelScore) -> float | None:
-    """The bias, or zero where a fitted start has left nothing of it."""
+    """The bias, or zero where a fitted start has left nothing of it but rounding errors."""
     if s.bias is not None and s.rmse is not None and abs(s.bias) < 1e-3 * s.rmse:
         return 0.0
     return s.bias
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
-    rows: list[list[str | float | int | bool | None]] = []
-    for t in file.trials:
-        for name, s in t.channels.items():
-            rows.append(
-                [
-                    t.id,
-                    "held out" if t.role == "validate" else "fit",
-                    name + (" (from pose)" if s.source == "pose" else ""),
-                    _text(s.rmse, s.unit),
-                    numbers.percent(s.nrmse),
-                    numbers.percent(s.vaf),
-                    numbers.number(s.fit_percent, 3, "percent"),
-                    _text(settled(s), s.unit),
-                    _text(s.peak_error, s.unit),
-                    numbers.percent(s.peak_error_normalised),
-                    _text(s.phase_error_rad, "rad"),
-                    _text(s.dtw_distance, s.unit),
-                ]
-            )
-    columns = ["trial", "role", "channel", "RMSE", "NRMSE", "VAF", "fit", "bias", "peak error", "of peak"]
-    columns += ["phase", "DTW"]
+    rows = [
+        {
+            "trial": t.id,
+            "role": "held out" if t.role == "validate" else "fit",
+            "channel": name + (" (from pose)" if s.source == "pose" else ""),
+            "RMSE": _text(s.rmse, s.unit),
+            "NRMSE": numbers.percent(s.nrmse),
+            "VAF": numbers.percent(s.vaf),
+            "fit": numbers.number(s.fit_percent, 3, "percent"),
+            "bias": _text(settled(s), s.unit),
+            "peak error": _text(s.peak_error, s.unit),
+            "of peak": numbers.percent(s.peak_error_normalised),
+            "phase": _text(s.phase_error_rad, "rad"),
+            "DTW": _text(s.dtw_distance, s.unit),
+        }
+        for t in file.trials
+        for name, s in t.channels.items()
+    ]
     # without a beat there is neither phase nor time warping
-    kept = [k for k in range(len(columns)) if k < 3 or any(row[k] != numbers.NOTHING for row in rows)]
-    rows = [[row[k] for k in kept] for row in rows]
-    return ev.Table(
-        id="scores",
-        title="Errors of every trial",
-        columns=[columns[k] for k in kept],
-        rows=rows,
-        caption="RMSE and its share of the measured range (E_V and its normalised value, tendon fish, "
+    kept = [c for k, c in enumerate(rows[0]) if k < 3 or any(row[c] != numbers.NOTHING for row in rows)]
+    caption = (
+        "RMSE and its share of the measured range (E_V and its normalised value, tendon fish, "
         "Eq 13); variance accounted for; fit as MATLAB's compare prints it; mean of measured minus "
         "simulated; difference of the largest magnitudes and its share of the measured one (Eq 14); phase "
         "of the simulation ahead of the measurement at the beat; error left when time may be stretched "
-        "within a quarter of a beat.",
+        "within a quarter of a beat."
     )
+    return blocks.table("scores", "Errors of every trial", rows, caption, kept)
 
 
-def _speeds(file: ComparisonFile) -> ev.Table:
-    rows: list[list[str | float | int | bool | None]] = []
-    for t in file.trials:
-        if t.mean_speed is None or t.mean_speed.measured is None or t.mean_speed.simulated is None:
-            continue
-        measured, simulated = t.mean_speed.measured, t.mean_speed.simulated
-        rows.append(
-            [
-                t.id,
-                *(numbers.number(t.drive.get(key), 4) if t.drive else numbers.NOTHING for key in AXES),
-                numbers.number(measured, 3, "m/s"),
-                numbers.number(simulated, 3, "m/s"),
-                numbers.number(simulated - measured, 2, "m/s"),
-                numbers.percent((simulated - measured) / measured if measured else None, 2),
-            ]
-        )
-    return ev.Table(
-        id="speeds",
-        title="Mean speed of the last beats",
-        columns=["trial", *AXES.values(), "measured", "simulated", "difference", "of measured"],
-        rows=rows,
-        caption="Path length between the mean positions of successive beats over time, or mean surge where "
+def _speeds(file: ComparisonFile) -> list[ev.Table]:
+    rows = [
+        {
+            "trial": t.id,
+            **{title: numbers.number(t.drive.get(key), 4) for key, title in AXES.items()},
+            "measured": numbers.number(measured, 3, "m/s"),
+            "simulated": numbers.number(simulated, 3, "m/s"),
+            "difference": numbers.number(simulated - measured, 2, "m/s"),
+            "of measured": numbers.percent((simulated - measured) / measured if measured else None, 2),
+        }
+        for t, measured, simulated in file.mean_speeds
+    ]
+    caption = (
+        "Path length between the mean positions of successive beats over time, or mean surge where "
         "no position is logged; over the last four whole beats. Root-mean-square difference: "
-        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}.",
+        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}."
     )
+    return [blocks.table("speeds", "Mean speed of the last beats", rows, caption)] if rows else []
 
 
-def _cycles(file: ComparisonFile) -> ev.Table:
-    rows: list[list[str | float | int | bool | None]] = []
+def _cycles(file: ComparisonFile) -> list[ev.Table]:
+    rows: list[dict[str, blocks.Cell]] = []
     for t in file.trials:
-        for name in _rates(t):
+        for name in _by_stroke(t):
             c = t.cycles[name]
-            unit = t.channels[name].unit
+            kinds = {
+                "mean, measured": c.mean_measured,
+                "mean, simulated": c.mean_simulated,
+                "peak, measured": c.peak_measured,
+                "peak, simulated": c.peak_simulated,
+            }
             for k, time in enumerate(c.time_s):
-                values = (c.mean_measured[k], c.mean_simulated[k], c.peak_measured[k], c.peak_simulated[k])
-                rows.append([t.id, name, time, *(_text(v, unit) for v in values)])
-    return ev.Table(
-        id="cycles",
-        title="Every stroke",
-        columns=[
-            "trial",
-            "channel",
-            "time (s)",
-            "mean, measured",
-            "mean, simulated",
-            "peak, measured",
-            "peak, simulated",
-        ],
-        rows=rows,
-        caption="Mean and largest magnitude within each whole stroke.",
-    )
+                texts = {kind: _text(values[k], t.channels[name].unit) for kind, values in kinds.items()}
+                rows.append({"trial": t.id, "channel": name, "time (s)": time, **texts})
+    caption = "Mean and largest magnitude within each whole stroke."
+    return [blocks.table("cycles", "Every stroke", rows, caption)] if rows else []
 
 
-def _rates(t: TrialComparison) -> list[str]:
+def _by_stroke(t: TrialComparison) -> list[str]:
     """Channels worth a stroke-by-stroke look: surge and turning rate, else what there is."""
-    wanted = [n for n in t.cycles if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
-    return wanted or list(t.cycles)[:2]
+    return _rates(t.cycles) or list(t.cycles)[:2]
 
 
 # ------------------------------------------------------------ figures
@@ -165,18 +225,12 @@ def figures(experiment: Experiment, done: Sequence[Compared], file: ComparisonFi
     """Overlays, mean speeds by setting, strokes, phases and paths."""
     shown = _spread(done)
     missing = "" if len(shown) == len(done) else f" {len(shown)} of {len(done)} trials are shown."
-    speeds = _speed_figure(file)
-    found = [speeds] if speeds else []
     draw = _runs if experiment.model.timed_runs else _overlay
-    found += [draw(experiment, d, missing) for d in shown if d.pairs]
-    model = experiment.model
-    if model.body is not None:
-        found += _paths(model.body, shown, missing)
-        found += _stroke_figures(file, missing)
-    return found
-
-
-T = TypeVar("T")
+    figures = [*_speed_figure(file), *(draw(experiment, d, missing) for d in shown if d.pairs)]
+    body = experiment.model.body
+    if body is not None:
+        figures += [*_paths(body, shown, missing), *_stroke_figures(file, missing)]
+    return figures
 
 
 def _spread(members: Sequence[T]) -> list[T]:
@@ -198,56 +252,49 @@ def _runs(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
         x = frequency[mine]
         traces.append(ev.Trace(x=x, y=p.measured[mine], style="points", label=f"measured, {label}", group=k))
         traces.append(ev.Trace(x=x, y=p.simulated[mine], label=f"simulated, {label}", group=k))
-    return ev.Figure(
-        id=f"overlay-{done.trial.id}",
-        title=f"{done.trial.id}: measured and simulated",
-        caption=f"Points are measured, lines simulated. Good: the lines run through the points.{missing}",
-        panels=[ev.Panel(x_label="frequency (Hz)", y_label=f"{p.meaning} (m/s)", traces=traces)],
+    return blocks.figure(
+        f"overlay-{done.trial.id}",
+        f"{done.trial.id}: measured and simulated",
+        f"Points are measured, lines simulated. Good: the lines run through the points.{missing}",
+        "frequency (Hz)",
+        f"{p.channel.meaning} (m/s)",
+        traces,
     )
 
 
 def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
-    pairs = _most_telling(done)
     panels = []
-    for p in pairs:
-        factor, unit = _degrees(1.0, p.unit)
-        scale = factor or 1.0
-        traces = []
-        style: tuple[tuple[str, Array, str], ...] = (
-            ("measured", p.measured, "points"),
-            ("simulated", p.simulated, "line"),
-        )
-        for k, (label, values, how) in enumerate(style):
-            x, y = ev.thinned(p.time_s, scale * values, 800)
-            traces.append(ev.Trace(x=x, y=y, style=how, label=label, group=k))  # type: ignore[arg-type]
+    for p in _most_telling(done):
+        factor, unit = numbers.in_degrees(p.channel.unit)
+        x, y = ev.thinned(p.time_s, factor * p.measured, MAX_SAMPLES)
+        measured = ev.Trace(x=x, y=y, style="points", label="measured", group=0)
+        x, y = ev.thinned(p.time_s, factor * p.simulated, MAX_SAMPLES)
+        simulated = ev.Trace(x=x, y=y, label="simulated", group=1)
         note = ", from the pose" if p.source == "pose" else ""
-        label = f"{p.meaning or p.channel}{note} ({numbers.unit_text(unit) or '1'})"
-        panels.append(ev.Panel(x_label=experiment.model.abscissa, y_label=label, traces=traces))
-    said = ", ".join(_setting(k, v) for k, v in done.drive.items() if k in AXES and v)
-    return ev.Figure(
-        id=f"overlay-{done.trial.id}",
-        title=f"{done.trial.id}: measured and simulated",
-        caption=f"{said + '. ' if said else ''}Good: the line runs through the points, from the start "
-        f"on.{missing}",
-        panels=panels,
+        label = f"{p.channel.meaning or p.channel.name}{note} ({numbers.unit_text(unit) or '1'})"
+        traces = [measured, simulated]
+        panels.append(blocks.panel(experiment.model.abscissa, label, traces))
+    drive = ", ".join(_setting(k, v) for k, v in done.record.drive.items() if k in AXES and v)
+    return blocks.panels(
+        f"overlay-{done.trial.id}",
+        f"{done.trial.id}: measured and simulated",
+        f"{drive + '. ' if drive else ''}Good: the line runs through the points, from the start on.{missing}",
+        panels,
+        columns=1,
     )
 
 
 def _setting(key: str, value: float) -> str:
     """One number of a drive in words: ``amplitude 20°``."""
-    name = AXES[key].split(" (")[0]
-    unit = numbers.split_unit(key)[1]
-    return f"{name} {numbers.number(value, 4, unit)}"
+    return f"{AXES[key].split(' (')[0]} {numbers.number(value, 4, numbers.split_unit(key)[1])}"
 
 
 def _most_telling(done: Compared) -> list[Pair]:
     """Surge and turning rate first, then passive joints, then the rest."""
 
     def rank(name: str) -> int:
-        if name == "u_m_s":
-            return 0
-        if name.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s")):
-            return 1
+        if _rates([name]):
+            return 0 if name == "u_m_s" else 1
         return 2 if name.startswith("joint") and not name.endswith("_rate_rad_s") else 3
 
     names = sorted(done.pairs, key=rank)
@@ -256,142 +303,107 @@ def _most_telling(done: Compared) -> list[Pair]:
     return [done.pairs[n] for n in names[:MAX_PANELS]]
 
 
-def _speed_figure(file: ComparisonFile) -> ev.Figure | None:
+def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
     """Mean speed over what was driven, one pair of curves for each setting of the rest."""
-    known = [
-        t
-        for t in file.trials
-        if t.drive and t.mean_speed and None not in (t.mean_speed.measured, t.mean_speed.simulated)
-    ]
-    counts = {key: len({t.drive.get(key) for t in known}) for key in AXES}
+    known = [row for row in file.mean_speeds if row[0].drive]
+    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in AXES}
     # a setting that hardly any two trials share was measured, not set: it is no axis
     varied = [key for key in AXES if 1 < counts[key] <= max(MOST_LEVELS, len(known) // 2)]
     if not varied:
-        return None
+        return []
     axis = max(varied, key=lambda key: counts[key])
     others = [key for key in varied if key != axis]
-    groups: dict[tuple[float, ...], list[TrialComparison]] = {}
-    for t in known:
-        groups.setdefault(tuple(float(t.drive.get(key, 0.0)) for key in others), []).append(t)
+    groups: dict[tuple[float, ...], list[tuple[float, float, float]]] = {}
+    for t, measured, simulated in known:
+        setting = tuple(float(t.drive.get(key, 0.0)) for key in others)
+        groups.setdefault(setting, []).append((float(t.drive[axis]), measured, simulated))
     traces = []
-    for k, (setting, members) in enumerate(sorted(groups.items())):
-        members.sort(key=lambda t: float(t.drive[axis]))
-        x = [float(t.drive[axis]) for t in members]
-        label = ", ".join(_setting(o, v) for o, v in zip(others, setting, strict=True))
-        measured = [t.mean_speed.measured for t in members if t.mean_speed]
-        tail = f", {label}" if label else ""
-        traces.append(ev.Trace(x=x, y=measured, style="points", label=f"measured{tail}", group=k))
+    for k, (setting, rows) in enumerate(sorted(groups.items())):
+        rows.sort(key=lambda row: row[0])
+        tail = "".join(f", {_setting(key, v)}" for key, v in zip(others, setting, strict=True))
+        x, y, _ = zip(*rows, strict=True)
+        traces.append(ev.Trace(x=x, y=y, style="points", label=f"measured{tail}", group=k))  # type: ignore[arg-type]
         # repeats of one setting make one point of the line
         levels = sorted(set(x))
-        means = [
-            float(np.mean([t.mean_speed.simulated for t in members if t.drive[axis] == v and t.mean_speed]))
-            for v in levels
-        ]
-        traces.append(ev.Trace(x=levels, y=means, style="line", label=f"simulated{tail}", group=k))
-    return ev.Figure(
-        id="speeds",
-        title=f"Mean speed over {AXES[axis].split(' (')[0]}",
-        caption="Points are measured, lines simulated. Root-mean-square difference "
-        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}. Good: the lines follow the points.",
-        panels=[ev.Panel(x_label=AXES[axis], y_label="mean speed (m/s)", traces=traces)],
+        means = [float(np.mean([z for at, _, z in rows if at == level])) for level in levels]
+        traces.append(ev.Trace(x=levels, y=means, label=f"simulated{tail}", group=k))  # type: ignore[arg-type]
+    caption = (
+        "Points are measured, lines simulated. Root-mean-square difference "
+        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}. Good: the lines follow the points."
     )
+    title = f"Mean speed over {AXES[axis].split(' (')[0]}"
+    return [blocks.figure("speeds", title, caption, AXES[axis], "mean speed (m/s)", traces)]
 
 
 def _paths(body: Body, shown: Sequence[Compared], missing: str) -> list[ev.Figure]:
     names = body.pose[:2]
+    x_label, y_label = (numbers.column_title(name) for name in names)
     panels = []
     for d in shown:
         if not body.free or any(n not in d.pairs for n in names):
             continue
-        step = max(1, len(d.trial.time_s) // 800)
+        step = max(1, len(d.trial.time_s) // MAX_SAMPLES)
         x, y = (d.pairs[n] for n in names)
+        measured = ev.Trace(
+            x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
+        )
+        simulated = ev.Trace(x=x.simulated[::step], y=y.simulated[::step], label="simulated", group=1)
         panels.append(
-            ev.Panel(
-                title=d.trial.id,
-                x_label=numbers.column_title(names[0]),
-                y_label=numbers.column_title(names[1]),
-                equal_aspect=True,
-                traces=[
-                    ev.Trace(
-                        x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
-                    ),
-                    ev.Trace(x=x.simulated[::step], y=y.simulated[::step], label="simulated", group=1),
-                ],
-            )
+            blocks.panel(x_label, y_label, [measured, simulated], title=d.trial.id, equal_aspect=True)
         )
     if not panels:
         return []
-    return [
-        ev.Figure(
-            id="paths",
-            title="Paths",
-            caption=f"The reference point's path, to scale. Good: one curve on the other.{missing}",
-            panels=panels,
-            columns=2 if len(panels) > 1 else 1,
-        )
-    ]
+    caption = f"The reference point's path, to scale. Good: one curve on the other.{missing}"
+    columns = 2 if len(panels) > 1 else 1
+    return [blocks.panels("paths", "Paths", caption, panels, columns=columns)]
 
 
 def _stroke_figures(file: ComparisonFile, missing: str) -> list[ev.Figure]:
     members = _spread([t for t in file.trials if t.cycles])
-    names = list(dict.fromkeys(n for t in members for n in _rates(t)))
+    names = list(dict.fromkeys(n for t in members for n in _by_stroke(t)))
     if not names:
         return []
-    means, bins = [], []
-    for name in names:
-        unit = next(t.channels[name].unit for t in members if name in t.channels)
-        factor, shown = _degrees(1.0, unit)
-        scale, label = factor or 1.0, f"{numbers.column_title(name).split(' (')[0]}"
-        y_label = f"{label} ({numbers.unit_text(shown) or '1'})"
-        traces, left = [], []
-        for k, t in enumerate(t for t in members if name in t.cycles):
-            c, p = t.cycles[name], t.phases[name]
-            for values, how in _sides(c):
-                y = scale * np.array(values, dtype=float)
-                traces.append(
-                    ev.Trace(x=c.time_s, y=y, style=how, label=t.id if how == "points" else "", group=k)  # type: ignore[arg-type]
-                )
-            residual, error = (scale * np.array(v, dtype=float) for v in (p.residual, p.stderr))
-            left.append(
-                ev.Trace(
-                    x=np.degrees(np.array(p.phase_rad, dtype=float)),
-                    y=residual,
-                    lower=residual - 2 * error,
-                    upper=residual + 2 * error,
-                    label=t.id,
-                    group=k,
-                )
-            )
-        means.append(ev.Panel(x_label="time (s)", y_label=f"mean {y_label}", traces=traces))
-        bins.append(
-            ev.Panel(
-                x_label="phase of the beat (°)",
-                y_label=f"residual, {y_label}",
-                traces=left,
-                marks=[ev.Mark(at=0.0)],
-            )
-        )
+    panels = [_stroke_panels(name, [t for t in members if name in t.cycles]) for name in names]
     return [
-        ev.Figure(
-            id="cycles",
-            title="Stroke by stroke",
-            caption="Means over each whole stroke: points measured, lines simulated. Good: the same "
+        blocks.panels(
+            "cycles",
+            "Stroke by stroke",
+            "Means over each whole stroke: points measured, lines simulated. Good: the same "
             f"start-up and the same steady level.{missing}",
-            panels=means,
+            [means for means, _ in panels],
+            columns=1,
         ),
-        ev.Figure(
-            id="phases",
-            title="Over the phase of the beat",
-            caption="Mean of measured minus simulated in twelve parts of the beat, with twice its standard "
+        blocks.panels(
+            "phases",
+            "Over the phase of the beat",
+            "Mean of measured minus simulated in twelve parts of the beat, with twice its standard "
             "error between strokes; zero is where the command starts. Good: flat about zero. A wave says in "
             f"which part of the stroke the model lacks something.{missing}",
-            panels=bins,
+            [phases for _, phases in panels],
+            columns=1,
         ),
     ]
 
 
-def _sides(c: CycleTable) -> list[tuple[list[float | None], str]]:
-    return [(c.mean_measured, "points"), (c.mean_simulated, "line")]
+def _stroke_panels(name: str, members: Sequence[TrialComparison]) -> tuple[ev.Panel, ev.Panel]:
+    """A channel's means over each stroke, and its residual over the phase of the beat."""
+    scale, unit = numbers.in_degrees(members[0].channels[name].unit)
+    label = f"{numbers.column_title(name).split(' (')[0]} ({numbers.unit_text(unit) or '1'})"
+
+    def scaled(values: Sequence[float | None]) -> Array:
+        return scale * np.array(values, dtype=float)
+
+    means, residuals = [], []
+    for k, t in enumerate(members):
+        c, p = t.cycles[name], t.phases[name]
+        means.append(ev.Trace(x=c.time_s, y=scaled(c.mean_measured), style="points", label=t.id, group=k))
+        means.append(ev.Trace(x=c.time_s, y=scaled(c.mean_simulated), group=k))
+        phase = np.degrees(np.array(p.phase_rad, dtype=float))
+        residuals.append(blocks.band(phase, scaled(p.residual), 2 * scaled(p.stderr), label=t.id, group=k))
+    return (
+        blocks.panel("time (s)", f"mean {label}", means),
+        blocks.panel("phase of the beat (°)", f"residual, {label}", residuals, marks=[ev.Mark(at=0.0)]),
+    )
 
 
 def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
@@ -405,13 +417,12 @@ def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
             f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
             f"{numbers.number(settled(s), 3, s.unit):>14}"
         )
-    speeds = [(t.id, t.mean_speed) for t in file.trials if t.mean_speed is not None]
-    if speeds:
-        wide = max(len(i) for i, _ in speeds)
+    if file.mean_speeds:
         lines += ["", "  mean speed of the last beats, measured and simulated"]
-        for name, speed in speeds:
-            pair = [numbers.number(v, 3, "m/s") for v in (speed.measured, speed.simulated)]
-            lines.append(f"  {name:<{wide}}  {pair[0]:>12}  {pair[1]:>12}")
+        wide = max(len(t.id) for t, _, _ in file.mean_speeds)
+        for t, *speeds in file.mean_speeds:
+            measured, simulated = (numbers.number(v, 3, "m/s") for v in speeds)
+            lines.append(f"  {t.id:<{wide}}  {measured:>12}  {simulated:>12}")
     lines += compare_strokes_evidence.summary(file.profiles)
     estimated = sum(t.start == "estimated" for t in file.trials)
     if estimated:

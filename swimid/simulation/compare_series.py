@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from swimid.errors import NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting import metrics, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.swimmer import Swimmer
-from swimid.logs.beat import find_beat
+from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
 from swimid.notices import warn
-from swimid.simulation import cases as simulate_cases
-from swimid.simulation import cycles, swim_quantities
+from swimid.simulation import cases, cycles, swim_quantities
 from swimid.simulation.applied import Applied
-from swimid.simulation.comparison_file import ChannelScore, CycleTable, PhaseTable, Speed, TrialComparison
+from swimid.simulation.comparison_file import ChannelScore, Speed, TrialComparison
 
+T = TypeVar("T")
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
 STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
@@ -39,52 +37,30 @@ class Pair:
 
     Attributes
     ----------
-    channel, unit, meaning : str
     source : {"logged", "pose"}
         ``pose``: both series derived from positions by the same smoothing derivative.
     time_s, measured, simulated : ndarray, shape (n,)
     """
 
-    channel: str
-    unit: str
-    meaning: str
+    channel: Channel
     source: Literal["logged", "pose"]
     time_s: Array
     measured: Array
     simulated: Array
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One trial.
-
-    Attributes
-    ----------
-    trial : Trial
-    start : {"file", "estimated", "neutral"}
-    start_values : dict of str to float
-        Those that were estimated here.
-    frequency_hz : float or None
-    pairs : dict of str to Pair
-    values : ndarray, shape (p,)
-        Parameters of the simulation.
-    """
+class Compared(NamedTuple):
+    """One trial: its channels, the parameters of its simulation, and what the comparison file says of it."""
 
     trial: Trial
-    start: Start
-    start_values: dict[str, float]
-    frequency_hz: float | None
     pairs: dict[str, Pair]
     values: Array
-
-    @property
-    def drive(self) -> dict[str, Any]:
-        """What drove the trial, as a trials file says it."""
-        beat = self.trial.swim.beat
-        return simulate_cases.drive_block(beat) if beat is not None else {}
+    record: TrialComparison
 
 
-def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool) -> Compared:
+def compared(
+    experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()
+) -> Compared:
     """Simulate a trial and set its channels beside the measured ones.
 
     Parameters
@@ -92,25 +68,28 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
     refit : bool
         Estimate the start state of a trial that the parameter file does not know, all shared
         parameters held.
+    channels : sequence of str
+        Compare these only.
 
     Raises
     ------
+    UsageError
+        For a channel the trial has not.
     NoTrustworthyResult
         When the simulation breaks down.
     """
     model: Model = experiment.model
-    values, start, found = start_of(applied, trial, refit)
+    values, start, start_values = start_of(applied, trial, refit)
     if refit:
         model, level = model.at_own_level(values, trial)
         if level:
-            start, found = "estimated", level
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(values, trial)
+            start, start_values = "estimated", level
+    simulated = model.attempt(values, trial)
     logged = {**{k: v for k, v in trial.inputs.items() if k in simulated}, **trial.measured}
     for channel in model.given(trial):
         logged.pop(channel, None)
     pairs = {
-        c.name: Pair(c.name, c.unit, c.meaning, "logged", trial.time_s, logged[c.name], simulated[c.name])
+        c.name: Pair(c, "logged", trial.time_s, logged[c.name], simulated[c.name])
         for c in model.channels
         if c.name in logged and np.isfinite(logged[c.name]).sum() > 1
     }
@@ -122,11 +101,39 @@ def compared(experiment: Experiment, applied: Applied, trial: Trial, *, refit: b
                 f"the simulation of '{trial.id}' breaks down at t = {where:.4g} s",
                 hint="check the parameters' signs and units and the drive, or take a smaller --dt",
             )
-    frequency = None
-    if model.swimmer is not None and model.body is not None:
-        frequency = _frequency(model.swimmer, model.body, trial, values, pairs)
-        pairs = _with_velocities(model, model.body, trial, pairs, frequency)
-    return Compared(trial, start, found, frequency, pairs, values)
+    frequency, body = None, model.body
+    if model.swimmer is not None and body is not None:
+        turning = (body.velocity[2], body.pose[2]) if body.free else ()
+        series = [pairs[name].measured for name in turning if name in pairs]
+        frequency = cases.beat_frequency(model.swimmer, trial, values, series)
+        pairs |= _velocity_pairs(model, body, trial, pairs, frequency)
+    for name in channels:
+        if name not in pairs:
+            hint = suggestion(name, list(pairs))
+            raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
+    pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
+    # a position has no mean of a stroke worth comparing
+    positions = body.pose if body is not None and body.free else ()
+    beating = {n: p for n, p in pairs.items() if n not in positions} if frequency is not None else {}
+
+    def by_stroke(table: Callable[..., T]) -> dict[str, T]:
+        return {
+            n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
+        }
+
+    record = TrialComparison(
+        id=trial.id,
+        role=trial.role,  # type: ignore[arg-type]
+        start=start,
+        start_values=start_values,
+        frequency_hz=frequency,
+        drive=cases.drive_block(trial.swim) if trial.swim.beat is not None else {},
+        channels={name: scored([p], frequency) for name, p in pairs.items()},
+        cycles=by_stroke(cycles.cycles),
+        phases=by_stroke(cycles.phases),
+        mean_speed=mean_speed(trial, pairs, body, frequency) if body is not None and frequency else None,
+    )
+    return Compared(trial, pairs, values, record)
 
 
 def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
@@ -134,7 +141,7 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     model = applied.model
     values = applied.values(trial.id)
     own = [p for p in model.parameters if p.per_trial]
-    if any(applied.knows(p.name, trial.id) for p in own):
+    if any(f"{p.name}[{trial.id}]" in applied.known for p in own):
         return values, "file", {}
     estimated = applied.fitted_per_trial()
     coefficients = model.swimmer.coefficients if model.swimmer is not None else []
@@ -147,49 +154,39 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     }
     if not refit or not names:
         return values, "neutral", {}
-    held = tuple(
-        replace(p, start=float(v), free=p.name in names)
-        for p, v in zip(model.parameters, values, strict=True)
-    )
     sd = _noise(applied, trial)
-    found: dict[str, float] = {}
+    best: dict[str, float] = {}
     least = math.inf
-    for begun in _begun(held):
+    # an unknown phase of the beat has a minimum on every side
+    begun = [{"drive_phase": k * math.pi / 2} for k in range(4)] if "drive_phase" in names else [{}]
+    for start in begun:
+        at = zip(model.parameters, _replaced(model, values, start), strict=True)
+        held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
         try:
-            tried = start_states.estimate(model, begun, trial, sd)
+            labelled = start_states.estimate(model, held, trial, sd)
         except (NoTrustworthyResult, np.linalg.LinAlgError):
             continue
-        cost = _cost(model, values, tried, trial, sd)
+        tried = {label.split("[")[0]: v for label, v in labelled.items()}
+        cost = _cost(model, _replaced(model, values, tried), trial, sd)
         if cost < least:
-            found, least = tried, cost
-    if not found or not np.isfinite(list(found.values())).all():
+            best, least = tried, cost
+    if not best or not np.isfinite(list(best.values())).all():
         warn("SWM056", f"{trial.id}: the start state could not be estimated; it is taken as at rest")
         return values, "neutral", {}
-    plain = {label.split("[")[0]: v for label, v in found.items()}
-    for name, value in plain.items():
-        values[model.index(name)] = value
-    return values, "estimated", plain
+    return _replaced(model, values, best), "estimated", best
 
 
-def _begun(parameters: tuple[Parameter, ...]) -> list[tuple[Parameter, ...]]:
-    """Where to start the search from: an unknown phase of the beat has a minimum on every side."""
-    if not any(p.name == "drive_phase" and p.free for p in parameters):
-        return [parameters]
-    return [
-        tuple(replace(p, start=k * math.pi / 2) if p.name == "drive_phase" else p for p in parameters)
-        for k in range(4)
-    ]
-
-
-def _cost(
-    model: Model, values: Array, start: Mapping[str, float], trial: Trial, sd: Mapping[str, float]
-) -> float:
-    """Squared residuals of a trial from a start state, over the noise; infinite where it breaks down."""
+def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
+    """The parameters with another start state."""
     values = values.copy()
-    for label, value in start.items():
-        values[model.index(label.split("[")[0])] = value
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(values, trial)
+    for name, value in start.items():
+        values[model.index(name)] = value
+    return values
+
+
+def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
+    """Squared residuals of a trial over the noise; infinite where the simulation breaks down."""
+    simulated = model.attempt(values, trial)
     total = 0.0
     for channel, size in sd.items():
         there = np.isfinite(trial.measured[channel])
@@ -203,56 +200,31 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     Where none of them was, every measured channel, each with a hundredth of its range.
     """
     known = applied.noise()
-    found = {name: known[name] for name in trial.measured if name in known}
-    if found:
-        return found
+    noise = {name: known[name] for name in trial.measured if name in known}
+    if noise:
+        return noise
     for name, values in trial.measured.items():
         there = values[np.isfinite(values)]
-        found[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
-    return found
+        noise[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
+    return noise
 
 
-def _frequency(
-    model: Swimmer, body: Body, trial: Trial, values: Array, pairs: dict[str, Pair]
-) -> float | None:
-    beat = trial.swim.beat
-    if beat is not None:
-        return float(beat.frequency_hz)
-    commands = simulate_cases.commands(model, trial, values)
-    series = [(trial.time_s, c) for c in commands.values()]
-    if body.free:
-        series += [
-            (p.time_s, p.measured)
-            for name in (body.velocity[2], body.pose[2])
-            if (p := pairs.get(name)) is not None
-        ]
-    for time, angle in series:
-        found = find_beat(time, angle)
-        if found is not None:
-            return found.frequency_hz
-    return None
-
-
-def _with_velocities(
-    model: Model, body: Body, trial: Trial, pairs: dict[str, Pair], frequency: float | None
+def _velocity_pairs(
+    model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency: float | None
 ) -> dict[str, Pair]:
     """Surge, sway and turning rate from the pose, where the log has no such columns."""
     if not body.free or not all(name in pairs for name in body.pose):
-        return pairs
+        return {}
     half = WINDOW_BEATS / frequency if frequency else WINDOW_S
-    made = {
-        side: _velocities([getattr(pairs[name], side) for name in body.pose], trial.time_s, half)
-        for side in ("measured", "simulated")
-    }
+    pose = [pairs[name] for name in body.pose]
+    measured = _velocities([p.measured for p in pose], trial.time_s, half)
+    simulated = _velocities([p.simulated for p in pose], trial.time_s, half)
     known = {c.name: c for c in model.channels}
-    found = dict(pairs)
-    for k, name in enumerate(body.velocity):
-        if name not in pairs and np.isfinite(made["measured"][k]).sum() > 8:
-            c = known[name]
-            found[name] = Pair(
-                name, c.unit, c.meaning, "pose", trial.time_s, made["measured"][k], made["simulated"][k]
-            )
-    return found
+    return {
+        name: Pair(known[name], "pose", trial.time_s, y, z)
+        for name, y, z in zip(body.velocity, measured, simulated, strict=True)
+        if name not in pairs and np.isfinite(y).sum() > 8
+    }
 
 
 def _velocities(pose: list[Array], time: Array, half: float) -> list[Array]:
@@ -269,89 +241,63 @@ def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
     """Errors of a channel over one trial, or pooled over several."""
     measured = np.concatenate([p.measured for p in parts])
     simulated = np.concatenate([p.simulated for p in parts])
-    score = metrics.score(measured, simulated)
     peak, relative = metrics.peak_error(measured, simulated)
-    found = ChannelScore(
-        unit=parts[0].unit,
+    timing = _timing(parts[0], frequency) if frequency is not None and len(parts) == 1 else {}
+    return ChannelScore(
+        unit=parts[0].channel.unit,
         source=parts[0].source,
-        **vars(score),
+        **vars(metrics.score(measured, simulated)),
         peak_error=peak,
         peak_error_normalised=relative,
+        **timing,
     )
-    if frequency is None or len(parts) > 1:
-        return found
-    one = parts[0]
-    phase = metrics.phase_error(one.measured, one.simulated, one.time_s, frequency_hz=frequency)
-    keep = slice(None, None, max(1, -(-len(one.time_s) // WARPED)))
-    step = float(np.median(np.diff(one.time_s[keep])))
+
+
+def _timing(pair: Pair, frequency: float) -> dict[str, float]:
+    """Phase error at the beat, and the error left when time may be stretched."""
+    phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
+    keep = slice(None, None, max(1, -(-len(pair.time_s) // WARPED)))
+    step = float(np.median(np.diff(pair.time_s[keep])))
     band = max(1, round(0.25 / (frequency * step)))
-    distance = metrics.dtw_distance(one.measured[keep], one.simulated[keep], band=band)
-    return ChannelScore.model_validate(
-        {**found.model_dump(), "phase_error_rad": phase, "dtw_distance": distance}
-    )
+    distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)
+    return {"phase_error_rad": phase, "dtw_distance": distance}
 
 
-def mean_speed(done: Compared, body: Body) -> Speed | None:
+def mean_speed(trial: Trial, pairs: Mapping[str, Pair], body: Body, frequency: float) -> Speed | None:
     """Mean speed over the last whole beats, measured and simulated by the same rule."""
-    if done.frequency_hz is None or not body.free:
+    if not body.free:
         return None
-    beat = done.trial.swim.beat
-    begin = max(float(done.trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
-    pose = [done.pairs.get(name) for name in body.pose[:2]]
-    surge = done.pairs.get(body.velocity[0])
+    beat = trial.swim.beat
+    begin = max(float(trial.time_s[0]), beat.ramp_s if beat is not None else -math.inf)
+    pose = [pairs.get(name) for name in body.pose[:2]]
+    surge = pairs.get(body.velocity[0])
     series = [p for p in pose if p is not None] if None not in pose else [surge] if surge else []
     if not series:
         return None
     there = np.all([np.isfinite(p.measured) & np.isfinite(p.simulated) for p in series], axis=0)
     if there.sum() < 3:
         return None
-    time = done.trial.time_s[there]
-    window = swim_quantities.last_beats(max(begin, float(time[0])), float(time[-1]), done.frequency_hz)
+    time = trial.time_s[there]
+    window = swim_quantities.last_beats(max(begin, float(time[0])), float(time[-1]), frequency)
     if window is None:
         return None
     edges = np.linspace(window.begin_s, window.end_s, window.beats + 1)
-    found = []
+    speeds = []
     for side in ("measured", "simulated"):
         means = [_beat_means(time, getattr(p, side)[there], edges) for p in series]
         if len(means) == 1:
-            found.append(float(means[0].mean()))
+            speeds.append(float(means[0].mean()))
         elif window.beats > 1:
             path = float(np.hypot(*(np.diff(m) for m in means)).sum())
-            found.append(path / (edges[-1] - edges[1]))
+            speeds.append(path / (edges[-1] - edges[1]))
         else:
             ends = [np.diff(np.interp(edges, time, getattr(p, side)[there])) for p in series]
-            found.append(float(np.hypot(*ends)[0]) / (edges[1] - edges[0]))
-    return Speed(measured=found[0], simulated=found[1], beats=window.beats)
+            speeds.append(float(np.hypot(*ends)[0]) / (edges[1] - edges[0]))
+    return Speed(measured=speeds[0], simulated=speeds[1], beats=window.beats)
 
 
 def _beat_means(time: Array, values: Array, edges: Array) -> Array:
     """Mean between successive edges, of the series joined by straight lines."""
     integral = cumulative_trapezoid(values, time, initial=0.0)
-    found: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
-    return found
-
-
-def record(done: Compared, model: Model) -> TrialComparison:
-    """A trial as the comparison file holds it."""
-    body = model.body
-    cycle_tables, phase_tables = {}, {}
-    if done.frequency_hz is not None:
-        for name, p in done.pairs.items():
-            if body is not None and body.free and name in body.pose:
-                continue  # a position has no mean of a stroke worth comparing
-            each = cycles.cycles(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
-            cycle_tables[name] = CycleTable(**vars(each))
-            bins = cycles.phases(p.time_s, p.measured, p.simulated, frequency_hz=done.frequency_hz)
-            phase_tables[name] = PhaseTable(**vars(bins))
-    return TrialComparison(
-        id=done.trial.id,
-        role=done.trial.role,  # type: ignore[arg-type]
-        start=done.start,
-        start_values=done.start_values,
-        frequency_hz=done.frequency_hz,
-        drive=done.drive,
-        channels={name: scored([p], done.frequency_hz) for name, p in done.pairs.items()},
-        cycles=cycle_tables,
-        phases=phase_tables,
-        mean_speed=None if body is None else mean_speed(done, body),
-    )
+    means: Array = np.diff(np.interp(edges, time, integral)) / np.diff(edges)
+    return means

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array
-from swimid.fitting.swimmer import Swimmer
+from swimid.fitting.model import Array, Channel
 from swimid.logs.derivative import slope
 from swimid.simulation.compare_series import Compared
 from swimid.simulation.comparison_file import CycleComparison, ProfileComparison
@@ -20,13 +20,13 @@ from swimid.swimmer import stroke_cycles
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
 SIDES = ("measured", "simulated")
 POSITION = ("x_m", "y_m", "z_m")
-#: What is derived where it is not logged: unit and meaning.
-DERIVED = {
-    "pitch_rate_rad_s": ("rad/s", "pitch rate"),
-    "vx_m_s": ("m/s", "speed along x"),
-    "vz_m_s": ("m/s", "speed along z"),
-    "speed_m_s": ("m/s", "speed in the vertical plane"),
-}
+#: What is derived where it is not logged.
+DERIVED = (
+    Channel("pitch_rate_rad_s", "rad/s", "pitch rate"),
+    Channel("vx_m_s", "m/s", "speed along x"),
+    Channel("vz_m_s", "m/s", "speed along z"),
+    Channel("speed_m_s", "m/s", "speed in the vertical plane"),
+)
 ORIENTATION = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -36,7 +36,6 @@ class Mean:
 
     Attributes
     ----------
-    unit, meaning : str
     time_s, measured, simulated : ndarray, shape (n,)
         On the clock of the profile's first trial, as far as all repeats reach.
     spread : ndarray, shape (n,)
@@ -45,8 +44,7 @@ class Mean:
         Least and most of the simulations with less, as much and more buoyancy.
     """
 
-    unit: str
-    meaning: str
+    channel: Channel
     time_s: Array
     measured: Array
     spread: Array
@@ -54,22 +52,18 @@ class Mean:
     band: tuple[Array, Array] | None = None
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Trials that repeat one motion, and their means.
+class Profile(NamedTuple):
+    """Trials that repeat one motion: means by channel, and what the comparison file says of them."""
 
-    Attributes
-    ----------
-    name : str
-    trials : list of Compared
-    means : dict of channel to Mean
-    record : ProfileComparison
-    """
-
-    name: str
-    trials: list[Compared]
     means: dict[str, Mean]
     record: ProfileComparison
+
+
+class _Sides(NamedTuple):
+    """A trial's columns as measured, as simulated, and as simulated with less and more buoyancy."""
+
+    done: Compared
+    columns: dict[str, dict[str, Array]]
 
 
 def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
@@ -83,108 +77,22 @@ def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: floa
     model = experiment.model.swimmer
     if model is None or not model.in_space:
         return []
-    names = experiment.facts["profiles"]
-    factors = [1.0 + k * buoyancy for k in (-1, 1)] if buoyancy else []
-    others = [other for k in factors if (other := model.with_buoyancy(k)) is not None]
-    seen = {d.trial.id: _Seen.of(d, others) for d in done if d.pairs}
-    found = []
-    for name in dict.fromkeys(names[trial] for trial in seen):
-        members = [one for trial, one in seen.items() if names[trial] == name]
-        means = _means(members)
-        found.append(Profile(name, [m.done for m in members], means, _record(name, members, means)))
-    return found
+    factors = {"less": 1.0 - buoyancy, "more": 1.0 + buoyancy} if buoyancy else {}
+    others = {side: other for side, k in factors.items() if (other := model.with_buoyancy(k)) is not None}
+    repeats: dict[str, list[_Sides]] = {}
+    for one in (d for d in done if d.pairs):
+        columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
+        for side, other in others.items():
+            simulated = other.attempt(one.values, one.trial)
+            columns[side] = {n: simulated[n] for n in one.pairs}
+        sides = _Sides(one, {side: _with_speeds(series, one) for side, series in columns.items()})
+        repeats.setdefault(experiment.facts["profiles"][one.trial.id], []).append(sides)
+    return [_profile(name, members) for name, members in repeats.items()]
 
 
-# ---------------------------------------------------------------- series
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """One trial's columns, speeds in the vertical plane and the pitch rate among them.
-
-    ``sides`` are those of :data:`SIDES`, ``band`` the simulations with less and with more buoyancy.
-    """
-
-    done: Compared
-    sides: dict[str, dict[str, Array]]
-    band: list[dict[str, Array]]
-
-    @classmethod
-    def of(cls, done: Compared, others: Sequence[Swimmer]) -> _Seen:
-        """As logged, or derived from the pose on every side alike."""
-        sides = {side: {n: getattr(p, side) for n, p in done.pairs.items()} for side in SIDES}
-        band = []
-        for other in others:
-            with np.errstate(over="ignore", invalid="ignore"):
-                simulated = other.simulate(done.values, done.trial)
-            band.append({n: simulated[n] for n in done.pairs})
-        return cls(
-            done,
-            {side: _with_speeds(columns, done) for side, columns in sides.items()},
-            [_with_speeds(columns, done) for columns in band],
-        )
-
-    def told(self, name: str) -> tuple[str, str]:
-        """Unit and meaning of a column."""
-        pair = self.done.pairs.get(name)
-        return DERIVED[name] if pair is None else (pair.unit, pair.meaning)
-
-
-def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
-    """With the speed in the vertical plane and the pitch rate."""
-    stroke, time = done.trial.swim.stroke, done.trial.time_s
-    half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
-    found = dict(columns)
-    if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
-        found["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
-    if "x_m" in columns and "z_m" in columns:
-        own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
-        moving = stroke_cycles.velocity(time, columns) if own else None
-        if moving is None:
-            moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
-        found["vx_m_s"], found["vz_m_s"] = moving
-        found["speed_m_s"] = np.hypot(*moving)
-    return found
-
-
-def _means(members: Sequence[_Seen]) -> dict[str, Mean]:
-    """Means of every channel all repeats have, on the first one's clock."""
-    times = [m.done.trial.time_s for m in members]
-    begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
-    clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
-    found: dict[str, Mean] = {}
-    for name in members[0].sides["measured"]:
-        if any(name not in m.sides["measured"] for m in members) or not len(clock):
-            continue
-
-        def on_clock(columns: Sequence[Mapping[str, Array]], name: str = name) -> Array:
-            return np.array([_on(clock, t, c[name]) for t, c in zip(times, columns, strict=True)])
-
-        measured, simulated = (on_clock([m.sides[side] for m in members]) for side in SIDES)
-        spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
-        middle = simulated.mean(axis=0)
-        band = None
-        if members[0].band:
-            low, high = (on_clock([m.band[k] for m in members]).mean(axis=0) for k in (0, 1))
-            band = (np.min((low, middle, high), axis=0), np.max((low, middle, high), axis=0))
-        unit, meaning = members[0].told(name)
-        found[name] = Mean(unit, meaning, clock, measured.mean(axis=0), spread, middle, band)
-    return found
-
-
-def _on(clock: Array, time: Array, values: Array) -> Array:
-    there = np.isfinite(values)
-    if there.sum() < 2:
-        return np.full(len(clock), math.nan)
-    found: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
-    return found
-
-
-# ---------------------------------------------------------------- numbers
-
-
-def _record(name: str, members: Sequence[_Seen], means: Mapping[str, Mean]) -> ProfileComparison:
-    return ProfileComparison(
+def _profile(name: str, members: Sequence[_Sides]) -> Profile:
+    means = _means(members)
+    record = ProfileComparison(
         name=name,
         trials=[m.done.trial.id for m in members],
         cycles=_cycles(members),
@@ -193,6 +101,62 @@ def _record(name: str, members: Sequence[_Seen], means: Mapping[str, Mean]) -> P
         surge_m=_way(means.get("x_m")),
         heave_m=_way(means.get("z_m")),
     )
+    return Profile(means, record)
+
+
+# ---------------------------------------------------------------- series
+
+
+def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
+    """With the speed in the vertical plane and the pitch rate."""
+    stroke, time = done.trial.swim.stroke, done.trial.time_s
+    half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
+    extended = dict(columns)
+    if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
+        extended["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
+    if "x_m" in columns and "z_m" in columns:
+        own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
+        moving = stroke_cycles.velocity(time, columns) if own else None
+        if moving is None:
+            moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
+        extended["vx_m_s"], extended["vz_m_s"] = moving
+        extended["speed_m_s"] = np.hypot(*moving)
+    return extended
+
+
+def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
+    """Means of every channel all repeats have, on the first one's clock."""
+    times = [m.done.trial.time_s for m in members]
+    begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
+    clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
+    channels = {c.name: c for c in (*DERIVED, *(p.channel for p in members[0].done.pairs.values()))}
+    means: dict[str, Mean] = {}
+    for name in members[0].columns["measured"] if len(clock) else ():
+        if any(name not in m.columns["measured"] for m in members):
+            continue
+        series = {
+            side: np.array(
+                [_on(clock, t, m.columns[side][name]) for t, m in zip(times, members, strict=True)]
+            )
+            for side in members[0].columns
+        }
+        measured = series.pop("measured")
+        spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
+        simulated = [repeated.mean(axis=0) for repeated in series.values()]
+        band = (np.min(simulated, axis=0), np.max(simulated, axis=0)) if len(simulated) > 1 else None
+        means[name] = Mean(channels[name], clock, measured.mean(axis=0), spread, simulated[0], band)
+    return means
+
+
+def _on(clock: Array, time: Array, values: Array) -> Array:
+    there = np.isfinite(values)
+    if there.sum() < 2:
+        return np.full(len(clock), math.nan)
+    resampled: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
+    return resampled
+
+
+# ---------------------------------------------------------------- numbers
 
 
 def _rmse(means: Mapping[str, Mean], names: Sequence[str]) -> float | None:
@@ -216,31 +180,32 @@ def _way(mean: Mean | None) -> dict[str, float]:
     return {side: float(values[-1] - values[0]) for side, values in ends.items()}
 
 
-def _cycles(members: Sequence[_Seen]) -> list[CycleComparison]:
+def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
     """Every whole stroke: each trial's quantities, then their means."""
     each = [_quantities(m) for m in members]
-    found = []
-    for k in range(min(len(e) for e in each)):
-        measured, spread, simulated = {}, {}, {}
+    comparisons = []
+    for k, repeats in enumerate(zip(*each, strict=False), 1):
+        comparison = CycleComparison(cycle=k, measured={}, simulated={})
         for name in stroke_cycles.QUANTITIES:
-            values = [[cycle[side].get(name) for side in SIDES] for cycle in (e[k] for e in each)]
+            values = [[stroke[side].get(name) for side in SIDES] for stroke in repeats]
             if any(None in pair for pair in values):
                 continue
-            seen, said = np.array(values, dtype=float).T
-            measured[name], simulated[name] = float(seen.mean()), float(said.mean())
-            if len(seen) > 1:
-                spread[name] = float(np.std(seen, ddof=1))
-        if measured:
-            found.append(CycleComparison(cycle=k + 1, measured=measured, spread=spread, simulated=simulated))
-    return found
+            measured, simulated = np.array(values, dtype=float).T
+            comparison.measured[name] = float(measured.mean())
+            comparison.simulated[name] = float(simulated.mean())
+            if len(measured) > 1:
+                comparison.spread[name] = float(np.std(measured, ddof=1))
+        if comparison.measured:
+            comparisons.append(comparison)
+    return comparisons
 
 
-def _quantities(seen: _Seen) -> list[dict[str, dict[str, float]]]:
-    trial = seen.done.trial
+def _quantities(sides: _Sides) -> list[dict[str, dict[str, float]]]:
+    trial = sides.done.trial
     stroke = trial.swim.stroke
     if stroke is None:
         return []
     return [
-        {side: stroke_cycles.quantities(trial.time_s, seen.sides[side], window) for side in SIDES}
+        {side: stroke_cycles.quantities(trial.time_s, sides.columns[side], window) for side in SIDES}
         for window in stroke_cycles.windows(trial.time_s, stroke.frequency_hz)
     ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -103,9 +102,10 @@ class ProfileComparison(yamlio.Document):
     heave_m: dict[str, Number] = {}
 
 
-class ComparisonFile(yamlio.Document):
+class ComparisonFile(yamlio.ResultFile):
     """A comparison file."""
 
+    kind: ClassVar[str] = "comparison file"
     format: Literal["swimid-comparison/1"] = FORMAT
     verdict: Literal["good", "caution", "bad"]
     model: str
@@ -122,20 +122,11 @@ class ComparisonFile(yamlio.Document):
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
-
-def write(path: str | Path, comparison: ComparisonFile) -> None:
-    """Write a comparison file, whole or not at all."""
-    yamlio.write(path, comparison.model_dump(mode="python", exclude_none=True))
-
-
-def read(path: str | Path) -> ComparisonFile:
-    """Read a comparison file.
-
-    Raises
-    ------
-    InputError
-        When it is none.
-    """
-    path = Path(path)
-    data = yamlio.of_format(path, FORMAT, "comparison file")
-    return yamlio.validate(data, ComparisonFile, path)
+    @property
+    def mean_speeds(self) -> list[tuple[TrialComparison, float, float]]:
+        """The trials that have a mean speed, with the measured and the simulated one, m/s."""
+        return [
+            (t, t.mean_speed.measured, t.mean_speed.simulated)
+            for t in self.trials
+            if t.mean_speed and t.mean_speed.measured is not None and t.mean_speed.simulated is not None
+        ]

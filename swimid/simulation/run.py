@@ -1,4 +1,4 @@
-"""One simulated run: its channels, the check of its step, and what it comes to."""
+"""One simulated run: its channels, the check of its step, what it comes to; the result of ``simulate``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,12 +16,18 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.notices import warn
+from swimid.results.result import Result
 from swimid.simulation.applied import Applied, Quantity
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Endings of the logs that are written.
 LOG_ENDINGS = (".csv", *log_format.PARQUET_ENDINGS)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
+#: From a parameter vector to what a run comes to.
+Quantities = Callable[[Array], dict[str, Quantity]]
 
 
 @dataclass(frozen=True)
@@ -30,9 +36,6 @@ class Case:
 
     Attributes
     ----------
-    id : str
-    applied : Applied
-        Model and parameters.
     values : ndarray, shape (len(applied.model.parameters),)
     trial : Trial
         Sample times, drive and start of the run.
@@ -40,8 +43,6 @@ class Case:
         Columns to write beside the simulated ones: commands, forces, measured inputs.
     metadata : dict
         For the log's comment lines.
-    quantities : callable, optional
-        From a parameter vector to what the run comes to.
     per_run : bool
         Samples are runs of a table, not instants: there is no time column.
     """
@@ -52,21 +53,13 @@ class Case:
     trial: Trial
     extra: Mapping[str, Any] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    quantities: Callable[[Array], dict[str, Quantity]] | None = None
+    quantities: Quantities | None = None
     per_run: bool = False
 
 
 @dataclass(frozen=True)
 class StepChange:
-    """What halving the integration step does to one channel.
-
-    Attributes
-    ----------
-    largest : float
-        Largest change of a sample, in the channel's unit.
-    share : float
-        The same over the channel's range.
-    """
+    """What halving the integration step does to one channel, as ``share`` of its range too."""
 
     largest: float
     share: float
@@ -78,10 +71,8 @@ class Simulated:
 
     Attributes
     ----------
-    case : Case
     columns : dict of str to ndarray
         Of the log, ``t_s`` first.
-    quantities : dict of str to Quantity
     step : dict of str to StepChange
         By channel; empty where nothing is integrated.
     """
@@ -106,17 +97,16 @@ def run(case: Case) -> Simulated:
         When halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
     """
     model = case.applied.model
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        simulated = model.simulate(case.values, case.trial)
+    simulated = model.attempt(case.values, case.trial)
     _insist_whole(case, simulated)
     _warn_folded(case, simulated)
     step = _step_changes(case, simulated)
-    found = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
+    quantities = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
     columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
     columns |= {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
     columns = {**added, **columns} if case.per_run else {**columns, **added}
-    return Simulated(case, columns, found, step)
+    return Simulated(case, columns, quantities, step)
 
 
 def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
@@ -148,30 +138,23 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
     finer = case.applied.model.refined()
     if finer is None:
         return {}
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        fine = finer.simulate(case.values, case.trial)
-    found = {}
+    fine = finer.attempt(case.values, case.trial)
+    changes = {}
     for name, values in simulated.items():
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
         largest = float(np.max(np.abs(fine[name] - values)[both]))
         span = float(np.ptp(values[both]))
-        found[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
-    worst = max(found, key=lambda name: found[name].share, default=None)
-    if worst is not None and found[worst].share > STEP_LIMIT:
+        changes[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
+    worst = max(changes, key=lambda name: changes[name].share, default=None)
+    if worst is not None and changes[worst].share > STEP_LIMIT:
         warn(
             "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * found[worst].share:.2g} % of "
-            "its range; take a smaller step with --dt",
+            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst].share:.2g} % "
+            "of its range; take a smaller step with --dt",
         )
-    return found
-
-
-def write(path: Path, done: Simulated) -> None:
-    """Write a simulated run as a log, with what it was made by in its comment lines."""
-    metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **done.case.metadata}
-    log_format.write(path, done.columns, metadata)
+    return changes
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
@@ -192,3 +175,59 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
         raise UsageError(f"{output} is a file; several trials need a folder")
     stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
     return [output / f"{stem}.csv" for stem in stems]
+
+
+def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
+    """Write runs as logs, each with what it was made by in its comment lines."""
+    paths = places(output, [one.case.id for one in done])
+    if output is not None and paths != [output]:
+        output.mkdir(exist_ok=True)
+    for path, one in zip(paths, done, strict=False):
+        metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
+        log_format.write(path, one.columns, metadata)
+    return paths
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Result):
+    """Simulated runs, as ``simulate`` gives them: one, or one for each recorded trial."""
+
+    ending = ".csv"
+
+    @property
+    def runs(self) -> dict[str, Simulated]:
+        """Each run by its name: its channels, and what it comes to."""
+        done: Sequence[Simulated] = self.document
+        return {one.case.id: one for one in done}
+
+    @property
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """The log of each run by its name: SI units, named in the columns."""
+        import pandas as pd
+
+        return {name: pd.DataFrame(one.columns) for name, one in self.runs.items()}
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The log of the only run.
+
+        Raises
+        ------
+        UsageError
+            Of several runs: see :attr:`frames`.
+        """
+        return self._only("frames")
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """What the only run comes to: mean speed, stride, amplitudes, each with its standard error."""
+        return self._only("runs").quantities
+
+    def _only(self, several: str) -> Any:
+        runs = getattr(self, several)
+        if len(runs) > 1:
+            raise UsageError(f"there are {len(runs)} runs", hint=f"take one of .{several}")
+        return next(iter(runs.values()))
+
+    def _write(self, path: Path) -> list[Path]:
+        return write(path, self.document)

@@ -8,11 +8,11 @@ from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader
 from swimid.results.sections import Cell, Grid, Section
-from swimid.simulation import comparison_file as comparison
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_evidence import settled
+from swimid.simulation.comparison_file import FORMAT, ComparisonFile
 
 
-@reader(format=comparison.FORMAT, read=comparison.read)
+@reader(format=FORMAT, read=ComparisonFile.read)
 def section(path: Path, file: ComparisonFile, evidence: Evidence | None) -> Section:
     """The section of a comparison file."""
     return Section(
@@ -44,22 +44,24 @@ def _facts(file: ComparisonFile) -> list[tuple[str, str]]:
 
 
 def _pooled(file: ComparisonFile) -> Grid:
-    rows = []
-    for name, s in file.channels.items():
-        # a fitted start leaves a bias of rounding errors
-        small = s.bias is not None and s.rmse is not None and abs(s.bias) < 1e-3 * s.rmse
-        rows.append(
-            [
-                Cell(name, "code"),
-                Cell("from pose" if s.source == "pose" else "logged"),
-                Cell(numbers.number(s.rmse, 3, s.unit), numeric=True),
-                Cell(numbers.percent(s.nrmse), numeric=True),
-                Cell(numbers.percent(s.vaf), numeric=True),
-                Cell(numbers.number(s.fit_percent, 3, "percent"), numeric=True),
-                Cell(numbers.number(0.0 if small else s.bias, 3, s.unit), numeric=True),
-                Cell(numbers.number(s.samples), numeric=True),
-            ]
-        )
+    rows = [
+        [
+            Cell(name, "code"),
+            Cell("from pose" if s.source == "pose" else "logged"),
+            *(
+                Cell(text, numeric=True)
+                for text in (
+                    numbers.number(s.rmse, 3, s.unit),
+                    numbers.percent(s.nrmse),
+                    numbers.percent(s.vaf),
+                    numbers.number(s.fit_percent, 3, "percent"),
+                    numbers.number(settled(s), 3, s.unit),
+                    numbers.number(s.samples),
+                )
+            ),
+        ]
+        for name, s in file.channels.items()
+    ]
     columns = ["Channel", "Source", "RMSE", "NRMSE", "VAF", "Fit", "Bias", "Samples"]
     caption = (
         "All trials together. NRMSE is over the measured range; bias is measured minus simulated. Good: VAF "

@@ -73,12 +73,12 @@ def quantities(
         SI; names end in their unit. Mean speed is the path length of the beat-to-beat motion over
         time, its arc between two beats taken as one of a circle.
     """
-    found: dict[str, Quantity] = {}
+    quantities: dict[str, Quantity] = {}
     if body.free:
-        found |= _speeds(body, values, columns, window, told_to_turn)
+        quantities |= _speeds(body, values, columns, window, told_to_turn)
     for axis in body.passive:
-        found[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column])), "rad")
-    return found
+        quantities[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(columns[axis.column])), "rad")
+    return quantities
 
 
 def _speeds(
@@ -96,7 +96,7 @@ def _speeds(
     length = body.length(values)
     rate = float(heading[-1] - heading[0]) / duration
     surge = columns[velocity[0]]
-    found = {
+    quantities = {
         "mean_speed_m_s": Quantity(speed, "m/s"),
         "mean_speed_BL_s": Quantity(speed / length, "BL/s"),
         "stride_BL": Quantity(speed / window.frequency_hz / length, "BL"),
@@ -106,16 +106,16 @@ def _speeds(
     }
     if window.beats > 1:
         gain = (arc[-1] - arc[0]) / (len(arc) - 1) * window.frequency_hz
-        found["speed_change_per_beat_m_s"] = Quantity(float(gain), "m/s")
+        quantities["speed_change_per_beat_m_s"] = Quantity(float(gain), "m/s")
     if told_to_turn or abs(rate) > TURNING:
-        found[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
+        quantities[f"mean_{turn}_rate_rad_s"] = Quantity(rate, "rad/s")
         if rate:
-            found["turning_radius_m"] = Quantity(speed / abs(rate), "m")
+            quantities["turning_radius_m"] = Quantity(speed / abs(rate), "m")
     if speed > SLOWEST * length and np.max(np.abs(bend)) < STRAIGHT:
         wake = _tail_excursion(body, values, columns)
-        found["tail_excursion_m"] = Quantity(wake, "m")
-        found["strouhal"] = Quantity(window.frequency_hz * wake / speed, "1")
-    return found
+        quantities["tail_excursion_m"] = Quantity(wake, "m")
+        quantities["strouhal"] = Quantity(window.frequency_hz * wake / speed, "1")
+    return quantities
 
 
 def _tail_excursion(body: Body, values: Array, columns: Mapping[str, Array]) -> float:
