@@ -138,11 +138,11 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     return min(begun, key=len) if begun else None
 
 
-def suggestion(word: str, allowed: list[str] | tuple[str, ...]) -> str:
-    """The hint for a word that is none of those allowed: the nearest of them, or all.
+def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
+    """The hint for a word that is none of those allowed: the nearest of them, or all after the lead.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
     """
     close = nearest(word, allowed)
-    return f"did you mean '{close}'?" if close else f"there are: {', '.join(allowed)}"
+    return f"did you mean '{close}'?" if close else f"{lead}: {', '.join(allowed) or 'none'}"

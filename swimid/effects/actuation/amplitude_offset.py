@@ -7,7 +7,7 @@ import numpy as np
 from swimid.effects.actuation import _commands
 from swimid.effects.base import Array, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.easing import eased
+from swimid.fitting.drives import eased
 from swimid.fitting.hooks import Stroke
 
 #: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
