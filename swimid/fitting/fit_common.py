@@ -361,7 +361,7 @@ def _rms(parts: Sequence[np.ndarray]) -> float:
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Whether the beat in each log is the one its metadata state (:func:`swimid.logs.stated_beat.facts`)."""
+    """Whether the beat in each log is the one its metadata state (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong = [
         name

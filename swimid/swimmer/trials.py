@@ -18,9 +18,8 @@ from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import course
-from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import find_beat
+from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.log import Log
 from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
@@ -340,7 +339,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] 
             time = log.time_s[seen]
             highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][seen], highest_hz=highest)
-            return beats.facts(entry, found, used="stated")
+            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
     return None
 
 
