@@ -28,6 +28,11 @@ ISHIGAMI_TOGETHER = 0.01 * math.pi**8 * (1 / 18 - 1 / 50)
 SIDE = math.pi * np.ones(3)
 
 
+def each(function: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """Of several points, one after the other."""
+    return lambda points: np.array([function(x) for x in points])
+
+
 def ishigami(x: np.ndarray) -> np.ndarray:
     return np.array([np.sin(x[0]) + 7 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])])
 
@@ -39,7 +44,7 @@ def linear(x: np.ndarray) -> np.ndarray:
 
 class TestSobol:
     def test_ishigami(self) -> None:
-        found = indices.sobol(ishigami, -SIDE, SIDE, samples=1024)
+        found = indices.sobol(each(ishigami), -SIDE, SIDE, samples=1024)
         first = np.array(ISHIGAMI_FIRST) / ISHIGAMI_VARIANCE
         total = first + np.array([1.0, 0.0, 1.0]) * ISHIGAMI_TOGETHER / ISHIGAMI_VARIANCE
         assert np.all((found.first_ci[0, 0] <= first) & (first <= found.first_ci[1, 0]))
@@ -51,7 +56,7 @@ class TestSobol:
     def test_linear_shares(self) -> None:
         """Shares go as slope times range, squared; those of a group as the sums of these."""
         width = np.array([1.0, 1.0, 2.0])
-        found = indices.sobol(linear, np.zeros(3), width, samples=1024, groups=[[0, 1]])
+        found = indices.sobol(each(linear), np.zeros(3), width, samples=1024, groups=[[0, 1]])
         parts = np.array([(np.array([1.0, 2.0, 3.0]) * width) ** 2, [16.0, 0.0, 0.0]])
         shares = np.array([*(p / p.sum() for p in parts), parts.sum(axis=0) / parts.sum()])
         for index, ends in ((found.first, found.first_ci), (found.total, found.total_ci)):
@@ -63,7 +68,7 @@ class TestSobol:
 
     def test_same_seed_same_result_whatever_the_threads(self) -> None:
         one, two, other = (
-            indices.sobol(ishigami, -SIDE, SIDE, samples=64, seed=seed, jobs=jobs)
+            indices.sobol(each(ishigami), -SIDE, SIDE, samples=64, seed=seed, jobs=jobs)
             for seed, jobs in ((3, 1), (3, 4), (4, 1))
         )
         assert np.array_equal(one.first, two.first)
@@ -72,7 +77,7 @@ class TestSobol:
 
     def test_an_output_that_does_not_vary(self) -> None:
         found = indices.sobol(
-            lambda x: np.array([1.0, x[0]]), np.zeros(2), np.ones(2), samples=64, groups=[[0]]
+            each(lambda x: np.array([1.0, x[0]])), np.zeros(2), np.ones(2), samples=64, groups=[[0]]
         )
         assert np.all(found.total[[0, 2]] == 0)
         assert np.isfinite(found.total_ci).all()
@@ -83,7 +88,7 @@ class TestSobol:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[2] < 0.995 else np.full(2, np.nan)
 
-        found = indices.sobol(breaking, np.zeros(3), np.ones(3), samples=256)
+        found = indices.sobol(each(breaking), np.zeros(3), np.ones(3), samples=256)
         assert 0 < found.broken < 0.01 * found.evaluations
         assert found.evaluations == (256 + found.left_out) * 5
         assert found.first[0] == pytest.approx(np.array([1.0, 4.0, 9.0]) / 14, abs=1 / math.sqrt(256))
@@ -96,19 +101,24 @@ class TestSobol:
 
         with pytest.raises(NoTrustworthyResult, match=r"c_two between 0\.[67]") as caught:
             method(
-                breaking, np.zeros(3), np.ones(3), samples=256, names=["c_one", "c_two", "c_three"], jobs=2
+                each(breaking),
+                np.zeros(3),
+                np.ones(3),
+                samples=256,
+                names=["c_one", "c_two", "c_three"],
+                jobs=2,
             )
         assert "--range" in str(caught.value)
 
     def test_all_are_refused(self) -> None:
         with pytest.raises(NoTrustworthyResult, match="all that were tried"):
-            indices.sobol(lambda x: np.array([np.nan]), np.zeros(2), np.ones(2), samples=8)
+            indices.sobol(each(lambda x: np.array([np.nan])), np.zeros(2), np.ones(2), samples=8)
 
     def test_refuses_a_number_that_is_no_power_of_two(self) -> None:
         with pytest.raises(UsageError, match="power of two"):
-            indices.sobol(ishigami, -SIDE, SIDE, samples=100)
+            indices.sobol(each(ishigami), -SIDE, SIDE, samples=100)
         with pytest.raises(UsageError, match="two or more"):
-            indices.sobol(ishigami, -SIDE[:1], SIDE[:1])
+            indices.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
 
     @pytest.mark.parametrize("method", [indices.sobol, indices.morris])
     def test_takes_up_what_was_kept(self, method: Callable[..., Any], tmp_path: Path) -> None:
@@ -159,7 +169,9 @@ def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
 
 class TestMorris:
     def test_linear(self) -> None:
-        found = indices.morris(linear, np.zeros(3), np.array([1.0, 1.0, 2.0]), samples=10, groups=[[0, 1]])
+        found = indices.morris(
+            each(linear), np.zeros(3), np.array([1.0, 1.0, 2.0]), samples=10, groups=[[0, 1]]
+        )
         effects = np.array([[1.0, 2.0, 6.0], [4.0, 0.0, 0.0], [2.5, 1.0, 3.0]])
         assert found.mu == pytest.approx(effects)
         assert found.mu_star == pytest.approx(effects)
@@ -169,7 +181,7 @@ class TestMorris:
 
     def test_ishigami(self) -> None:
         """On four levels: 7 sin^2 differs by 7 * 3/4 over 2/3 of the range; the third acts by interaction."""
-        found = indices.morris(ishigami, -SIDE, SIDE, samples=200)
+        found = indices.morris(each(ishigami), -SIDE, SIDE, samples=200)
         assert found.mu_star[0, 1] == pytest.approx(7 * 0.75 / (2 / 3))
         assert abs(found.mu[0, 2]) < found.sigma[0, 2]
         assert found.sigma[0, 2] > 0.5 * found.mu_star[0, 2]
@@ -182,7 +194,7 @@ class TestMorris:
             count += 1
             return linear(x) if count != 7 else np.full(2, np.nan)
 
-        found = indices.morris(once, np.zeros(3), np.ones(3), samples=50)
+        found = indices.morris(each(once), np.zeros(3), np.ones(3), samples=50)
         assert (found.broken, found.left_out) == (1, 1)
         assert found.mu_star[0] == pytest.approx([1.0, 2.0, 3.0])
 

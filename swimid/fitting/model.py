@@ -302,7 +302,7 @@ class Model(ABC):
         """
         found = []
         for values, trial, hooks in runs:
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 try:
                     simulated = (
                         self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)

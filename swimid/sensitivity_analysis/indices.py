@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -25,7 +26,10 @@ ENDS = (2.5, 97.5)
 #: Levels of the grid on which Morris's trajectories move; the step is half of them.
 LEVELS = 4
 
-#: Outputs, shape (s,), at a point, shape (d,); NaN where the model breaks down.
+#: Points that are evaluated by one call.
+TOGETHER = 8
+
+#: Outputs, shape (n, s), at points, shape (n, d); NaN where the model breaks down.
 Evaluate = Callable[[Array], Array]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -293,12 +297,13 @@ class Runs:
     def of(self, labels: Sequence[str], points: Array) -> Array:
         """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
         rows = []
-        work = list(zip(labels, points, strict=True))
+        parts = range(0, len(points), TOGETHER)
+        work = [(labels[i : i + TOGETHER], points[i : i + TOGETHER]) for i in parts]
         with (
             self.progress("sensitivity", total=len(points)) as step,
-            in_threads(self._one, work, self.jobs) as results,
+            in_threads(self._some, work, self.jobs) as results,
         ):
-            for outputs, point in zip(results, points, strict=True):
+            for outputs, point in zip(chain.from_iterable(results), points, strict=True):
                 whole = bool(np.isfinite(outputs).all())
                 (self._fine if whole else self.broken).append(point)
                 rows.append(outputs if whole else np.full(len(outputs), np.nan))
@@ -308,9 +313,16 @@ class Runs:
                 step()
         return np.array(rows)
 
-    def _one(self, work: tuple[str, Array]) -> Array:
-        label, point = work
-        return self.checkpoint.kept(label, lambda: self.evaluate(point))
+    def _some(self, work: tuple[Sequence[str], Array]) -> list[Array]:
+        """Outputs at a few points; those kept from an earlier run are not evaluated again."""
+        labels, points = work
+        known = {label: self.checkpoint.get(label) for label in labels}
+        new = [k for k, label in enumerate(labels) if known[label] is None]
+        if new:
+            for k, outputs in zip(new, self.evaluate(points[new]), strict=True):
+                self.checkpoint.put(labels[k], outputs)
+                known[labels[k]] = outputs
+        return [np.asarray(known[label]) for label in labels]
 
     def refuse(self) -> NoReturn:
         """Say where the model breaks down.

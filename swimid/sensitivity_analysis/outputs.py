@@ -87,14 +87,18 @@ def run_of(model: Swimmer, trial: Trial, noise: Mapping[str, float] | None = Non
 
 
 def outputs(model: Swimmer, values: Array, run: Run) -> dict[str, Quantity]:
-    """What a run comes to; NaN where the simulation breaks down.
+    """What a run comes to (see :func:`of_columns`)."""
+    return of_columns(model, model.attempt(values, run.trial), run)
+
+
+def of_columns(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[str, Quantity]:
+    """What a simulated run comes to; NaN where the simulation breaks down.
 
     In the plane over the last whole beats (at most four): mean surge, half its range, half the range of the
     heading about its straight course, the mean turning rate where the drive asks for turning, half the
     range of passive joints. In space the quantities of :mod:`swimid.swimmer.stroke_cycles` over all
     cycles: largest speed and pitch rate, mean speed and pitch rate, last pitch, way ahead and up in all.
     """
-    columns = model.attempt(values, run.trial)
     quantities: dict[str, Quantity] = {}
     if model.free_base:
         quantities |= (_in_space if model.in_space else _in_plane)(model, columns, run)

@@ -50,7 +50,6 @@ from swimid.sensitivity_analysis.outputs import Run
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.model import prepare
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,7 +159,7 @@ def sensitivity(
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
         swept = _swept(experiment, sweep, options.trial)
-        prepare(progress)
+        _swimmer(applied).prepare(progress, simulated_s=_simulated_s(experiment.trials, count, len(over)))
         origin = provenance.collect(experiment.inputs, settings=options.settings(samples=count))
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         workers = options.jobs or os.cpu_count() or 1
@@ -222,6 +221,11 @@ def sensitivity(
     saved = result.saved(output)
     keep.done()
     return saved
+
+
+def _simulated_s(trials: Sequence[Trial], samples: int, coefficients: int) -> float:
+    """How much time of the trials a study of so many rows simulates, s."""
+    return samples * (coefficients + 2) * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
 
 
 def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
@@ -355,19 +359,30 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
-    """From coefficients to the outputs, NaN where a simulation breaks down."""
+    """From coefficients, shape (n, d), to the outputs, shape (n, s); NaN where a simulation breaks down."""
     known = model or _swimmer(study.applied)
     places = [known.index(name) for name in study.ranges]
 
-    def evaluate(point: Array) -> Array:
-        results: list[float] = []
-        for run, start in study.runs:
-            values = start.copy()
+    def vectors(point: Array) -> list[Array]:
+        found = [start.copy() for _, start in study.runs]
+        for values in found:
             values[places] = point
-            if not sensitivity_outputs.possible(known, values):
-                return np.full(len(study.columns), np.nan)
-            results += [q.value for q in sensitivity_outputs.outputs(known, values, run).values()]
-        return np.array(results)
+        return found
+
+    def evaluate(points: Array) -> Array:
+        results = np.full((len(points), len(study.columns)), np.nan)
+        asked = [(k, vectors(point)) for k, point in enumerate(points)]
+        asked = [(k, each) for k, each in asked if all(sensitivity_outputs.possible(known, v) for v in each)]
+        trials = [run.trial for run, _ in study.runs]
+        simulated = iter(
+            known.simulate_many([one for _, each in asked for one in zip(each, trials, strict=True)])
+        )
+        for k, _ in asked:
+            quantities = [
+                sensitivity_outputs.of_columns(known, next(simulated), run).values() for run, _ in study.runs
+            ]
+            results[k] = [q.value for of_run in quantities for q in of_run]
+        return results
 
     return evaluate
 
@@ -376,7 +391,7 @@ def _step_change(study: Study, estimates: Sobol | Morris) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
     finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
-    change = np.abs(_evaluation(study, finer)(given) - study.centre)
+    change = np.abs(_evaluation(study, finer)(given[None])[0] - study.centre)
     vary = estimates.sd > CONSTANT * np.abs(estimates.mean)
     return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 

@@ -255,7 +255,7 @@ class LinkedModel(Swimmer):
         if not self.side_by_side:
             return super().hooked_many(runs)
         asked: list[Run | None] = []
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for run in runs:
                 try:
                     asked.append(self._asked(*run))
