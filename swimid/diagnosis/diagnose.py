@@ -66,8 +66,6 @@ def diagnose(
         loaded = experiment_catalogue.load(trials, options)
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
-        lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
-        model.prepare(progress, simulated_s=RUNS * lasting)
         effects, own, seed = options.effects, options.own_effects, options.seed
         known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
@@ -86,6 +84,8 @@ def diagnose(
         prior = nominal.prior(refitted, given, own_data=same)
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
+        model.prepare(progress, simulated_s=RUNS * lasting, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
         state = chain.run(
             model, refitted, fitted, prior, tried,

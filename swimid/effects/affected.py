@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -87,9 +88,9 @@ class Affected(Model):
             for number, (one, (_, trial)) in enumerate(zip(simulated, runs, strict=True))
         ]
 
-    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+    def prepare(self, progress: Progress = silent, **how: Any) -> None:
         """As the model without effects (see :meth:`Model.prepare`)."""
-        self.model.prepare(progress, simulated_s=simulated_s)
+        self.model.prepare(progress, **how)
 
     def refined(self) -> Affected | None:
         """The same with half the integration step."""

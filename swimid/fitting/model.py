@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
+from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.body import Body
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
@@ -252,13 +253,17 @@ class Model(ABC):
         """The model at the working point of one trial, and what was estimated for it; itself without one."""
         return self, {}
 
-    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:  # noqa: B027
+    def prepare(  # noqa: B027
+        self, progress: Progress = silent, *, simulated_s: float = 0.0, checkpoint: Checkpoint | None = None
+    ) -> None:
         """Compile what it needs to be fast, under a bar that says so.
 
         Parameters
         ----------
         simulated_s : float, s
             How much time of all trials together is about to be simulated: what compiling may cost.
+        checkpoint : Checkpoint, optional
+            A run that is taken up again goes on with what it began with.
         """
 
     @abstractmethod

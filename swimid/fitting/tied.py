@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -80,9 +81,9 @@ class Tied(Model):
         """Several runs (see :meth:`Model.hooked_many`)."""
         return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
 
-    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+    def prepare(self, progress: Progress = silent, **how: Any) -> None:
         """As the untied model (see :meth:`Model.prepare`)."""
-        self.model.prepare(progress, simulated_s=simulated_s)
+        self.model.prepare(progress, **how)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""

@@ -159,9 +159,10 @@ def sensitivity(
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients) if method != "none" else {}
         swept = _swept(experiment, sweep, options.trial)
-        _swimmer(applied).prepare(progress, simulated_s=_simulated_s(experiment.trials, count, len(over)))
         origin = provenance.collect(experiment.inputs, settings=options.settings(samples=count))
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        ahead_s = _simulated_s(experiment.trials, count, len(over))
+        _swimmer(applied).prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
         file = SensitivityFile(
             verdict="caution",

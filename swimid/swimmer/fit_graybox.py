@@ -88,7 +88,7 @@ def fit_graybox(
             bounds=options.bounds,
             also=[begin] if isinstance(begin, Path) else [],
         )
-        model.prepare(progress, simulated_s=_simulated_s(experiment.trials, choices, options))
+        ahead_s = _simulated_s(experiment.trials, choices, options)
         origin = provenance.collect(
             [
                 *experiment.inputs,
@@ -100,6 +100,7 @@ def fit_graybox(
         stages: dict[str, FitResult | None] = {}
         ends: list[multistart.Start] = []
         if options.method == "least-squares":
+            model.prepare(progress, simulated_s=ahead_s)
             result, ends = _least_squares(model, experiment.trials, choices, None, options, progress)
         else:
             profiles = Profiles(
@@ -107,6 +108,7 @@ def fit_graybox(
                 scales=options.scales, band=options.band, jobs=options.jobs or os.cpu_count() or 1,
             )  # fmt: skip
             keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
+            model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
             found = front.search(profiles, options, checkpoint=keep, progress=progress)
 
             def at(point: Array) -> FitResult:

@@ -12,6 +12,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.body import Axis
 from swimid.fitting.drives import Motion
@@ -198,11 +199,19 @@ class LinkedModel(Swimmer):
         """What a driven joint is told to do, rad."""
         return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
 
-    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+    def prepare(
+        self, progress: Progress = silent, *, simulated_s: float = 0.0, checkpoint: Checkpoint | None = None
+    ) -> None:
         """Compile the kernels where that has not been done on this machine and pays."""
-        if self.kernel is None:
-            self.kernel = Kernel(self.engine, self.tree.tables, self._count)
-        self.side_by_side = self.kernel.worth(4.0 * simulated_s / self.max_step, progress)
+        kernel = self.kernel = self.kernel or Kernel(self.engine, self.tree.tables, self._count)
+        begun = None if checkpoint is None else checkpoint.get("lanes")
+        if begun is None:
+            self.side_by_side = kernel.worth(4.0 * simulated_s / self.max_step, progress)
+        else:
+            # forms differ in the last digits: what is taken up goes on in its own
+            self.side_by_side = bool(begun[0])
+        if checkpoint is not None and begun is None:
+            checkpoint.put("lanes", np.array([float(self.side_by_side)]))
 
     def refined(self) -> Self:
         """The same model with half the integration step."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,10 +106,10 @@ class MultilinkModel(LinkedModel):
             angle, rate, _ = joint_motion(axis, number, trial.swim, time, 0.0)
             yield time, angle, float(np.max(np.abs(rate)))
 
-    def prepare(self, progress: Progress = silent, *, simulated_s: float = 0.0) -> None:
+    def prepare(self, progress: Progress = silent, **how: Any) -> None:
         """Compile the kernels (see :meth:`LinkedModel.prepare`)."""
         prepare(progress)
-        super().prepare(progress, simulated_s=simulated_s)
+        super().prepare(progress, **how)
 
     def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
         """Velocities at the first sample, by parameter (see :meth:`LinkedModel.opening`)."""
