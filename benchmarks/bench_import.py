@@ -44,7 +44,7 @@ import sys, time
 from pathlib import Path
 from swimid.logs import mapping
 from swimid.progress import silent
-rules = mapping.read(sys.argv[2])
+rules = mapping.of(sys.argv[2])
 wall, work = time.perf_counter(), time.process_time()
 mapping.apply(rules, Path(sys.argv[1]), progress=silent)
 print(time.perf_counter() - wall, time.process_time() - work)

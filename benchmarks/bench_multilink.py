@@ -48,14 +48,15 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from swimid.fitting import output_error
+from swimid.fitting import drives, output_error
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Parameter, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.fit_graybox import fit_graybox
+from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive, engine
-from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
+from swimid.swimmer.planar.model import MultilinkModel
 from tests.generators import swimmer
 
 try:
@@ -66,7 +67,7 @@ except ImportError:
 
 DURATION_S = 20.0
 TIME = np.linspace(0.0, DURATION_S, 1001)
-BEAT = drive.Beat("sine", 1.4, math.radians(30.0))
+BEAT = drives.Beat("sine", 1.4, math.radians(30.0))
 #: Errors, relative to each channel's range, at which engines are compared; and that of the default step.
 LEVELS = (1e-3, 1e-4, 1e-5)
 #: Runs are compared ten times a second.
@@ -77,7 +78,7 @@ CUTS = (
     4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 25, 30, 40, 50, 64, 80, 100, 130, 160, 200, 250, 320, 400, 500,
 )  # fmt: skip
 #: Those of the default step, and of the converged solutions.
-DEFAULT_CUT = round(COMPARED_S / DEFAULT_STEP)
+DEFAULT_CUT = round(COMPARED_S / STEP_S)
 FINE = {"engine": 320, "servo": 2000, "prescribed": 1000}
 #: Six beats and the noise of the fit, m/s and rad/s.
 BEATS = ((0.7, 20), (1.0, 20), (1.0, 30), (1.4, 20), (1.4, 30), (1.8, 30))
@@ -123,7 +124,7 @@ class Engine:
     def __init__(self, name: str = "tfish", **readings: str) -> None:
         self.model = MultilinkModel(robot.read(name, readings=readings))
         self.values = values_of(self.model)
-        self.assembly = self.model.assembly
+        self.assembly = self.model.tree
         self.coefficients = self.values[: len(self.assembly.names)]
 
     def inputs(self, cut: int) -> tuple[float, np.ndarray]:
@@ -209,7 +210,7 @@ def mujoco_model(xml: str) -> Any:
     return model
 
 
-def mujoco_control(plant: Engine, beat: drive.Beat, step_s: float, steps: int, *, prescribed: bool) -> Pair:
+def mujoco_control(plant: Engine, beat: drives.Beat, step_s: float, steps: int, *, prescribed: bool) -> Pair:
     """State (time, positions, velocities, activations) at the start, and the controls of every step."""
     gains = np.array([a.joint.driven.gain for a in plant.assembly.driven])
     n = 3 + len(plant.assembly.topology) - 1
@@ -283,7 +284,7 @@ class Peer:
     of J are the points' velocities per unknown rate (x, y, heading, passive angles).
     """
 
-    def __init__(self, plant: Engine, values: np.ndarray, beat: drive.Beat) -> None:
+    def __init__(self, plant: Engine, values: np.ndarray, beat: drives.Beat) -> None:
         tables = list(plant.assembly.tables(values[: len(plant.assembly.names)]).values())
         topology, joint, inertia, passive, drag_link, drag = tables[:6]
         links = len(topology)
@@ -628,7 +629,7 @@ def sysid_fit(plant: Engine, own: float) -> None:
     except (ImportError, AttributeError):
         print(f"{name:<40} mujoco[sysid] is not installed")
         return
-    step, steps = DEFAULT_STEP, round(DURATION_S / DEFAULT_STEP)
+    step, steps = STEP_S, round(DURATION_S / STEP_S)
     bare = Engine()
     bare.coefficients = np.where(np.isin(bare.assembly.names, ["c_ma", "c_Ia"]), 0.0, bare.coefficients)
     xml = mujoco_xml(bare, prescribed=True, integrator="RK4", step_s=step)
@@ -668,7 +669,7 @@ def sysid_fit(plant: Engine, own: float) -> None:
 
     starts, controls, measured = [], [], []
     for frequency, amplitude in BEATS:
-        beat = drive.Beat("sine", frequency, math.radians(amplitude))
+        beat = drives.Beat("sine", frequency, math.radians(amplitude))
         start_state, control = mujoco_control(plant, beat, step, steps, prescribed=True)
         states, _ = rollout.rollout(true, mujoco.MjData(true), start_state, control)
         starts.append(start_state)

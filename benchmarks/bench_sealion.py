@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from swimid.fitting import genetic
+from swimid.fitting.drives import Cycle
 from swimid.fitting.hooks import NONE
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
@@ -33,7 +34,6 @@ from swimid.robots import file as robot
 from swimid.swimmer.profiles import Profiles
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.spatial.stroke import Cycle
 
 try:
     import mujoco
@@ -115,7 +115,8 @@ def bench_engine(model: MultibodyModel) -> None:
     steps = round(DURATION_S / STEP_S)
     table = model._table(values, trial, 0.0, STEP_S, steps, NONE)
     tables = model.tree.tables(values[: model._count])
-    start = model._started(values, trial)
+    start = np.zeros(13 + 2 * len(model.passive))
+    model._begin(start, values, trial, 0.0, NONE)
 
     def run() -> None:
         engine.integrate(start, STEP_S, table, *tables.values())
@@ -138,7 +139,8 @@ def bench_engine(model: MultibodyModel) -> None:
         functions.append(peer)
     found = best(*functions)
     print(
-        f"sea lion, {model.tree.links} links, {len(model.driven)} hinges driven, {DURATION_S} s, 5 ms a step"
+        f"sea lion, {len(model.tree.links)} links, {len(model.driven)} hinges driven, {DURATION_S} s, "
+        "5 ms a step"
     )
     print(f"  right-hand side            {1e6 * found[0] / (4 * steps):8.2f} us CPU")
     print(f"  stroke, all of simulate    {1e3 * found[1]:8.2f} ms CPU")
@@ -176,7 +178,7 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
             self.name = name
 
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=genetic.BROKEN)
+            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=genetic.BROKEN_OBJECTIVE)
 
     def peer(count: int) -> float:
         begin = time.perf_counter()

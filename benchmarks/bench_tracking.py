@@ -81,7 +81,7 @@ def track(video: Path, rules: setup_format.Setup) -> tuple[float, Follower]:
     """Frames per second of reading and tracking."""
     begin = time.perf_counter()
     source = Video(video)
-    follower = Follower(rules, source.info.width, source.info.height)
+    follower = Follower(rules, source.width, source.height)
     count = 0
     for stamp, frame in source.frames():
         follower.step(stamp, frame)

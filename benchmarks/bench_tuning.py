@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox
-from swimid.swimmer.planar.drive import Beat
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.trials import robot_model
 from tests.generators import swimmer

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.swimmer.planar.drive import Beat
 from swimid.swimmer.planar.model import MultilinkModel
 
 SAMPLE_RATE_HZ = 100

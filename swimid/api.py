@@ -187,15 +187,15 @@ def load_result(path: str | Path) -> Result:
 
     kinds = [getattr(import_module(NAMES[name]), name) for name in RESULTS]
     if Path(path).suffix.lower() in (".csv", *PARQUET_ENDINGS):
-        found = "log"
+        form = "log"
     else:
-        found = str(yamlio.load(path).get("format"))
+        form = str(yamlio.load(path).get("format"))
     for kind in kinds:
-        if (kind.format or "log") == found:
+        if (kind.format or "log") == form:
             loaded: Result = kind.load(path)
             return loaded
     known = ", ".join(kind.format for kind in kinds if kind.format)
-    raise InputError(f"its format '{found}' is that of no result", file=path, hint=f"known: {known}")
+    raise InputError(f"its format '{form}' is that of no result", file=path, hint=f"known: {known}")
 
 
 #: Results that can be read back.

@@ -149,6 +149,11 @@ class Interrupted(NoTrustworthyResult):
     exit_status = 130
 
 
+def first_line(error: BaseException) -> str:
+    """What an error of a library says, in one line."""
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     """The allowed word most like ``word``, or None where none is close.
 
@@ -157,18 +162,18 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     """
     import difflib
 
-    found = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
-    if found:
-        return found[0]
+    matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
+    if matches:
+        return matches[0]
     begun = [name for name in allowed if word and (name.startswith(word) or word.startswith(f"{name}_"))]
     return min(begun, key=len) if begun else None
 
 
-def suggestion(word: str, allowed: list[str] | tuple[str, ...]) -> str:
-    """The hint for a word that is none of those allowed: the nearest of them, or all.
+def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
+    """The hint for a word that is none of those allowed: the nearest of them, or all after the lead.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
     """
     close = nearest(word, allowed)
-    return f"did you mean '{close}'?" if close else f"there are: {', '.join(allowed)}"
+    return f"did you mean '{close}'?" if close else f"{lead}: {', '.join(allowed) or 'none'}"

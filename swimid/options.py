@@ -97,22 +97,22 @@ class Options(BaseModel):
         """Every option by the name of its field, in order."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
-    def settings(self, **found: Any) -> dict[str, Any]:
+    def settings(self, **actual: Any) -> dict[str, Any]:
         """The options as the provenance records them, as plain data.
 
         Parameters
         ----------
-        **found
+        **actual
             What a key is to say in place of the option as it was given.
         """
         recorded = {
             entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
         }
-        return {key: found.get(key, value) for key, value in recorded.items()}
+        return {key: actual.get(key, value) for key, value in recorded.items()}
 
 
 class Declared:
-    """An option as its model declares it.
+    """An option as its model declares it; what is not told here is what :func:`option` was given.
 
     Attributes
     ----------
@@ -120,18 +120,10 @@ class Declared:
         Of the field, and of the keyword argument.
     flags : str
         As it is typed on the command line, ``--on/--off`` where both can be said.
-    metavar : str or None
-    help : str
     kind : type
         Its type without None.
-    default
-    required : bool
-    limits : dict of str to float
-        ``ge``, ``gt``, ``le``, ``lt``.
-    separated, written : bool
     key : str
         In the settings of the provenance; empty where it is not part of them.
-    part : str
     """
 
     def __init__(self, name: str, info: FieldInfo) -> None:

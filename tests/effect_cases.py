@@ -10,12 +10,12 @@ import numpy as np
 
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
+from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
 from swimid.rig import model as rig
 from swimid.robots import file as robots
 from swimid.robots.file import Robot
-from swimid.swimmer.planar.drive import Beat
 from swimid.swimmer.planar.model import MultilinkModel
 
 INERTIA, FORCE = 1.25, 0.2

@@ -130,7 +130,9 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
     pd.testing.assert_frame_equal(made.frame, again.frame)
     assert made.evidence is not None
     assert again.evidence is not None
-    assert made.evidence.provenance["settings"] == again.evidence.provenance["settings"]
+    settings = made.evidence.provenance["settings"]
+    assert settings == again.evidence.provenance["settings"]
+    assert settings["setup"] == setup_format.read(setup).model_dump(mode="json", exclude_none=True)
     inputs = made.evidence.provenance["inputs"]
     assert len(inputs) == 2
     assert inputs["setup"] == setup_format.of(keys).digest()

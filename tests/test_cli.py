@@ -134,6 +134,18 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
     assert "properties" in document or "oneOf" in document
 
 
+@pytest.mark.parametrize("words", [("schema", "trials"), ("doctor",)])
+def test_schema_and_doctor_write_over_nothing_of_others(
+    swimid: Run, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    out = tmp_path / "mine.json"
+    out.write_text("my own notes\n")
+    assert swimid(*words, "-o", out).status == 2
+    assert out.read_text() == "my own notes\n"
+    assert swimid(*words, "-o", out, "--force").status == 0
+    assert swimid(*words, "-o", out).status == 0  # its own may be replaced
+
+
 def test_schema_lists_formats(swimid: Run) -> None:
     names = [
         "trials",

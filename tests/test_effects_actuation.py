@@ -16,12 +16,12 @@ from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_bac
 from swimid.effects.actuation import rate_limit as limit
 from swimid.effects.actuation import servo_lag as lag
 from swimid.effects.affected import Affected
+from swimid.fitting import drives
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
-from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
 
 EFFECTS = [
@@ -80,8 +80,8 @@ def black_box(source=None):
 def fish():
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(0.0, 2.51, 0.04)
-    swim = SwimInput(drive.Beat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
-    return model, Trial("f", "fit", time, dict.fromkeys(model.plane.pose, time), swim=swim)
+    swim = SwimInput(drives.Beat("sine", 1.5, 0.35), pose=(0.3, -0.2, 0.5))
+    return model, Trial("f", "fit", time, dict.fromkeys(model.pose, time), swim=swim)
 
 
 def starts(model):
@@ -185,11 +185,11 @@ class TestFish:
         model, trial = fish
         both = Affected(model, [effect], [trial])
         found = both.simulate(np.concatenate([starts(model), values]), trial)
-        return np.array([found[a.column] for a in model.assembly.driven])
+        return np.array([found[a.column] for a in model.tree.driven])
 
     def told(self, fish, time):
         model, trial = fish
-        gains = [a.joint.driven.gain for a in model.assembly.driven]
+        gains = [a.joint.driven.gain for a in model.tree.driven]
         return np.outer(gains, trial.swim.beat.motion(time)[0])
 
     def test_loss_of_every_joint(self, fish):
@@ -222,7 +222,7 @@ class TestFish:
 
     def test_scales_are_of_the_command(self, fish):
         model, trial = fish
-        largest = max(abs(a.joint.driven.gain) for a in model.assembly.driven) * 0.35
+        largest = max(abs(a.joint.driven.gain) for a in model.tree.driven) * 0.35
         (p,) = EFFECTS[2].parameters(model, [trial])
         assert p.scale == pytest.approx(0.1 * largest, rel=0.02)
         (p,) = EFFECTS[4].parameters(model, [trial])

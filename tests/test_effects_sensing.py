@@ -20,12 +20,12 @@ from swimid.effects.sensing import (
     marker_offset,
     time_offset,
 )
+from swimid.fitting import drives
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robot_format
-from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
@@ -43,8 +43,8 @@ def starts(model):
 def swimmer(name, *columns):
     model = MultilinkModel(robot_format.read(name))
     time = np.arange(0.0, 1.61, 0.04)
-    beat = drive.Beat("sine", 1.5, 0.35, bias_rad=0.1)
-    measured = {n: np.zeros(len(time)) for n in columns or model.plane.pose}
+    beat = drives.Beat("sine", 1.5, 0.35, bias_rad=0.1)
+    measured = {n: np.zeros(len(time)) for n in columns or model.pose}
     return model, Trial("f", "fit", time, measured, swim=SwimInput(beat, pose=POSE))
 
 
@@ -184,7 +184,7 @@ class TestCamera:
     @pytest.mark.parametrize("case", ["fish", "dolphin"])
     def test_rotation_turns_positions_alone(self, case, request):
         case = request.getfixturevalue(case)
-        first, second, heading = case[0].plane.pose
+        first, second, heading = case[0].pose
         plain, found = seen(case, TURN, 0.4)
         before, after = ((c[first] - POSE[0]) + 1j * (c[second] - POSE[1]) for c in (plain, found))
         np.testing.assert_allclose(after, np.exp(0.4j) * before, atol=1e-14)

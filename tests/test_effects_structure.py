@@ -51,7 +51,7 @@ def _like(robot: str, change: Callable[[Any], None], effect: Effect, values: Any
     trial = swim(model)
     seen, expected = acted(model, trial, [(effect, values)]), built.simulate(start(built), trial)
     plain = model.simulate(start(model), trial)
-    for name in (*model.plane.pose,):
+    for name in model.pose:
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-9)
         assert np.abs(seen[name] - plain[name]).max() > 1e-4
 

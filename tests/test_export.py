@@ -15,6 +15,7 @@ import pytest
 from swimid.exporters.export import load
 from swimid.exporters.source import Source, about, central
 from swimid.files import yamlio
+from swimid.fitting import drives
 from swimid.fitting.inputs import SwimInput
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
@@ -251,7 +252,6 @@ def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -
     """Servos of the exported gains track a beat, and the fish then swims as swimid says it should."""
     from swimid.exporters import mjcf
     from swimid.fitting.model import Trial
-    from swimid.swimmer.planar import drive
     from swimid.swimmer.planar.model import MultilinkModel
 
     path = _tfish(tmp_path)
@@ -259,7 +259,7 @@ def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.set_mjcb_passive(mjcf.water(model))
-    beat = drive.Beat("sine", 1.0, math.radians(30))
+    beat = drives.Beat("sine", 1.0, math.radians(30))
     time = np.arange(0.0, 6.0, model.opt.timestep)
     angle = beat.motion(time, gain=1.0 / 3.0)[0]
     x = np.empty(len(time))

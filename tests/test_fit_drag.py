@@ -251,7 +251,7 @@ class TestLevenberg:
             little=1e-6,
         )
         assert found.success
-        assert found.crept
+        assert found.stalled
         assert CREEPING < found.iterations < 200
         assert found.x[0] > 10.0
 

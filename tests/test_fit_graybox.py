@@ -608,7 +608,7 @@ class TestWrongModels:
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 3)
-        monkeypatch.setattr(output_error, "LONGEST", 3)
+        monkeypatch.setattr(output_error, "MAX_ITERATIONS", 3)
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--starts", "2", "-o", out)
         assert ran.status == 4

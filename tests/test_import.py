@@ -221,7 +221,7 @@ def test_layout_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> Non
 def test_the_rows_of_a_mapped_log_are_lines_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t_s,u_m_s\n0,1\n\n# pause\n1,2\n2,3\n")
-    assert mapping.identity(path).rows.tolist() == [2, 5, 6]
+    assert mapping.apply(None, path).rows.tolist() == [2, 5, 6]
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
     time = "time: {source: stamp, unit: ns, origin: first}"
     text = f"format: swimid-mapping/1\n{time}\ncolumns: [{{source: u, target: u_m_s}}]\n"
     (tmp_path / "m.yaml").write_text(text)
-    found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.parquet")
+    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.parquet")
     assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
 
 
@@ -260,7 +260,7 @@ def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
     column = '{source: "run.pose[1]", target: x_m, unit: mm}'
     text = f"format: swimid-mapping/1\ntime: {{rate_hz: fs}}\ncolumns: [{column}]\n"
     (tmp_path / "m.yaml").write_text(text)
-    found = mapping.apply(mapping.read(tmp_path / "m.yaml"), tmp_path / "a.mat")
+    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.mat")
     assert np.allclose(found.time_s, np.arange(N) / 50)
 
 
@@ -392,7 +392,7 @@ def test_a_headerless_guess(swimid: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["msu-states", "msu-control", "starfish"])
 def test_example_mappings_are_valid(name: str) -> None:
-    mapping.read(ROOT / "docs" / "examples" / f"{name}.yaml")
+    mapping.of(ROOT / "docs" / "examples" / f"{name}.yaml")
 
 
 def test_msu_fish(real_data: Path, swimid: Run, tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def test_the_papers_steps(mode: paper.Mode) -> None:
     acceleration = np.array([[1.0, 0, 9.8], [3.0, 0, 9.8], [-1.0, 0, 9.81], [-3.0, 0, 9.79]])
     rate = np.column_stack([np.zeros(4), np.zeros(4), [0.5, 0.5, 0.7, 0.3]])
     quarter = Rotation.from_rotvec(np.tile([0, 0, np.pi / 2], (4, 1)))
-    found = paper.integrate(Record(t, acceleration, rate), quarter, mode)
+    found = paper.integrate(Record(t, acceleration, rate), quarter, mode, 0.02, 0.01)
     np.testing.assert_allclose(found.acceleration[:, 1], [1, 3, -1, -3], atol=1e-12)
     np.testing.assert_allclose(found.acceleration[:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
     np.testing.assert_allclose(found.velocity[:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
@@ -125,18 +125,16 @@ def test_the_default_is_three_times_as_good_as_the_papers_way(
 @pytest.mark.slow
 def test_errors_are_as_large_as_their_bands_say() -> None:
     """Over many runs the squared errors, in their own deviations, average to about one."""
-    from swimid.inertial import alone, attitude, motion, mounting
-    from swimid.inertial.sensor import Sensor
+    from swimid.inertial import alone, motion
+    from swimid.inertial.options import TrackImuOptions
+    from swimid.inertial.setup import prepare
 
     squares = []
     for seed in range(12):
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
         record = Record(run.time_s, run.acceleration, run.rate)
-        declared, sensor = alone.Declared(), Sensor()
-        still = alone.stillness(record, sensor, declared)
-        mount, _ = mounting.settle(record, still.found, None, level_at_rest=False)
-        source = attitude.estimate(record, still.found)
-        found = motion.at_reference(alone.run(record, source, still, mount, sensor, declared))
+        setup, _ = prepare(record, TrackImuOptions())
+        found = motion.at_reference(alone.smooth(setup, setup.sensor))
         squares.append(np.mean(((found.velocity - run.velocity) / found.velocity_sd)[300:-200] ** 2))
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior
     # biases and the drift budget are bounds, not this sensor's values, so that less than 1 is expected

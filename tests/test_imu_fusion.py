@@ -176,6 +176,20 @@ def test_logs_of_two_trials_are_refused(swimid: Callable[..., Ran], tmp_path: Pa
     assert "x_m" in ran.err
 
 
+@pytest.mark.parametrize(("places", "status"), [(True, 0), (False, 4)], ids=["positions", "nothing else"])
+def test_roll_alone_is_not_compared(
+    places: bool, status: int, swimid: Callable[..., Ran], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(3)
+    run = imu.marching(rng, swim_s=6.0, rest_s=1.5, rate_hz=50.0)
+    seen = imu.camera(run, rng, with_yaw=False)
+    seen["roll_rad"] = 0.05 * np.sin(7.5 * seen["t_s"])
+    if not places:
+        del seen["x_m"], seen["y_m"]
+    log, camera = save(tmp_path / "imu.csv", run.columns()), save(tmp_path / "camera.csv", seen)
+    assert swimid("track", "imu", log, "--with", camera, "-o", tmp_path / "run.csv").status == status
+
+
 # ---------------------------------------------------------------- real recordings
 
 

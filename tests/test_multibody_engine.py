@@ -10,13 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
+from swimid.fitting import drives
 from swimid.fitting.inputs import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
+from swimid.swimmer.model import joint_motion
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar import engine as planar_engine
-from swimid.swimmer.planar.model import MultilinkModel, joint_motion
+from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
 from swimid.swimmer.spatial.elements import spheroid
@@ -37,7 +39,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     n = 6 + len(model.passive)
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
-    scratch = np.zeros((model.links, 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
+    scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
     engine.derivative(state, row, *tables.values(), *scratch, rate)
     return rate
 
@@ -279,11 +281,11 @@ def test_planar_robots_move_as_in_their_plane(name: str) -> None:
     robot = robot_format.read(name)
     body = robot.multilink
     assert body is not None
-    planar, lifted = MultilinkModel(robot).assembly, Lifted(body, robot.fluid)
+    planar, lifted = MultilinkModel(robot).tree, Lifted(body, robot.fluid)
     values = np.array([c.value for c in body.coefficients.values()])
     step, steps = 0.005, 4000
     half = 0.5 * step * np.arange(2 * steps + 1)
-    swim = SwimInput(drive.Beat("sine", 1.2, 0.4, 0.1))
+    swim = SwimInput(drives.Beat("sine", 1.2, 0.4, 0.1))
     motions = [joint_motion(axis, k, swim, half, 0.0) for k, axis in enumerate(planar.driven)]
     mounts = [math.radians(axis.joint.mount_deg) for axis in planar.driven]
     n = planar.unknowns

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 
+from swimid.fitting import drives
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots.file import Robot
@@ -21,9 +22,9 @@ WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-c
 
 @pytest.mark.parametrize(("waveform", "asymmetry"), WAVEFORMS)
 class TestBeat:
-    def beat(self, waveform: str, asymmetry: float, **others: float) -> drive.Beat:
+    def beat(self, waveform: str, asymmetry: float, **others: float) -> drives.Beat:
         given = {"bias_rad": 0.2, "ramp_s": 1.5, **others}
-        return drive.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
+        return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
         """Rate and acceleration are those of the angle, except at the turns of an asymmetric beat."""
@@ -84,7 +85,7 @@ class TestBeat:
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.3, 0.7, -0.5])
 def test_hopf_solves_eq_10(asymmetry: float) -> None:
-    """Eq 10 with radius one, integrated, settles on :func:`drive.hopf`, wherever its radius started."""
+    """Eq 10 with radius one, integrated, settles on :func:`drives.hopf`, wherever its radius started."""
     omega = 2 * math.pi * 1.1
 
     def right(_: float, point: np.ndarray) -> list[float]:
@@ -98,7 +99,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
         run = solve_ivp(
             right, (0.0, 12.0), (0.0, -radius), "DOP853", times, rtol=1e-9, atol=1e-11, max_step=4e-3
         )
-        alpha, rate, _ = drive.hopf(times, 1.1, asymmetry)
+        alpha, rate, _ = drives.hopf(times, 1.1, asymmetry)
         settled = times > (0.0 if radius == 1.0 else 10.0)
         # where the spin changes the step that straddles it errs by up to its own length
         np.testing.assert_allclose(run.y[0][settled], alpha[settled], atol=2e-5)
@@ -108,15 +109,15 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
 
 def test_smoothstep() -> None:
     times = np.linspace(-0.5, 2.5, 3001)
-    ease, slope, curve = drive.smoothstep(times, 2.0)
+    ease, slope, curve = drives.smoothstep(times, 2.0)
     assert ease[times <= 0].max() == 0.0
     assert ease[times >= 2.0].min() == 1.0
     assert (np.diff(ease) >= 0).all()
-    np.testing.assert_allclose(ease + drive.smoothstep(2.0 - times, 2.0)[0], 1.0, atol=1e-14)
+    np.testing.assert_allclose(ease + drives.smoothstep(2.0 - times, 2.0)[0], 1.0, atol=1e-14)
     np.testing.assert_allclose(np.gradient(ease, times)[1:-1], slope[1:-1], atol=1e-5)
     np.testing.assert_allclose(np.gradient(slope, times)[1:-1], curve[1:-1], atol=1e-2)
     assert np.abs(np.diff(curve)).max() < 0.02
-    step = drive.smoothstep(np.array([-1e-9, 0.0, 1.0]), 0.0)
+    step = drives.smoothstep(np.array([-1e-9, 0.0, 1.0]), 0.0)
     np.testing.assert_array_equal(step, [[0, 1, 1], [0, 0, 0], [0, 0, 0]])
 
 
@@ -244,7 +245,7 @@ class TestServo:
         model = MultilinkModel(_two_links({"servo": {"natural_frequency_hz": 4.0, "damping_ratio": 0.6}}))
         times = np.linspace(0.0, 10.0, 1001)
         values = np.array([p.start for p in model.parameters])
-        beat = drive.Beat("sine", 1.5, 0.4)
+        beat = drives.Beat("sine", 1.5, 0.4)
         found = model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))["joint1_rad"]
         s = 2j * math.pi * 1.5
         answer = self.OMEGA**2 / (s * s + 2 * self.DAMPING * self.OMEGA * s + self.OMEGA**2)
@@ -274,14 +275,14 @@ class TestInARobot:
 
     def test_share_lag_and_phase(self) -> None:
         model = MultilinkModel(_two_links({"gain": -0.5, "bias_gain": 0.25, "phase_lag_deg": 30.0}))
-        beat = drive.Beat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
+        beat = drives.Beat("a-cpg", 0.8, 0.6, bias_rad=0.2, asymmetry=0.3, ramp_s=1.0)
         found = self.run(model, SwimInput(beat), drive_phase=0.4)["joint1_rad"]
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_turns_of_an_asymmetric_beat_need_not_lie_on_steps(self) -> None:
         """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
-        beat = drive.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
+        beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
         errors = []
@@ -293,7 +294,7 @@ class TestInARobot:
     def test_measured_angle_moves_it_as_the_beat_did(self) -> None:
         """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
         model = MultilinkModel(_two_links({}))
-        beat = drive.Beat("sine", 1.0, 0.5)
+        beat = drives.Beat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
         motion = drive.spline_motion(drive.measured(self.TIMES, told["joint1_rad"]))
         seen = self.run(MultilinkModel(_two_links({})), SwimInput(joints=[motion]))

@@ -12,12 +12,13 @@ import pytest
 from ruamel.yaml import YAML
 
 import swimid
+from swimid.fitting import drives
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid, Robot
 from swimid.robots.planar import Multilink
-from swimid.swimmer.planar import drive, engine, geometry
+from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -218,7 +219,7 @@ def swim(
 ) -> np.ndarray:
     """The built-in fish at 1.4 Hz and 30 degrees: pose, passive angle, velocities, passive rate."""
     model = MultilinkModel(robot_format.read("tfish"), max_step=step)
-    beat = drive.Beat("sine", 1.4, math.radians(30.0))
+    beat = drives.Beat("sine", 1.4, math.radians(30.0))
     trial = Trial("run", "fit", times, {}, swim=SwimInput(beat, pose=pose))
     found = model.simulate(values_of(model) if values is None else values, trial)
     names = ("x_m", "y_m", "yaw_rad", "joint4_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s", "joint4_rate_rad_s")
@@ -270,7 +271,7 @@ class TestTendonFish:
         integrated; all else much better.
         """
         model = MultilinkModel(robot_format.read("tfish"))
-        trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drive.Beat("sine", 1.4, math.radians(30.0))))
+        trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
         run = model.trajectory(values_of(model), trial)
         found, slopes = engine.sampled(BETWEEN, run.begin_s, run.step_s, run.states, run.rates)
         grid_error = np.abs(run.states[:: round(0.02 / run.step_s)] - reference[0]).max(axis=0)
@@ -715,7 +716,7 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
     """The wave with joint angles of up to 4 degrees, from a given speed."""
     values = np.array([speed if p.name == "initial_surge" else p.start for p in model.parameters])
-    beat = drive.Beat("sine", BEAT_HZ, math.radians(4.0))
+    beat = drives.Beat("sine", BEAT_HZ, math.radians(4.0))
     return model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))
 
 
@@ -769,8 +770,8 @@ class TestTrailingEdge:
         model = slender(drag)
         times = np.arange(0.0, 40.0, 0.01)
         run = undulate(model, 0.4, times)
-        frames = geometry.link_frames(model, np.array([p.start for p in model.parameters]), run)
-        x, y = (ends[-1] for ends in geometry.rear_ends(model, frames))
+        frames = model.body.frames(np.array([p.start for p in model.parameters]), run)
+        x, y = (ends[-1] for ends in model.body.rear_ends(frames))
         # the last ten beats
         late, last = slice(-1000, None), len(times) - 1
         way = np.array([x[last] - x[last - 1000], y[last] - y[last - 1000]])

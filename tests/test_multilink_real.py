@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from swimid.fitting import metrics, output_error, start_states
+from swimid.fitting.drives import Beat
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial, chosen
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.planar.drive import Beat
 from tests.conftest import ROOT, Ran
 from tests.generators import real_logs
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
+from swimid.fitting import drives
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as experiment
-from swimid.swimmer.planar import drive
 from tests.conftest import Ran
 from tests.test_fuzz_readers import examples, mutated, rewritten
 
@@ -303,7 +303,7 @@ def test_driven_joint_without_its_column(tmp_path: Path) -> None:
 def _swim(model: experiment.MultilinkModel) -> np.ndarray:
     time = np.linspace(0.0, 0.2, 11)
     values = np.array([p.start for p in model.parameters])
-    trial = Trial("run", "fit", time, {}, swim=SwimInput(drive.Beat("sine", 1.0, 0.3)))
+    trial = Trial("run", "fit", time, {}, swim=SwimInput(drives.Beat("sine", 1.0, 0.3)))
     return np.column_stack(list(model.simulate(values, trial).values()))
 
 

@@ -203,6 +203,7 @@ RECORDED = {
     "sensitivity": "method samples range coefficients sweep trial set readings seed dt",
     "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
     "import": "",
+    "track video": "setup fps max_gap_s from_s to_s",
 }
 
 

@@ -83,7 +83,7 @@ def test_the_stroke_is_marked(camera: Path) -> None:
 def test_two_sensors_of_one_trial(camera: Path, imu: Path, swimid: Run, tmp_path: Path) -> None:
     ran = swimid("plot", imu, camera, "-o", tmp_path / "both.html")
     assert ran.status == 0, ran.err
-    figure = log_figures.together([log.read(imu), log.read(camera)])
+    figure = log_figures.channels([log.read(imu), log.read(camera)])
     assert figure.panels[0].y_label == "yaw (rad)"
     assert [trace.label for trace in figure.panels[0].traces] == ["imu.csv", "camera.csv"]
     assert [span.label for span in figure.panels[0].spans] == ["missing in camera.csv"]

@@ -36,7 +36,7 @@ class Verb:
         Its first line is what the list of commands shows, where ``short`` is empty.
     short : str
     argument : str
-        Metavar of the files it takes, ``LOG...`` for several; empty for none.
+        Metavar of the files it takes, ``LOG...`` for several, ``[NAME]`` for a word or none; empty for none.
     output_flags : tuple of str
     required : bool
         Whether it must be told where to write.
@@ -96,8 +96,9 @@ def _argument(verb: Verb) -> list[click.Parameter]:
     if not verb.argument:
         return []
     count = -1 if verb.argument.endswith("...") else 1
-    path = click.Path(path_type=Path)
-    return [click.Argument(["files"], nargs=count, required=True, metavar=verb.argument, type=path)]
+    name = verb.argument.startswith("[")
+    kind = str if name else click.Path(path_type=Path)
+    return [click.Argument(["files"], nargs=count, required=not name, metavar=verb.argument, type=kind)]
 
 
 def _option(entry: Declared) -> click.Option:
@@ -107,20 +108,16 @@ def _option(entry: Declared) -> click.Option:
         shown = "/" in entry.flags and entry.default is not None
         return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
     word = parsing.word_of(entry)
-    default = None if word.multiple else entry.default
     # a required option that has a default, None even, is not asked for
-    given: dict[str, Any] = (
-        {} if entry.required else {"default": default, "show_default": default is not None}
-    )
+    default = None if word.get("multiple") else entry.default
+    unasked: dict[str, Any] = {"default": default, "show_default": default is not None}
     return click.Option(
         names,
-        type=word.type,
-        nargs=word.nargs,
-        multiple=word.multiple,
         required=entry.required,
         metavar=entry.metavar,
         help=entry.help,
-        **given,
+        **word,
+        **({} if entry.required else unasked),
     )
 
 

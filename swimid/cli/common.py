@@ -7,6 +7,7 @@ failure too); progress, warnings and errors go to stderr.
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -14,9 +15,10 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -57,35 +59,22 @@ def shared_options(
         Other flags where ``--output`` means something else to this verb.
     """
     path = click.Path(path_type=Path)
+    flag = partial(click.option, is_flag=True)
     options = [
         click.option(*output_flags, "output_path", type=path, required=required, help=output_help),
-        click.option(
-            "--json", "as_json", is_flag=True, help="Print the result as one JSON document on stdout."
-        ),
-        click.option("--force", is_flag=True, help="Overwrite an output that swimid did not write."),
-        click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
+        flag("--json", "as_json", help="Print the result as one JSON document on stdout."),
+        flag("--force", help="Overwrite an output that swimid did not write."),
+        flag("-q", "--quiet", help="Print errors only."),
         click.option("-v", "--verbose", count=True, help="Say more about what is done."),
-        click.option("--no-progress", is_flag=True, help="No progress bars."),
-        click.option("--debug", is_flag=True, help="Show tracebacks."),
+        flag("--no-progress", help="No progress bars."),
+        flag("--debug", help="Show tracebacks."),
     ]
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        from functools import wraps
-
         @wraps(function)
-        def gather(
-            *args: Any,
-            output_path: Path | None,
-            as_json: bool,
-            force: bool,
-            quiet: bool,
-            verbose: int,
-            no_progress: bool,
-            debug: bool,
-            **rest: Any,
-        ) -> Any:
-            shared = Shared(output_path, as_json, quiet, verbose, no_progress, debug, force)
-            return function(*args, shared=shared, **rest)
+        def gather(*, output_path: Path | None, **given: Any) -> Any:
+            flags = {field.name: given.pop(field.name) for field in fields(Shared) if field.name != "output"}
+            return function(shared=Shared(output_path, **flags), **given)
 
         for option in reversed(options):
             gather = option(gather)
@@ -121,6 +110,12 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
     """
     run = Run(shared)
     notices: list[Notice] = []
+
+    def fail(kind: str, message: str, status: int, text: str = "") -> NoReturn:
+        _fail(
+            verb, shared, {"type": kind, "message": message, "exit_status": status}, text or message, notices
+        )
+
     try:
         with _interrupts() as interrupts, recorded() as notices:
             yield run
@@ -128,56 +123,33 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
         if shared.debug:
             traceback.print_exc()
         _print_warnings(notices, shared)
-        _fail(verb, shared, error.to_dict(), f"Error: {error}", notices)
-        sys.exit(error.exit_status)
+        _fail(verb, shared, error.to_dict(), str(error), notices)
     except KeyboardInterrupt:
-        text = f"interrupted; {_left(shared.output)}"
-        _fail(verb, shared, _named("Interrupted", text, 130), f"Error: {text}", notices)
-        sys.exit(130)
+        fail("Interrupted", f"interrupted; {_left(shared.output)}", 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except (click.exceptions.ClickException, click.exceptions.Exit, click.exceptions.Abort):
         raise
     except MemoryError as error:
-        text = f"not enough memory for this input: {error}"
-        _fail(verb, shared, _named("InputError", text, 3), f"Error: {text}", notices)
-        sys.exit(3)
+        fail("InputError", f"not enough memory for this input: {error}", 3)
     except Exception as error:  # noqa: BLE001 - the last line of defence: a bug is reported as one
         if shared.debug:
             traceback.print_exc()
-        text = f"{type(error).__name__}: {error}"
-        _fail(
-            verb,
-            shared,
-            _named("Bug", text, 1),
-            f"This is a bug in swimid: {text}\n  hint: run again with --debug and report the traceback",
-            notices,
-        )
-        sys.exit(1)
+        message = f"{type(error).__name__}: {error}"
+        hint = "run again with --debug and report the traceback"
+        fail("Bug", message, 1, f"This is a bug in swimid: {message}\n  hint: {hint}")
     assert run.outcome is not None
     _print_warnings(notices, shared)
+    outputs = [str(path) for path in run.outcome.outputs]
     if interrupts:
-        kept = ", ".join(str(path) for path in run.outcome.outputs)
-        wrote = f"wrote {kept}" if kept else "nothing was written"
-        text = f"interrupted; the result is of a search cut short: {wrote}"
-        _fail(verb, shared, _named("Interrupted", text, 130), f"Error: {text}", [])
-        sys.exit(130)
+        notices = []
+        wrote = f"wrote {', '.join(outputs)}" if outputs else "nothing was written"
+        fail("Interrupted", f"interrupted; the result is of a search cut short: {wrote}", 130)
     if shared.as_json:
-        document = {
-            "schema": ENVELOPE,
-            "ok": True,
-            "verb": verb,
-            "result": _jsonable(run.outcome.data),
-            "warnings": [{"code": n.code, "text": n.text} for n in notices],
-            "outputs": [str(path) for path in run.outcome.outputs],
-        }
-        click.echo(json.dumps(document, ensure_ascii=False))
+        _print_json(verb, {"result": _jsonable(run.outcome.data)}, notices, outputs=outputs)
     elif not shared.quiet:
-        if run.outcome.text:
-            click.echo(run.outcome.text)
-        for path in run.outcome.outputs:
-            click.echo(f"wrote {path}", err=True)
+        _print_text(run.outcome.text, outputs)
 
 
 @contextmanager
@@ -211,21 +183,31 @@ def _left(output: Path | None) -> str:
     return "nothing was written"
 
 
-def _named(kind: str, message: str, status: int) -> dict[str, Any]:
-    return {"type": kind, "message": message, "exit_status": status}
-
-
-def _fail(verb: str, shared: Shared, error: dict[str, Any], text: str, notices: list[Notice]) -> None:
+def _fail(verb: str, shared: Shared, error: dict[str, Any], text: str, notices: list[Notice]) -> NoReturn:
+    """End the command with an error's exit status; what is no bug is told as an error."""
     if shared.as_json:
-        document = {
-            "schema": ENVELOPE,
-            "ok": False,
-            "verb": verb,
-            "error": error,
-            "warnings": [{"code": n.code, "text": n.text} for n in notices],
-        }
-        click.echo(json.dumps(document, ensure_ascii=False))
-    click.echo(text, err=True)
+        _print_json(verb, {"error": error}, notices)
+    click.echo(text if error["type"] == "Bug" else f"Error: {text}", err=True)
+    sys.exit(error["exit_status"])
+
+
+def _print_text(text: str, outputs: list[str]) -> None:
+    if text:
+        click.echo(text)
+    for path in outputs:
+        click.echo(f"wrote {path}", err=True)
+
+
+def _print_json(verb: str, answer: dict[str, Any], notices: list[Notice], **more: Any) -> None:
+    document = {
+        "schema": ENVELOPE,
+        "ok": "result" in answer,
+        "verb": verb,
+        **answer,
+        "warnings": [{"code": n.code, "text": n.text} for n in notices],
+        **more,
+    }
+    click.echo(json.dumps(document, ensure_ascii=False))
 
 
 def _print_warnings(notices: list[Notice], shared: Shared) -> None:
@@ -237,8 +219,6 @@ def _print_warnings(notices: list[Notice], shared: Shared) -> None:
 
 def _jsonable(value: Any) -> Any:
     """Plain JSON data; numbers keep every digit, NaN becomes null."""
-    import math
-
     if isinstance(value, dict):
         return {str(k): _jsonable(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -307,24 +287,15 @@ class _RichStep:
 
 @contextmanager
 def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]:
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import Progress as Bars
 
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        rich.TextColumn("{task.description}"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TimeElapsedColumn(),
+        rich.TimeRemainingColumn(),
     )
-    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
-        task = bars.add_task(description, total=total)
-
-        yield _RichStep(bars, task, description)
+    with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        yield _RichStep(bars, bars.add_task(description, total=total), description)

@@ -1,25 +1,121 @@
-"""``swimid doctor``."""
+"""``doctor``: is this installation whole?"""
 
 from __future__ import annotations
 
-import click
+import importlib
+import json
+import platform
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
 
-from swimid.cli.common import Shared, running, shared_options
+import swimid
+from swimid.cli.options import DoctorOptions
+from swimid.files import atomic
+from swimid.options import takes
+from swimid.progress import Progress, silent
+from swimid.results.result import Result
 
-
-@click.command("doctor")
-@click.option(
-    "--warm-up", is_flag=True, help="Compile the numerical kernels now, so that no later run waits."
+#: Packages every verb needs, and those that widen what can be done.
+REQUIRED = (
+    "numpy",
+    "scipy",
+    "pandas",
+    "numba",
+    "opencv-python-headless",
+    "control",
+    "dtaidistance",
+    "matplotlib",
+    "pydantic",
+    "ruamel.yaml",
+    "jinja2",
+    "pyarrow",
+    "threadpoolctl",
+    "click",
+    "rich",
 )
-@shared_options("Write the findings as JSON to this file.")
-def command(warm_up: bool, shared: Shared) -> None:
-    """Check the installation: versions, video codecs, compiled kernels.
+OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
+#: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
+KERNELS = (
+    "swimid.rig.equation",
+    "swimid.blackbox.difference",
+    "swimid.swimmer.planar.model",
+    "swimid.blackbox.recursive",
+    "swimid.blackbox.armax",
+    "swimid.tracking.detect",
+    "swimid.tracking.smooth",
+)
 
-    \b
-    Example:
-      swimid doctor --warm-up
+
+@takes(DoctorOptions)
+def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
+    """Versions, video decoding, optional parts; compiles the kernels when asked.
+
+    Parameters
+    ----------
+    output : path, optional
+        Write the findings as JSON.
     """
-    with running("doctor", shared) as run:
-        from swimid.cli.doctor_verb import doctor
+    packages = {name: _version(name) for name in REQUIRED}
+    optional = {name: _version(name) for name in OPTIONAL}
+    findings: dict[str, Any] = {
+        "swimid": swimid.__version__,
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "packages": packages,
+        "optional": optional,
+        "video_decoding": _video(),
+    }
+    if options.warm_up:
+        findings["kernels_s"] = {}
+        with progress("compiling", total=len(KERNELS)) as step:
+            for name in KERNELS:
+                began = time.perf_counter()
+                importlib.import_module(name).warm_up()
+                findings["kernels_s"][name] = round(time.perf_counter() - began, 3)
+                step()
+    missing = [name for name, version in packages.items() if version is None]
+    findings["healthy"] = not missing and findings["video_decoding"]
+    outputs = []
+    if output is not None:
+        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
+        outputs.append(output)
+    return Result("doctor", _text(findings, missing), findings, outputs)
 
-        run.finish(doctor(warm_up=warm_up, output=shared.output, progress=run.progress))
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _video() -> bool:
+    import cv2
+
+    return (
+        bool(cv2.videoio_registry.getStreamBackends())
+        and "FFMPEG:                      YES" in cv2.getBuildInformation()
+    )
+
+
+def _text(findings: dict[str, Any], missing: list[str]) -> str:
+    lines = [f"swimid {findings['swimid']}, Python {findings['python']}, {findings['platform']}"]
+    width = max(map(len, findings["packages"]))
+    lines += [f"  {name:<{width}}  {version or 'MISSING'}" for name, version in findings["packages"].items()]
+    for name, version in findings["optional"].items():
+        lines.append(f"  {name:<{width}}  {version or 'not installed: ' + OPTIONAL[name]}")
+    lines.append(
+        f"  {'video decoding':<{width}}  {'FFmpeg' if findings['video_decoding'] else 'NOT AVAILABLE'}"
+    )
+    for name, seconds in findings.get("kernels_s", {}).items():
+        lines.append(f"  {name:<{width}}  compiled and cached ({seconds:.1f} s)")
+    if findings["healthy"]:
+        lines.append("Everything is in place.")
+    else:
+        lines.append(
+            "Not everything is in place: reinstall swimid" + (f" ({', '.join(missing)})" if missing else "")
+        )
+    return "\n".join(lines)

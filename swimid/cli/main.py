@@ -5,12 +5,8 @@ from __future__ import annotations
 import click
 
 import swimid
-from swimid.cli import (
-    doctor,
-    schema,
-    track,
-)
-from swimid.cli.verbs import SECTIONS, VERBS
+from swimid.cli.track import track
+from swimid.cli.verbs import HELPERS, SECTIONS, VERBS
 
 
 class Sectioned(click.Group):
@@ -41,13 +37,8 @@ def main() -> None:
     """
 
 
-for command in (
-    track.track,
-    schema.command,
-    doctor.command,
-):
-    main.add_command(command)
-for verb in VERBS:
+main.add_command(track)
+for verb in (*VERBS, *HELPERS):
     if " " not in verb.name:
         main.add_command(verb.command())
 

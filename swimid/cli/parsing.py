@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -16,36 +15,19 @@ if TYPE_CHECKING:
     from swimid.options import Declared
 
 
-@dataclass(frozen=True)
-class Word:
-    """How click reads an option.
-
-    Attributes
-    ----------
-    type : click.ParamType or type
-    multiple : bool
-        Whether it may be repeated.
-    nargs : int
-    """
-
-    type: Any
-    multiple: bool = False
-    nargs: int = 1
-
-
-def word_of(entry: Declared) -> Word:
-    """How click reads an option of this type."""
+def word_of(entry: Declared) -> dict[str, Any]:
+    """How click reads an option of this type: its ``type``, and ``multiple`` or ``nargs`` where it has it."""
     kind, args = entry.kind, get_args(entry.kind)
     if _is_mapping(kind):
-        return Word(str, multiple=True)
-    if get_origin(kind) is tuple:
-        if args[-1] is Ellipsis:
-            one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
-            if one:
-                return Word(one[0], multiple=True, nargs=len(one))
-            return Word(str if entry.separated else _simple(args[0], {}), multiple=True)
-        return Word(str) if _by_commas(entry) else Word(args[0], nargs=len(args))
-    return Word(_simple(kind, entry.limits))
+        return {"type": str, "multiple": True}
+    if get_origin(kind) is not tuple:
+        return {"type": _simple(kind, entry.limits)}
+    if args[-1] is not Ellipsis:
+        return {"type": str} if _by_commas(entry) else {"type": args[0], "nargs": len(args)}
+    one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
+    if one:
+        return {"type": one[0], "multiple": True, "nargs": len(one)}
+    return {"type": str if entry.separated else _simple(args[0], {}), "multiple": True}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
@@ -60,9 +42,10 @@ def value_of(entry: Declared, typed: Any) -> Any:
         return None
     kind = entry.kind
     if _is_mapping(kind):
-        value = get_args(kind)[1]
-        parse = {1: named_number, 2: bounded, 3: swept}[max(len(get_args(value)), 1)]
-        return (named_word if value is str else parse)(typed, entry.flag)
+        items, value = _named(typed, entry.flag), get_args(kind)[1]
+        if value not in _READERS:
+            return swept(items, entry.flag)
+        return {name: _READERS[value](text, entry.flag) for name, text in items}
     if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
         return tuple(reads(text, entry.flag) for text in typed)
     if entry.separated:
@@ -107,50 +90,29 @@ def number(text: str, option: str) -> float:
     return value
 
 
-def number_pair(text: str | None, option: str) -> tuple[float, float] | None:
+def number_pair(text: str, option: str) -> tuple[float, float]:
     """Two numbers with a comma between them."""
-    if text is None:
-        return None
     parts = text.split(",")
     if len(parts) != 2:
         raise UsageError(f"{option}: '{text}' should be two numbers with a comma between them")
     return number(parts[0], option), number(parts[1], option)
 
 
-def named_number(texts: tuple[str, ...], option: str) -> dict[str, float]:
-    """``NAME=VALUE`` items."""
-    return {name: number(value, option) for name, value in _named(texts, option)}
-
-
-def named_word(texts: tuple[str, ...], option: str) -> dict[str, str]:
-    """``NAME=OPTION`` items."""
-    return {name: value.strip() for name, value in _named(texts, option)}
-
-
-def bounded(texts: tuple[str, ...], option: str) -> dict[str, tuple[float, float]]:
-    """``NAME=LOW,HIGH`` items."""
-    found = {}
-    for name, value in _named(texts, option):
-        pair = number_pair(value, option)
-        assert pair is not None
-        found[name] = pair
-    return found
-
-
-def swept(texts: tuple[str, ...], option: str) -> dict[str, tuple[float, float, int]]:
+def swept(items: list[tuple[str, str]], option: str) -> dict[str, tuple[float, float, int]]:
     """``NAME=LOW:HIGH:COUNT`` items."""
-    found = {}
-    for name, value in _named(texts, option):
+    sweeps = {}
+    for name, value in items:
         parts = value.split(":")
         if len(parts) != 3 or not parts[2].strip().isdigit():
             raise UsageError(f"{option}: '{name}={value}' should be NAME=LOW:HIGH:COUNT")
-        if name in found:
+        if name in sweeps:
             raise UsageError(f"{option}: {name} is given twice")
-        found[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
-    return found
+        sweeps[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
+    return sweeps
 
 
 def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
+    """``NAME=VALUE`` items."""
     pairs = []
     for text in texts:
         name, equals, value = text.partition("=")
@@ -158,3 +120,11 @@ def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
             raise UsageError(f"{option}: '{text}' should be NAME=VALUE")
         pairs.append((name.strip(), value))
     return pairs
+
+
+#: How a value of a mapping is read, by its type.
+_READERS: dict[Any, Callable[[str, str], Any]] = {
+    float: number,
+    str: lambda text, option: text.strip(),
+    tuple[float, float]: number_pair,
+}

@@ -20,6 +20,14 @@ def _a_page_needs_a_file(output: Path | None, options: dict[str, Any], shared: S
         raise UsageError("an HTML page needs a file", hint="add -o report.html")
 
 
+def _verb(room: str, name: str, **more: Any) -> Verb:
+    """A command whose function and options are called as it is, and lie in this room."""
+    words = name.replace(" ", "-").split("-")
+    function = f"swimid.{room}.{'_'.join(words)}:{'_'.join(words)}"
+    options = f"swimid.{room}.options:{''.join(word.capitalize() for word in words)}Options"
+    return Verb(name, function=function, options=options, **more)
+
+
 #: Commands by purpose, in the order one uses them.
 SECTIONS: list[tuple[str, list[str]]] = [
     ("Make logs", ["track", "import"]),
@@ -31,10 +39,9 @@ SECTIONS: list[tuple[str, list[str]]] = [
 ]
 
 VERBS = (
-    Verb(
+    _verb(
+        "rig",
         "fit-drag",
-        function="swimid.rig.fit_drag:fit_drag",
-        options="swimid.rig.options:FitDragOptions",
         output="Parameter file to write (YAML).",
         help="""Identify drag, added mass and friction from a rig.
 
@@ -47,10 +54,9 @@ VERBS = (
           swimid fit-drag towed.yaml --free linear_drag --free dry_friction -o rig.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "propulsion",
         "fit-propulsion",
-        function="swimid.propulsion.fit_propulsion:fit_propulsion",
-        options="swimid.propulsion.options:FitPropulsionOptions",
         output="Parameter file to write (YAML).",
         help="""Identify the propulsion of a caudal fin.
 
@@ -63,10 +69,9 @@ VERBS = (
           swimid fit-propulsion straight_runs.yaml -o surge.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "blackbox",
         "rwls",
-        function="swimid.blackbox.rwls:rwls",
-        options="swimid.blackbox.options:RwlsOptions",
         output="Parameter file to write.",
         output_flags=("-o", "--result"),
         argument="LOG...",
@@ -83,10 +88,9 @@ VERBS = (
               --validate 0.25 -o arma.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "simulation",
         "compare",
-        function="swimid.simulation.compare:compare",
-        options="swimid.simulation.options:CompareOptions",
         output="Comparison file to write (YAML).",
         short="Measured trials against their simulation.",
         help="""Compare recorded trials with their simulation.
@@ -102,10 +106,9 @@ VERBS = (
           swimid report comparison.yaml -o comparison.html
         """,
     ),
-    Verb(
+    _verb(
+        "swimmer",
         "fit-graybox",
-        function="swimid.swimmer.fit_graybox:fit_graybox",
-        options="swimid.swimmer.options:FitGrayboxOptions",
         output="Parameter file to write (YAML).",
         help="""Identify the coefficients of a multi-link swimmer.
 
@@ -122,10 +125,9 @@ VERBS = (
           swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "simulation",
         "simulate",
-        function="swimid.simulation.simulate:simulate",
-        options="swimid.simulation.options:SimulateOptions",
         output="Log to write (.csv or .parquet).",
         argument="",
         help="""Simulate any robot from any parameter file.
@@ -143,16 +145,15 @@ VERBS = (
           swimid simulate --params arma.yaml --input run.csv -o free_run.csv
         """,
     ),
-    Verb(
+    _verb(
+        "sensitivity_analysis",
         "sensitivity",
-        function="swimid.sensitivity_analysis.sensitivity:sensitivity",
-        options="swimid.sensitivity_analysis.options:SensitivityOptions",
         output="Sensitivity file to write (YAML).",
-        short="Which coefficient each output hangs on; sweeps of the drive.",
+        short="Which coefficient each output is most sensitive to; sweeps of the drive.",
         help="""Vary the coefficients of a robot with links, and its drive.
 
         TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
-        of each measured channel) is told which coefficients it hangs on, over ranges of all of them at once.
+        of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
         A run that was stopped goes on where it was when it is started again.
 
         \b
@@ -165,10 +166,9 @@ VERBS = (
               --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "diagnosis",
         "diagnose",
-        function="swimid.diagnosis.diagnose:diagnose",
-        options="swimid.diagnosis.options:DiagnoseOptions",
         output="Gap file to write (YAML).",
         short="The unmodelled effect behind a gap between trials and simulation.",
         help="""Name the effect that a model lacks.
@@ -188,10 +188,9 @@ VERBS = (
           swimid report gap.yaml -o gap.html
         """,
     ),
-    Verb(
+    _verb(
+        "exporters",
         "export",
-        function="swimid.exporters.export:export",
-        options="swimid.exporters.options:ExportOptions",
         output="The file to write. Without it, or with -o -, it goes to stdout.",
         argument="PARAMS",
         prints=True,
@@ -208,10 +207,9 @@ VERBS = (
           swimid export tfish.yaml --to json -o tfish.json
         """,
     ),
-    Verb(
+    _verb(
+        "results",
         "report",
-        function="swimid.results.report:report",
-        options="swimid.results.options:ReportOptions",
         output="The report. Without it, or with -o -, md and json go to stdout.",
         argument="RESULT...",
         prints=True,
@@ -229,10 +227,9 @@ VERBS = (
           swimid report drag.yaml --format md
         """,
     ),
-    Verb(
+    _verb(
+        "logs",
         "plot",
-        function="swimid.logs.plot:plot",
-        options="swimid.logs.options:PlotOptions",
         output="The picture: .html, .svg or .png.",
         argument="LOG...",
         required=True,
@@ -245,10 +242,9 @@ VERBS = (
           swimid plot imu.csv camera.csv -o both.html
         """,
     ),
-    Verb(
+    _verb(
+        "tracking",
         "track video",
-        function="swimid.tracking.track_video:track_video",
-        options="swimid.tracking.options:TrackVideoOptions",
         output="The log, CSV or Parquet by its ending.",
         argument="VIDEO",
         required=True,
@@ -265,10 +261,9 @@ VERBS = (
           swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
         """,
     ),
-    Verb(
+    _verb(
+        "tracking",
         "track setup",
-        function="swimid.tracking.track_setup:track_setup",
-        options="swimid.tracking.options:TrackSetupOptions",
         output="The setup file to write.",
         argument="VIDEO",
         required=True,
@@ -282,10 +277,9 @@ VERBS = (
           swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
         """,
     ),
-    Verb(
+    _verb(
+        "inertial",
         "track imu",
-        function="swimid.inertial.track_imu:track_imu",
-        options="swimid.inertial.options:TrackImuOptions",
         output="The log, CSV or Parquet by its ending.",
         argument="IMU",
         required=True,
@@ -320,6 +314,37 @@ VERBS = (
           swimid import field.csv --map map.yaml -o run.csv
           swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
           swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
+        """,
+    ),
+)
+
+#: Commands about the program itself; no page of the docs is about them.
+HELPERS = (
+    Verb(
+        "schema",
+        function="swimid.cli.schema:schema",
+        options="swimid.options:Options",
+        output="Write the schema to this file instead of stdout.",
+        argument="[NAME]",
+        help="""Print the JSON Schema of a file format.
+
+        Without NAME, list the formats.
+
+        \b
+        Example:
+          swimid schema trials > trials.schema.json
+        """,
+    ),
+    _verb(
+        "cli",
+        "doctor",
+        output="Write the findings as JSON to this file.",
+        argument="",
+        help="""Check the installation: versions, video codecs, compiled kernels.
+
+        \b
+        Example:
+          swimid doctor --warm-up
         """,
     ),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         beats = [t.swim.beat for t in trials if t.swim.beat is not None]
         f = sorted({b.frequency_hz for b in beats})
         a = sorted({b.amplitude_rad for b in beats})
-        changes = [
+        changes: list[dict[str, Any]] = [
             {"frequency_hz": 0.6 * f[0]}, {"frequency_hz": 1.4 * f[-1]}, {"amplitude_rad": 0.6 * a[0]},
             {"amplitude_rad": 1.4 * a[-1]}, {"bias_rad": math.radians(20.0)},
             {"frequency_hz": 1.4 * f[-1], "amplitude_rad": 1.4 * a[-1]},

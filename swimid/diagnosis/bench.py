@@ -347,7 +347,7 @@ class Bench:
         problem = self.problem(effects, lens.chance, jobs=jobs)
         lens.install(problem)
         if chord is not None:
-            problem.lend(chord.labels, chord.rows)
+            problem.hold_derivatives(chord.labels, chord.rows)
         try:
             best = self._search(problem, lens, starts, tolerance, iterations)
             return self._at(problem, effects, best.x, best.cost)

@@ -96,20 +96,6 @@ def _filtered(taps: Array, rows: Array) -> Array:
     return np.asarray(found[:, : columns.shape[1]].T.reshape(rows.shape))
 
 
-def _series(problem: Problem, residuals: Sequence[Array]) -> dict[str, list[Array]]:
-    """Weighted residuals of each channel, one series a trial that has it; NaN where a sample is missing."""
-    found: dict[str, list[Array]] = {}
-    for k, values in enumerate(residuals):
-        at = 0
-        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
-            count = int(mask.sum())
-            series = np.full(len(mask), np.nan)
-            series[mask] = values[at : at + count]
-            at += count
-            found.setdefault(channel, []).append(series)
-    return found
-
-
 def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknowns: int = 0) -> Lens:
     """The lens with autoregressions and sizes as the weighted residuals show them.
 
@@ -123,7 +109,7 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
     total = sum(len(r) for r in residuals)
     freedom = max(1.0 - unknowns / max(total, 1), 0.2)
     colour, size, whole = {}, {}, {}
-    for channel, series_list in _series(problem, residuals).items():
+    for channel, series_list in problem.series(residuals).items():
         x = joined(series_list, gap=ORDER + 1)
         n = int(np.isfinite(x).sum())
         longest = max(int(np.isfinite(s).sum()) for s in series_list)
@@ -153,7 +139,7 @@ def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Se
     lags[0] = 1.0
     a = -solve_toeplitz(lags[:-1], lags[1:])
     innovation = float(1.0 + a @ lags[1:])
-    known = _series(problem, residuals)
+    known = problem.series(residuals)
     for channel in channels:
         bend = np.concatenate([np.diff(series, 2) for series in known[channel]])
         bend = bend[np.isfinite(bend)]

@@ -49,7 +49,7 @@ class Affected(Model):
     def hooks(self, values: Array, trial: Trial) -> Hooks:
         """What acts at these values, for one trial."""
         at = len(self.model.parameters)
-        found = hook_places.NONE
+        hooks = hook_places.NONE
         for effect, null in zip(self.effects, self._null, strict=True):
             own = values[at : at + len(null)]
             at += len(null)
@@ -57,8 +57,8 @@ class Affected(Model):
                 continue
             acting = effect.hooks(own, trial, self.model)
             key = f"{effect.name}:{id(effect)}".encode() + own.tobytes() if acting.moves else b""
-            found = found + replace(acting, key=key, command_key=key if acting.command else b"")
-        return found
+            hooks = hooks + replace(acting, key=key, command_key=key if acting.command else b"")
+        return hooks
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate one trial (see :meth:`Model.simulate`)."""

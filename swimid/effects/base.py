@@ -14,6 +14,9 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
+#: What an effect is given and gives.
+Trials = Sequence[Trial]
+Parameters = tuple[Parameter, ...]
 #: Sizes at which an effect is tried, in units of its parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
 
@@ -26,7 +29,7 @@ class Effect(ABC):
     name : str
         In the gap file, with hyphens.
     stage : str
-        Where in the chain it acts; the module lies in the folder of that name.
+        Where in the chain it acts; of an effect that lies in the folder of a stage, that.
     meaning : str
         One sentence for the report.
     sources : tuple of str
@@ -48,6 +51,12 @@ class Effect(ABC):
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        *package, folder, _ = f"..{cls.__module__}".split(".")
+        if package[-2:] == ["swimid", "effects"] and folder in STAGES:
+            cls.stage = folder
+
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         """Its parameters: ``start`` is the value at which it vanishes exactly, ``scale`` a typical size."""
@@ -66,13 +75,13 @@ class Effect(ABC):
         """The forms in which it is tried (which joint, which wall); empty where it does not apply."""
         return [self] if self.needs & model.offers else []
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Points at which it is tried before anything is fitted, within the bounds.
 
         Where the change is smooth, small and large ones suffice, and of the small ones one sign.
         """
         null = np.array([p.start for p in parameters])
-        found: list[Array] = []
+        points: list[Array] = []
         for k, p in enumerate(parameters):
             near = 0
             for size, sign in itertools.product(SIZES[::2] if self.smooth else SIZES, (1.0, -1.0)):
@@ -82,8 +91,12 @@ class Effect(ABC):
                 near += size == SIZES[0]
                 point = null.copy()
                 point[k] = value
-                found.append(point)
-        return found
+                points.append(point)
+        return points
 
     def __repr__(self) -> str:
         return f"<effect {self.name}>"
+
+
+#: The forms in which an effect is tried.
+Effects = Sequence[Effect]

@@ -36,17 +36,17 @@ def catalogue() -> list[Effect]:
 
 @functools.cache
 def _catalogue() -> tuple[Effect, ...]:
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for stage in STAGES:
         package = importlib.import_module(f"swimid.effects.{stage}")
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             for kind in _kinds(importlib.import_module(module.name)):
                 if inspect.isabstract(kind):
                     continue
-                if kind.name in found:
+                if kind.name in effects:
                     raise ValueError(f"two effects are called '{kind.name}'")
-                found[kind.name] = kind()
-    return tuple(sorted(found.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
+                effects[kind.name] = kind()
+    return tuple(sorted(effects.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
 
 
 def names() -> list[str]:
@@ -92,29 +92,29 @@ def from_file(path: str | Path) -> list[Effect]:
     """
     path = Path(path)
     module = _run(path)
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     taken = set(names())
     for kind in _kinds(module):
         if inspect.isabstract(kind) and not hasattr(kind, "name"):
             continue
         _check(kind, path)
-        if kind.name in taken or kind.name in found:
+        if kind.name in taken or kind.name in effects:
             raise InputError(
                 f"there is an effect '{kind.name}' already", file=path, line=_line(kind), column="name"
             )
         try:
-            found[kind.name] = kind()
+            effects[kind.name] = kind()
         except Exception as error:
             raise InputError(
                 f"the effect {kind.__name__} cannot be made: {error}",
                 file=path,
                 line=_raised(error, path) or _line(kind),
             ) from error
-    if not found:
+    if not effects:
         raise InputError(
             "defines no effect", file=path, hint="derive a class from swimid.effects.base.Effect"
         )
-    return list(found.values())
+    return list(effects.values())
 
 
 def _kinds(module: ModuleType) -> list[type[Effect]]:

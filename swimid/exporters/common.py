@@ -1,17 +1,39 @@
-"""What the XML targets share: the header, numbers, and limits that hold for all of them."""
+"""What the targets share: what comes out of them, XML, and limits that hold for all of them."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from swimid.exporters.source import Element, Link, Source, about, central, isotropic
+from swimid.exporters.source import Source, about, central, isotropic
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate
 
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A finished export.
+
+    Attributes
+    ----------
+    text : str
+        The file.
+    limits : sequence of str
+        What the target cannot carry, one sentence each.
+    dangers : sequence of str
+        Why the target's simulation may be unstable.
+    """
+
+    text: str
+    limits: Sequence[str] = ()
+    dangers: Sequence[str] = ()
 
 
 def number(*values: float) -> str:
@@ -23,10 +45,25 @@ def number(*values: float) -> str:
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
-def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
-    """The XML text, with the source of the numbers and the limits in a comment."""
+def document(template: str, source: Source, limits: Iterable[str], **more: Any) -> str:
+    """The XML text of a template, with the source of the numbers and the limits in a comment.
+
+    Parameters
+    ----------
+    template : str
+        Its file in ``templates``. It is given ``source``, and numbers and tuples stand in it as they are.
+    limits : iterable of str
+    **more
+        What else it is given.
+    """
+    environment = Environment(
+        loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
+    )
+    root = ET.fromstring(environment.get_template(template).render(source=source, **more))
+    for element in root.iter():
+        element.text = element.text if element.text and element.text.strip() else None
     ET.indent(root)
-    held = [f"  {name} = {_shown(e)}" for name, e in source.parameters.parameters.items()]
+    held = [f"  {name} = {_told(e)}" for name, e in source.parameters.parameters.items()]
     lines = [
         f"Written by swimid {source.origin['version']}.",
         f"Parameters: {source.origin['file']}, sha256 {source.origin['sha256']}.",
@@ -40,7 +77,13 @@ def document(root: ET.Element, source: Source, limits: Iterable[str]) -> str:
     return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _shown(estimate: Estimate) -> str:
+def _shown(value: Any) -> Any:
+    if isinstance(value, str):
+        return value
+    return number(*value) if isinstance(value, list | tuple) else number(value)
+
+
+def _told(estimate: Estimate) -> str:
     error = "" if estimate.stderr is None else f" +- {estimate.stderr!r}"
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     return f"{estimate.value!r}{error}{unit} ({estimate.status})"
@@ -51,15 +94,14 @@ def bodies(source: Source, *, fold: bool) -> list[Array]:
 
     An anisotropic added mass is folded with its mean.
     """
-    found = []
+    inertias = []
     for link in source.links:
         inertia = link.rigid
         if fold and np.any(link.added):
             mass, (x, y), moment = central(link.added)
-            whole = about(np.diag([mass, mass, moment]), -x, -y)
-            inertia = inertia + whole
-        found.append(inertia)
-    return found
+            inertia = inertia + about(np.diag([mass, mass, moment]), -x, -y)
+        inertias.append(inertia)
+    return inertias
 
 
 def added_mass_limits(source: Source, choice: str) -> list[str]:
@@ -74,14 +116,13 @@ def added_mass_limits(source: Source, choice: str) -> list[str]:
     limits = [
         "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
     ]
-    uneven = [link for link in wet if not isotropic(link.added)]
+    uneven = [
+        f"{link.name} {link.added[0, 0]:.4g} kg forward, {link.added[1, 1]:.4g} kg sideways"
+        for link in wet
+        if not isotropic(link.added)
+    ]
     if uneven:
-        limits.append(
-            "added mass that differs by direction is folded with its mean: "
-            + ", ".join(
-                f"{k.name} {k.added[0, 0]:.4g} kg forward, {k.added[1, 1]:.4g} kg sideways" for k in uneven
-            )
-        )
+        limits.append(f"added mass that differs by direction is folded with its mean: {', '.join(uneven)}")
     return limits
 
 
@@ -93,9 +134,9 @@ def element_limits(source: Source) -> list[str]:
         ("wake", "thrust and side force of trailing edges"),
         ("force", "weight, buoyancy and constant forces"),
     ):
-        left = [e for e in source.elements if e.kind == kind]
+        left = [source.links[e.link].name for e in source.elements if e.kind == kind]
         if left:
-            limits.append(f"{what} are left out: {named(left, source.links)}")
+            limits.append(f"{what} are left out: {', '.join(dict.fromkeys(left))}")
     return limits
 
 
@@ -111,20 +152,14 @@ def friction_limits(source: Source) -> list[str]:
 
 def drive_limits(source: Source, servo_hz: float) -> list[str]:
     """Limit of driven joints: swimid prescribes their motion."""
-    assumed = [
-        a.joint.name for a in source.assembly.driven if a.joint.driven and a.joint.driven.servo is None
-    ]
+    driven = [axis.joint for axis in source.assembly.driven]
+    assumed = [joint.name for joint in driven if joint.driven and joint.driven.servo is None]
     if not assumed:
         return []
     return [
         f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
         f"moves them: {', '.join(assumed)}"
     ]
-
-
-def named(elements: Iterable[Element], links: list[Link]) -> str:
-    """The links elements act on, for a message."""
-    return ", ".join(dict.fromkeys(links[e.link].name for e in elements))
 
 
 def reading_limits(source: Source) -> list[str]:

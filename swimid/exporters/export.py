@@ -2,25 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import targets
-from swimid.exporters.options import ExportOptions
+from swimid.exporters import gazebo, mjcf, plain, stonefish
+from swimid.exporters.common import Exported
+from swimid.exporters.options import AddedMass, ExportOptions
 from swimid.exporters.source import Source
 from swimid.files import atomic
 from swimid.files.provenance import digest_of
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.results import parameters
-from swimid.results.text import Text
+from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
 #: Models whose parameters can be exported.
 RIGID = ("falling-weight", "towed")
 MODELS = ("multilink", *RIGID)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A format to export to: the choices of added mass it has, and whether it takes one rigid body too."""
+
+    title: str
+    export: Callable[[Source, ExportOptions], Exported]
+    added_mass: tuple[AddedMass, ...]
+    rigid: bool
+
+
+#: The targets by the name ``--to`` takes.
+TARGETS = {
+    "mjcf": Target("MuJoCo MJCF", mjcf.export, ("native", "fold", "none"), rigid=False),
+    "gazebo": Target("Gazebo SDF", gazebo.export, ("native", "fold", "plugin", "none"), rigid=True),
+    "stonefish": Target("Stonefish scenario", stonefish.export, ("native", "fold", "none"), rigid=False),
+    "json": Target("JSON", plain.export, ("native",), rigid=True),
+}
 
 
 @takes(ExportOptions)
@@ -59,16 +81,15 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('boxfish', [])
     """
-    known = targets()
     to, added_mass = options.to, options.added_mass
-    target = known[to]
+    target = TARGETS[to]
     if added_mass not in target.added_mass:
         raise UsageError(
             f"{to} has no added-mass choice '{added_mass}'", hint=f"there are: {', '.join(target.added_mass)}"
         )
     source = load(params, options.robot)
     if not source.multilink and not target.rigid:
-        able = ", ".join(name for name, t in known.items() if t.rigid)
+        able = ", ".join(name for name, t in TARGETS.items() if t.rigid)
         raise UsageError(
             f"{to} needs a multi-link robot; this file holds the surge drag of one rigid body",
             hint=f"export it to one of: {able}",
@@ -120,7 +141,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         # another file may lack the readings of the one the parameters were found with
         other = robot.read(name).readings
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
-    found = robot.read(name, folder, readings=readings)
+    robot_file = robot.read(name, folder, readings=readings)
     place = robot.locate(name, folder)
     origin = {
         "file": path.name,
@@ -128,9 +149,9 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         "version": swimid.__version__,
         "robot": name,
     }
-    source = Source(file, found, origin, readings)
+    source = Source(file, robot_file, origin, readings)
     if source.multilink:
-        if found.multilink is None:
+        if robot_file.multilink is None:
             raise InputError("has no multilink part", file=place, column="multilink")
         try:
             source.assembly.check(source.values)

@@ -8,16 +8,15 @@ sites (``user`` data), from which :func:`water` applies it exactly.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.base import Exported
+from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Law, Link, Source, behind_joint, central
+from swimid.exporters.source import Element, Law, Link, Source, central
 from swimid.swimmer.planar import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
@@ -27,144 +26,54 @@ PREFIX = "water:"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """MJCF of a multi-link robot; see :class:`swimid.exporters.Target`."""
+    """MJCF of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
     limits = _limits(source, options)
-    root = ET.Element("mujoco", model=source.robot.name)
-    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    ET.SubElement(root, "option", timestep="0.002", integrator="implicitfast", gravity="0 0 0", density="0")
-    ET.SubElement(root, "size", nuser_site=str(USER))
-    custom = ET.SubElement(root, "custom")
-    ET.SubElement(custom, "text", name="swimid_plane", data=source.body.plane)
     inertias = common.bodies(source, fold=options.added_mass == "fold")
-    nodes = _tree(source, inertias, ET.SubElement(root, "worldbody"))
-    _sites(source, nodes)
-    _wires(source, nodes, root)
-    _servos(source, inertias, root, options.servo_hz)
-    return Exported(common.document(root, source, limits), tuple(limits))
+    text = common.document(
+        "mjcf.xml",
+        source,
+        limits,
+        point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
+        rigid=[central(inertia) for inertia in inertias],
+        user=_user,
+        user_size=USER,
+        prefix=PREFIX,
+        wires=[_wire(link, i, law) for i, link, law in _wired(source)],
+        servos=source.servos(inertias, options.servo_hz),
+    )
+    return Exported(text, limits)
 
 
-def _point(source: Source, x: float, y: float) -> str:
-    return common.number(x, 0.0, y) if source.vertical else common.number(x, y, 0.0)
+def _user(element: Element) -> list[float]:
+    """The kind of an element's site, and the numbers of its law."""
+    row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
+    return [KINDS.index(element.kind), *row]
 
 
-def _axis(source: Source) -> str:
-    # positive from the x axis towards the link's upper or port side
-    return "0 -1 0" if source.vertical else "0 0 1"
+def _wired(source: Source) -> Iterator[tuple[int, Link, Law]]:
+    """The links pulled straight by wire and spring."""
+    for i, link in enumerate(source.links):
+        law = source.laws.get(link.joint.name) if link.joint else None
+        if law is not None and law.spring:
+            yield i, link, law
 
 
-def _turned(source: Source, angle: float) -> dict[str, Any]:
-    return {} if angle == 0.0 else {"axisangle": f"{_axis(source)} {common.number(angle)}"}
-
-
-def _tree(source: Source, inertias: list[Any], world: ET.Element) -> list[ET.Element]:
-    side = "0 0 1" if source.vertical else "0 1 0"
-    names = ("base_x", "base_z", "base_pitch") if source.vertical else ("base_x", "base_y", "base_yaw")
-    nodes: list[ET.Element] = []
-    for link, inertia in zip(source.links, inertias, strict=True):
-        if link.parent < 0:
-            heading = 0.0 if source.body.base == "free" else math.radians(source.body.heading_deg)
-            node = ET.SubElement(world, "body", name=link.name, pos="0 0 0", **_turned(source, heading))
-        else:
-            node = ET.SubElement(
-                nodes[link.parent], "body", name=link.name, pos=_point(source, *link.at),
-                **_turned(source, link.mount_rad),
-            )  # fmt: skip
-        mass, centre, moment = central(inertia)
-        ET.SubElement(
-            node, "inertial", pos=_point(source, *centre), mass=common.number(mass),
-            diaginertia=common.number(moment, moment, moment),
-        )  # fmt: skip
-        if link.parent < 0 and source.body.base == "free":
-            ET.SubElement(node, "joint", name=names[0], type="slide", axis="1 0 0")
-            ET.SubElement(node, "joint", name=names[1], type="slide", axis=side)
-            ET.SubElement(node, "joint", name=names[2], type="hinge", axis=_axis(source))
-        if link.joint is not None and (link.joint.driven or link.joint.passive):
-            ET.SubElement(node, "joint", _hinge(source, link))
-        ET.SubElement(
-            node, "geom", type="capsule", size=common.number(0.05 * link.length_m), mass="0",
-            fromto=f"0 0 0 {common.number(-link.length_m, 0.0, 0.0)}", contype="0", conaffinity="0",
-        )  # fmt: skip
-        nodes.append(node)
-    return nodes
-
-
-def _hinge(source: Source, link: Link) -> dict[str, str]:
-    assert link.joint is not None
-    name = link.joint.name
-    found = {"name": name, "type": "hinge", "axis": _axis(source)}
-    law = source.laws.get(name)
-    if law is None:
-        return found
-    if law.stiffness or law.cubic:
-        # the third number is the cubic term
-        cubic = (0.0, law.cubic) if law.cubic else ()
-        found["stiffness"] = common.number(law.stiffness, *cubic)
-        found["springref"] = common.number(law.rest)
-    if law.damping or law.quadratic_damping:
-        square = (law.quadratic_damping,) if law.quadratic_damping else ()
-        found["damping"] = common.number(law.damping, *square)
-    if law.friction:
-        found["frictionloss"] = common.number(law.friction)
-    return found
-
-
-def _sites(source: Source, nodes: list[ET.Element]) -> None:
-    for k, element in enumerate(source.elements):
-        row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
-        user = [float(KINDS.index(element.kind)), *row]
-        ET.SubElement(
-            nodes[element.link], "site", name=f"{PREFIX}{k}", pos=_point(source, *element.at),
-            user=common.number(*user), size="0.002",
-        )  # fmt: skip
-
-
-def _wires(source: Source, nodes: list[ET.Element], root: ET.Element) -> None:
+def _wire(link: Link, i: int, law: Law) -> dict[str, Any]:
     """Wire and spring as a spatial tendon: its path is ``D`` and a constant, so the law is exact."""
-    wires = [(i, link) for i, link in enumerate(source.links) if _wire(source, link) is not None]
-    if not wires:
-        return
-    tendons = ET.SubElement(root, "tendon")
-    for i, link in wires:
-        law = _wire(source, link)
-        assert law is not None
-        assert link.joint is not None
-        name = link.joint.name
-        # tension K_t (D + constant): a path longer by the constant, or a rest length
-        constant = law.pretension - law.arm + law.crank
-        parent, x, y = nodes[link.parent], *link.at
-        ET.SubElement(parent, "site", name=f"{name}:wire", pos=_point(source, x + law.arm, y), size="0.001")
-        c, s = math.cos(link.mount_rad), math.sin(link.mount_rad)
-        crank = _point(source, law.crank * c, -law.crank * s)
-        ET.SubElement(nodes[i], "site", name=f"{name}:crank", pos=crank, size="0.001")
-        tendon = ET.SubElement(
-            tendons, "spatial", name=f"{name}:wire", stiffness=common.number(law.spring),
-            springlength=common.number(max(-constant, 0.0)), width="0.0005",
-        )  # fmt: skip
-        if constant > 0.0:
-            spool = _point(source, x + law.arm, y + constant)
-            ET.SubElement(parent, "site", name=f"{name}:spool", pos=spool, size="0.001")
-            ET.SubElement(tendon, "site", site=f"{name}:spool")
-        ET.SubElement(tendon, "site", site=f"{name}:wire")
-        ET.SubElement(tendon, "site", site=f"{name}:crank")
-
-
-def _wire(source: Source, link: Link) -> Law | None:
-    law = source.laws.get(link.joint.name) if link.joint else None
-    return law if law is not None and law.spring else None
-
-
-def _servos(source: Source, inertias: list[Any], root: ET.Element, default_hz: float) -> None:
-    if not source.assembly.driven:
-        return
-    moments = behind_joint(source.links, inertias)
-    actuators = ET.SubElement(root, "actuator")
-    for axis in source.assembly.driven:
-        omega, ratio = source.servo(axis.joint, default_hz)
-        moment = moments[axis.link]
-        ET.SubElement(
-            actuators, "position", name=axis.joint.name, joint=axis.joint.name,
-            kp=common.number(moment * omega**2), kv=common.number(2.0 * ratio * omega * moment),
-        )  # fmt: skip
+    assert link.joint is not None
+    # tension K_t (D + constant): a path longer by the constant, or a rest length
+    constant = law.pretension - law.arm + law.crank
+    (x, y), c, s = link.at, math.cos(link.mount_rad), math.sin(link.mount_rad)
+    ends = [("wire", link.parent, (x + law.arm, y)), ("crank", i, (law.crank * c, -law.crank * s))]
+    if constant > 0.0:
+        ends.append(("spool", link.parent, (x + law.arm, y + constant)))
+    return {
+        "name": link.joint.name,
+        "stiffness": law.spring,
+        "length": max(-constant, 0.0),
+        "ends": ends,
+        "path": [*(["spool"] if constant > 0.0 else []), "wire", "crank"],
+    }
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:

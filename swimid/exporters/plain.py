@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from swimid.exporters.base import Exported
+from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Link, Source, central, surge
 from swimid.fitting.model import Array
@@ -23,7 +23,7 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """The JSON document; see :class:`swimid.exporters.Target`."""
+    """The JSON document; see :class:`swimid.exporters.export.Target`."""
     file = source.parameters
     data: dict[str, Any] = {
         "format": FORMAT,

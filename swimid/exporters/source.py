@@ -17,6 +17,7 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.polynomial import Polynomial
 
 #: Origin of a file that is exported.
 Origin = Mapping[str, str]
@@ -32,7 +33,7 @@ class Link:
     parent : int
         Its parent's number, -1 for the base.
     joint : Joint or None
-        The joint it hangs on.
+        The joint that holds it.
     at : (float, float), m
         Where the joint sits in the parent's frame.
     mount_rad : float
@@ -50,6 +51,11 @@ class Link:
     length_m: float
     rigid: Array
     added: Array
+
+    @property
+    def moves(self) -> bool:
+        """Whether it turns against its parent."""
+        return self.joint is not None and bool(self.joint.driven or self.joint.passive)
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,15 @@ class Element:
 
 
 @dataclass(frozen=True)
+class Servo:
+    """A position servo: its joint, N m/rad and N m s/rad."""
+
+    joint: str
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
 class Source:
     """A parameter file, its robot and where they come from.
 
@@ -133,6 +148,11 @@ class Source:
         """Whether it swims in the vertical plane."""
         return self.multilink and self.body.plane == "vertical"
 
+    @property
+    def heading_rad(self) -> float | None:
+        """Heading of a fixed base; None where it is free."""
+        return math.radians(self.body.heading_deg) if self.body.base == "fixed" else None
+
     @cached_property
     def assembly(self) -> Assembly:
         """The robot's checked tables."""
@@ -158,17 +178,17 @@ class Source:
         rigid = np.asarray(bare.tables(self.values)["inertia"])
         tables = self.tables
         joint_of = {j.child: j for j in self.body.joints}
-        found = []
+        links = []
         for i, link in enumerate(self.assembly.links):
             x, y, cos, sin = tables["joint"][i]
             body = full(rigid[i])
-            found.append(
+            links.append(
                 Link(
                     link.name, int(tables["topology"][i, 0]), joint_of.get(link.name), (float(x), float(y)),
                     math.atan2(sin, cos), link.length_m, body, full(tables["inertia"][i]) - body,
                 )
             )  # fmt: skip
-        return found
+        return links
 
     @cached_property
     def laws(self) -> dict[str, Law]:
@@ -182,26 +202,30 @@ class Source:
     @cached_property
     def elements(self) -> list[Element]:
         """Drag points, foils, forces and trailing edges."""
-        found = []
+        elements = []
         tables = {
             "drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE,
         }  # fmt: skip
         for kind, columns in tables.items():
             for owner, row in zip(self.tables[f"{kind}_link"], self.tables[kind], strict=True):
                 numbers = {c: float(v) for c, v in zip(columns, row, strict=True)}
-                found.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
-        return found
+                elements.append(Element(kind, int(owner), numbers))  # type: ignore[arg-type]
+        return elements
 
-    def servo(self, joint: Joint, default_hz: float) -> tuple[float, float]:
-        """Natural frequency (rad/s) and damping ratio of a driven joint's position servo."""
-        law = joint.driven.servo if joint.driven else None
-        if law is None:
-            return 2.0 * math.pi * default_hz, 1.0
-        from swimid.swimmer.polynomial import Polynomial
-
+    def servos(self, inertias: list[Array], default_hz: float) -> list[Servo]:
+        """Position servos of the driven joints, whose gains move the bodies behind them as their laws say."""
+        moments = behind_joint(self.links, inertias)
         values = dict(zip(self.assembly.names, self.values, strict=True))
-        frequency = Polynomial.of(law.natural_frequency_hz).at(values)
-        return 2.0 * math.pi * frequency, Polynomial.of(law.damping_ratio).at(values)
+        servos = []
+        for axis in self.assembly.driven:
+            law = axis.joint.driven.servo if axis.joint.driven else None
+            frequency, ratio = default_hz, 1.0
+            if law is not None:
+                frequency = Polynomial.of(law.natural_frequency_hz).at(values)
+                ratio = Polynomial.of(law.damping_ratio).at(values)
+            omega, moment = 2.0 * math.pi * frequency, moments[axis.link]
+            servos.append(Servo(axis.joint.name, moment * omega**2, 2.0 * ratio * omega * moment))
+        return servos
 
 
 def surge(source: Source) -> dict[str, float]:

@@ -8,12 +8,13 @@ link are the identified ones. Axes are Stonefish's: x forward, y to starboard, z
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from swimid.exporters import common
-from swimid.exporters.base import Exported
+from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Link, Source, central
 from swimid.fitting.model import Array
@@ -25,44 +26,23 @@ SLENDER = 0.3
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Scenario of a multi-link robot; see :class:`swimid.exporters.Target`."""
+    """Scenario of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
     limits = _limits(source, options)
-    root = ET.Element("scenario")
-    environment = ET.SubElement(root, "environment")
-    ET.SubElement(environment, "ned", latitude="0.0", longitude="0.0")
-    ocean = ET.SubElement(environment, "ocean")
-    density = source.robot.fluid.density_kg_m3
-    ET.SubElement(ocean, "water", density=common.number(density), jerlov="0.2")
-    ET.SubElement(ocean, "waves", height="0.0")
-    materials = ET.SubElement(root, "materials")
-    ET.SubElement(materials, "material", name="body", density=common.number(density), restitution="0.5")
-    table = ET.SubElement(materials, "friction_table")
-    ET.SubElement(table, "friction", material1="body", material2="body", static="0.5", dynamic="0.3")
-    looks = ET.SubElement(root, "looks")
-    ET.SubElement(looks, "look", name="body", rgb="0.9 0.6 0.1", roughness="0.5")
-    fixed = "true" if source.body.base == "fixed" else "false"
-    robot = ET.SubElement(root, "robot", name=source.robot.name, fixed=fixed, self_collisions="false")
     inertias = common.bodies(source, fold=options.added_mass == "fold")
-    for i, link in enumerate(source.links):
-        _link(source, robot, i, link, inertias[i], options)
-    for link in source.links[1:]:
-        _joint(source, robot, link)
-    for axis in source.assembly.driven:
-        actuator = ET.SubElement(robot, "actuator", name=f"{axis.joint.name}_servo", type="servo")
-        # shares of the error removed per step by Stonefish's joint motor, as in its manual; no N m/rad
-        ET.SubElement(actuator, "controller", position_gain="1.0", velocity_gain="0.5", max_torque="1000.0")
-        ET.SubElement(actuator, "joint", name=axis.joint.name)
-    heading = math.radians(source.body.heading_deg) if fixed == "true" else 0.0
-    ET.SubElement(robot, "world_transform", xyz="0.0 0.0 1.0", rpy=_rpy(source, heading))
-    return Exported(common.document(root, source, limits), tuple(limits))
+    text = common.document(
+        "stonefish.scn",
+        source,
+        limits,
+        native=options.added_mass == "native",
+        boxes=[_box(source, i, inertia) for i, inertia in enumerate(inertias)],
+        point=partial(_point, source),
+        turned=lambda angle: (0.0, angle, 0.0) if source.vertical else (0.0, 0.0, -angle),
+    )
+    return Exported(text, limits)
 
 
-def _point(source: Source, x: float, y: float) -> str:
-    return common.number(x, 0.0, -y) if source.vertical else common.number(x, -y, 0.0)
-
-
-def _rpy(source: Source, turn: float) -> str:
-    return common.number(0.0, turn, 0.0) if source.vertical else common.number(0.0, 0.0, -turn)
+def _point(source: Source, x: float, y: float) -> tuple[float, float, float]:
+    return (x, 0.0, -y) if source.vertical else (x, -y, 0.0)
 
 
 def _height(source: Source, link: Link) -> float:
@@ -81,56 +61,34 @@ def _height(source: Source, link: Link) -> float:
     return SLENDER * link.length_m
 
 
-def _link(
-    source: Source, robot: ET.Element, i: int, link: Link, inertia: Array, options: ExportOptions
-) -> None:
+def _box(source: Source, i: int, inertia: Array) -> dict[str, Any]:
+    """A link as a box that displaces its mass and drags as it does."""
+    link, density = source.links[i], source.robot.fluid.density_kg_m3
     mass, centre, moment = central(inertia)
-    density = source.robot.fluid.density_kg_m3
     length, height = link.length_m, _height(source, link)
     width = mass / (density * length * height)
-    # without added mass of its own where that is in the body or not wanted
-    physics = "submerged" if options.added_mass == "native" else "floating"
-    tag = "link" if link.parent >= 0 else "base_link"
-    node = ET.SubElement(robot, tag, name=link.name, type="box", physics=physics, buoyant="true")
-    sides = (length, height, width) if not source.vertical else (length, width, height)
-    # horizontal plane: the height is along z, across the link is y
-    dims = (sides[0], sides[2], sides[1])
-    ET.SubElement(node, "dimensions", xyz=common.number(*dims))
-    ET.SubElement(node, "origin", xyz=_point(source, *centre), rpy="0.0 0.0 0.0")
-    ET.SubElement(node, "material", name="body")
-    ET.SubElement(node, "look", name="body")
-    ET.SubElement(node, "mass", value=common.number(mass))
-    ET.SubElement(node, "inertia", xyz=common.number(moment, moment, moment))
-    ET.SubElement(node, "cg", xyz=_point(source, *centre), rpy="0.0 0.0 0.0")
     drag = [e.numbers for e in source.elements if e.kind == "drag" and e.link == i]
-    total = {k: sum(n[k] for n in drag) for k in ("quadratic_x", "quadratic_y", "linear_x", "linear_y")}
-    face_x, face_y = height * width, length * height
-    quadratic = (
-        total["quadratic_x"] / (0.5 * density * face_x),
-        total["quadratic_y"] / (0.5 * density * face_y),
+    along, across = 0.5 * density * (height * width), 0.5 * density * (length * height)
+    wet_along, wet_across = 2.0 * length * (height + width), 2.0 * width * (length + height)
+    quadratic = sum(n["quadratic_x"] for n in drag) / along, sum(n["quadratic_y"] for n in drag) / across
+    viscous = (
+        sum(n["linear_x"] for n in drag) / (density * wet_along),
+        sum(n["linear_y"] for n in drag) / (density * wet_across),
     )
-    wet_x, wet_y = 2.0 * length * (height + width), 2.0 * width * (length + height)
-    viscous = (total["linear_x"] / (density * wet_x), total["linear_y"] / (density * wet_y))
 
-    def three(pair: tuple[float, float]) -> str:
-        return common.number(pair[0], 0.0, pair[1]) if source.vertical else common.number(*pair, 0.0)
+    def three(x: float, y: float) -> tuple[float, float, float]:
+        return (x, 0.0, y) if source.vertical else (x, y, 0.0)
 
-    ET.SubElement(node, "hydrodynamics", viscous_drag=three(viscous), quadratic_drag=three(quadratic))
-
-
-def _joint(source: Source, robot: ET.Element, link: Link) -> None:
-    assert link.joint is not None
-    moving = link.joint.driven is not None or link.joint.passive is not None
-    joint = ET.SubElement(robot, "joint", name=link.joint.name, type="revolute" if moving else "fixed")
-    ET.SubElement(joint, "parent", name=source.links[link.parent].name)
-    ET.SubElement(joint, "child", name=link.name)
-    ET.SubElement(joint, "origin", xyz=_point(source, *link.at), rpy=_rpy(source, link.mount_rad))
-    if moving:
-        ET.SubElement(joint, "axis", xyz="0.0 1.0 0.0" if source.vertical else "0.0 0.0 -1.0")
-        law = source.laws.get(link.joint.name)
-        if law is not None and (law.damping or law.friction):
-            constant, viscous = common.number(law.friction), common.number(law.damping)
-            ET.SubElement(joint, "damping", constant=constant, viscous=viscous)
+    return {
+        "link": link,
+        # horizontal plane: the height is along z, across the link is y
+        "dimensions": (length, height, width) if source.vertical else (length, width, height),
+        "centre": _point(source, *centre),
+        "mass": mass,
+        "moment": moment,
+        "viscous": three(*viscous),
+        "quadratic": three(*quadratic),
+    }
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:

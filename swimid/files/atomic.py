@@ -45,26 +45,21 @@ def replacing(path: str | Path) -> Iterator[Path]:
     work. An exception, a full disk or Ctrl-C leaves the old file untouched.
     """
     path = check_writable(path)
-    if path.exists() and not path.is_file():
-        # a device or a pipe is written to, never replaced
-        with tempfile.TemporaryDirectory() as folder:
-            temporary = Path(folder) / f"output{path.suffix}"
-            yield temporary
-            try:
-                with path.open("wb") as stream:
-                    stream.write(temporary.read_bytes())
-            except OSError as error:
-                raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
-        return
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    # a device or a pipe is written to, never replaced
+    device = path.exists() and not path.is_file()
+    folder = None if device else path.parent
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=folder)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
-        temporary.chmod(_mode(path))
-        temporary.replace(path)
+        if device:
+            path.write_bytes(temporary.read_bytes())
+        else:
+            with temporary.open("rb") as stream:
+                os.fsync(stream.fileno())
+            temporary.chmod(_mode(path))
+            temporary.replace(path)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
     finally:

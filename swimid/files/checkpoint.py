@@ -66,8 +66,8 @@ class Checkpoint:
 
     def get(self, name: str) -> NDArray[np.float64] | None:
         """Numbers kept under a name."""
-        found = self._known.get(name)
-        return None if found is None else np.array(found)
+        kept = self._known.get(name)
+        return None if kept is None else np.array(kept)
 
     def put(self, name: str, numbers: NDArray[np.float64]) -> None:
         """Keep numbers under a name."""

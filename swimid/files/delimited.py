@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 from swimid.errors import InputError, nearest
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
+
+A = TypeVar("A")
+B = TypeVar("B")
 #: Words that mean "missing" in a cell, beside the empty cell the formats ask for.
 MISSING = ["", "nan", "NaN", "NAN", "NA", "null"]
 
@@ -74,6 +81,17 @@ def missing_column(
     return InputError(
         what, file=path, line=line, column=column, hint=f"{hint}the file has: {', '.join(names)}"
     )
+
+
+def worked_ahead(pool: Executor, work: Callable[[A], B], pieces: Iterable[A], ahead: int) -> Iterator[B]:
+    """What ``work`` makes of each piece of a file, in their order, ``ahead`` of them worked on beforehand."""
+    waiting: deque[Future[B]] = deque()
+    for piece in pieces:
+        waiting.append(pool.submit(work, piece))
+        if len(waiting) > ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
 
 
 def number(text: str) -> float | None:

@@ -67,19 +67,18 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
 
     Of several in memory that have one name but differ, the later ones are numbered.
     """
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for given in inputs:
         if isinstance(given, str | Path):
             name = os.path.relpath(given)
-            if name not in found:
-                found[name] = sha256(given)
+            digests[name] = digests.get(name) or sha256(given)
             continue
         name, digest, count = given.name, given.digest(), 1
-        while found.get(name, digest) != digest:
+        while digests.get(name, digest) != digest:
             count += 1
             name = f"{given.name} ({count})"
-        found[name] = digest
-    return found
+        digests[name] = digest
+    return digests
 
 
 def digest_of(given: Input) -> str:
@@ -115,17 +114,13 @@ def collect(
     digests : dict, optional
         :func:`digests_of` the inputs, where they were taken while something else went on.
     """
-    digests = digests_of(inputs) if digests is None else digests
-    block: dict[str, Any] = {
+    return {
         "command": command_line(),
         "version": swimid.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "inputs": digests,
+        "inputs": digests_of(inputs) if digests is None else digests,
         "packages": _versions(),
-    }
-    if settings:
-        block["settings"] = settings
-    return block
+    } | ({"settings": settings} if settings else {})
 
 
 def command_line() -> str:
@@ -135,16 +130,11 @@ def command_line() -> str:
 
 
 def _versions() -> dict[str, str]:
-    names = {
-        "numpy": "numpy",
-        "scipy": "scipy",
-        "numba": "numba",
-        "pandas": "pandas",
-        "opencv": "cv2",
-        "control": "control",
+    """Versions of Python and of the libraries in use."""
+    labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
+    loaded = {label: sys.modules.get("cv2" if label == "opencv" else label) for label in labels}
+    return {"python": sys.version.split()[0]} | {
+        label: str(getattr(module, "__version__", "unknown"))
+        for label, module in loaded.items()
+        if module is not None
     }
-    versions = {"python": sys.version.split()[0]}
-    for label, module in names.items():
-        if module in sys.modules:
-            versions[label] = str(getattr(sys.modules[module], "__version__", "unknown"))
-    return versions

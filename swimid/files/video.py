@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,18 +18,6 @@ CLOCK = 90_000
 MADE_BY = "made by swimid"
 #: What to say where browsers will not play the result.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
-
-
-class Writer(Protocol):
-    """Takes frames of one size with their times."""
-
-    def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame, shape (height, width, 3), blue first."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
 
 
 class H264:
@@ -117,6 +104,10 @@ class Gif:
             loop=0,
             comment=MADE_BY.encode(),
         )
+
+
+#: Takes frames of one size, shape (height, width, 3), blue first, with their times.
+Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:

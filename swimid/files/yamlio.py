@@ -16,7 +16,7 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, first_line, nearest
 from swimid.files import atomic
 
 #: A larger file is refused before it is parsed.
@@ -123,35 +123,31 @@ def load(path: str | Path) -> CommentedMap:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        raise InputError(
-            "is not UTF-8 text", file=path, line=line, hint="save it as UTF-8, or is it another kind of file?"
-        ) from error
+        line, hint = raw[: error.start].count(b"\n") + 1, "save it as UTF-8, or is it another kind of file?"
+        raise InputError("is not UTF-8 text", file=path, line=line, hint=hint) from error
     try:
         node = _yaml().compose(io.StringIO(text))
-        if node is None:
-            raise InputError("is empty", file=path)
-        size = _expanded(node, {}, 0)
-        if size > MAX_NODES:
-            raise InputError(
-                f"expands to more than {MAX_NODES} nodes through its anchors", file=path, hint="write it out"
-            )
-        data = _yaml().load(io.StringIO(text))
-    except DuplicateKeyError as error:
-        twice = error.problem_mark.line + 1 if error.problem_mark else None
-        problem = str(error.problem or "a key stands twice").split("with value")[0].strip()
-        raise InputError(problem, file=path, line=twice, hint="keep one of them") from error
+        size = 0 if node is None else _expanded(node, {}, 0)
+        data = _yaml().load(io.StringIO(text)) if 0 < size <= MAX_NODES else None
     except MarkedYAMLError as error:
+        twice = isinstance(error, DuplicateKeyError)
         mark = error.problem_mark or error.context_mark
-        place = mark.line + 1 if mark else None
+        problem = f"is not valid YAML: {error.problem or error.context}"
+        if twice:
+            problem = str(error.problem or "a key stands twice").split("with value")[0].strip()
         raise InputError(
-            f"is not valid YAML: {error.problem or error.context}", file=path, line=place
+            problem,
+            file=path,
+            line=mark.line + 1 if mark else None,
+            hint="keep one of them" if twice else None,
         ) from error
-    except InputError:
-        raise
     except Exception as error:
-        first = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"is not valid YAML: {first}", file=path) from error
+        raise InputError(f"is not valid YAML: {first_line(error)}", file=path) from error
+    if size == 0:
+        raise InputError("is empty", file=path)
+    if size > MAX_NODES:
+        text = f"expands to more than {MAX_NODES} nodes through its anchors"
+        raise InputError(text, file=path, hint="write it out")
     if not isinstance(data, CommentedMap):
         raise InputError("its top level must be 'key: value' lines", file=path, line=1)
     return data
@@ -175,17 +171,12 @@ def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
     """Number of nodes the document has once every alias is written out."""
     if depth > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} levels deep")
-    if id(node) in known:
-        return known[id(node)]
-    known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
-    total = 1
-    if isinstance(node, MappingNode):
-        for key, value in node.value:
-            total += _expanded(key, known, depth + 1) + _expanded(value, known, depth + 1)
-    elif isinstance(node, SequenceNode):
-        for value in node.value:
-            total += _expanded(value, known, depth + 1)
-    known[id(node)] = min(total, MAX_NODES + 1)
+    if id(node) not in known:
+        known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
+        inner = node.value if isinstance(node, MappingNode | SequenceNode) else ()
+        parts = (part for entry in inner for part in (entry if isinstance(entry, tuple) else (entry,)))
+        total = 1 + sum(_expanded(part, known, depth + 1) for part in parts)
+        known[id(node)] = min(total, MAX_NODES + 1)
     return known[id(node)]
 
 
@@ -206,16 +197,14 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         return model.model_validate(plain(data))
     except ValidationError as error:
         problems = error.errors()
-        first = min(problems, key=lambda p: (p["type"] != "extra_forbidden", 0))
-        location = _in_data(data, first)
+        first = min(problems, key=lambda p: p["type"] != "extra_forbidden")
         message, hint = _explain(first, data, model)
-        places = {tuple(_in_data(data, problem)) for problem in problems}
-        more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
+        others = {tuple(_in_data(data, problem)) for problem in problems}
         raise InputError(
-            message + more,
+            f"{message} (and {len(others) - 1} more)" if len(others) > 1 else message,
             file=path,
-            line=_line(data, list(first["loc"])),
-            column=".".join(str(p) for p in location) or None,
+            line=line_of(data, first["loc"]),
+            column=".".join(map(str, _in_data(data, first))) or None,
             hint=hint,
         ) from error
 
@@ -236,40 +225,29 @@ def _in_data(data: Any, problem: Any) -> list[Any]:
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    kind, location = problem["type"], problem["loc"]
+    """What is wrong, and what to do about it."""
+    kind, location, value = problem["type"], problem["loc"], problem.get("input")
     if kind == "extra_forbidden":
-        unknown = str(location[-1])
         allowed = sorted(_keys_at(model, location[:-1]))
-        close = nearest(unknown, allowed)
-        hint = (
-            f"did you mean '{close}'?"
-            if close
-            else f"allowed here: {', '.join(allowed)}"
-            if allowed
-            else None
-        )
-        return f"unknown key '{unknown}'", hint
+        meant = nearest(str(location[-1]), allowed)
+        hint = f"did you mean '{meant}'?" if meant else f"allowed here: {', '.join(allowed)}"
+        return f"unknown key '{location[-1]}'", hint if allowed else None
     if kind == "missing":
-        present = (
-            [str(k) for k in _at(data, location[:-1])]
-            if isinstance(_at(data, location[:-1]), Mapping)
-            else []
-        )
-        close = nearest(str(location[-1]), present)
-        return f"key '{location[-1]}' is missing", f"you wrote '{close}'" if close else None
-    value = problem.get("input")
-    shown = (
-        repr(value) if isinstance(value, str | int | float | bool) or value is None else type(value).__name__
-    )
+        place = _at(data, location[:-1])
+        wrote = nearest(str(location[-1]), [str(key) for key in place] if isinstance(place, Mapping) else [])
+        return f"key '{location[-1]}' is missing", f"you wrote '{wrote}'" if wrote else None
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
         return message, None
-    hint = None
+    close: str | None = None
     if kind in ("literal_error", "enum"):
-        expected = str(problem.get("ctx", {}).get("expected", ""))
-        close = nearest(str(value), [w.strip(" '") for w in expected.replace(" or ", ",").split(",")])
-        hint = f"did you mean '{close}'?" if close else None
-    return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
+        expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
+        close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
+    shown = repr(value) if value is None or isinstance(value, str | int | float) else type(value).__name__
+    return (
+        f"{shown} is not allowed: {message[0].lower()}{message[1:]}",
+        f"did you mean '{close}'?" if close else None,
+    )
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
@@ -306,7 +284,7 @@ def _at(data: Any, location: Sequence[Any]) -> Any:
     return data
 
 
-def _line(data: Any, location: list[Any]) -> int | None:
+def line_of(data: Any, location: Sequence[Any]) -> int | None:
     """Line of the deepest part of ``location`` the document really has."""
     line = None
     for part in location:
@@ -333,43 +311,47 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return plain(value.tolist())
-    if isinstance(value, bool) or value is None:
-        return value
-    if isinstance(value, float):
-        return float(value)
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, str):
-        return str(value)
     if isinstance(value, Path):
         return value.as_posix()
-    return value
+    kinds = () if isinstance(value, bool) else (float, int, str)
+    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
 
 
 def dumps(data: Mapping[str, Any]) -> str:
     """YAML text of a mapping; short leaf mappings and number lists stand on one line."""
     stream = io.StringIO()
-    _yaml().dump(_styled(plain(data), 0), stream)
+    _yaml().dump(_styled(plain(data)), stream)
     return stream.getvalue()
 
 
-def _styled(value: Any, depth: int) -> Any:
+def dumps_flat(data: Mapping[str, Any]) -> str:
+    """YAML of a mapping with every value on its key's line."""
+    stream = io.StringIO()
+    styled = _styled(plain(data), flat=True)
+    if styled:
+        _yaml().dump(styled, stream)
+    return stream.getvalue()
+
+
+def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
+    """Data marked with what stands on one line: all below the top where ``flat``, else what is short."""
     from ruamel.yaml.comments import CommentedSeq
 
+    short = len(str(value)) < 150
+    styled: Any = value
     if isinstance(value, dict):
-        styled = CommentedMap((k, _styled(v, depth + 1)) for k, v in value.items())
+        styled = CommentedMap((k, _styled(v, depth + 1, flat=flat)) for k, v in value.items())
         leaves = [v for v in value.values() if isinstance(v, dict | list)]
-        if depth > 1 and value and all(_short_list(v) for v in leaves) and len(str(value)) < 150:
-            styled.fa.set_flow_style()
-        return styled
-    if isinstance(value, list):
-        sequence = CommentedSeq(_styled(v, depth + 1) for v in value)
-        if not any(isinstance(v, dict) for v in value) and len(str(value)) < 150:
-            sequence.fa.set_flow_style()
-        return sequence
-    if isinstance(value, float) and not math.isfinite(value):
+        short = depth > 1 and short and bool(value) and all(_short_list(v) for v in leaves)
+        short = depth > 0 if flat else short
+    elif isinstance(value, list):
+        styled = CommentedSeq(_styled(v, depth + 1, flat=flat) for v in value)
+        short = flat or (short and not any(isinstance(v, dict) for v in value))
+    elif isinstance(value, float) and not math.isfinite(value) and not flat:
         return None
-    return value
+    if styled is not value and short:
+        styled.fa.set_flow_style()
+    return styled
 
 
 def _short_list(value: Any) -> bool:
@@ -379,33 +361,6 @@ def _short_list(value: Any) -> bool:
 def write(path: str | Path, data: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, whole or not at all."""
     atomic.write_text(path, dumps(data))
-
-
-def dumps_flat(data: Mapping[str, Any]) -> str:
-    """YAML of a mapping with every value on its key's line."""
-    stream = io.StringIO()
-    yaml = _yaml()
-    yaml.default_flow_style = None
-    styled = CommentedMap()
-    for key, value in plain(data).items():
-        styled[key] = _flow(value)
-    if styled:
-        yaml.dump(styled, stream)
-    return stream.getvalue()
-
-
-def _flow(value: Any) -> Any:
-    from ruamel.yaml.comments import CommentedSeq
-
-    if isinstance(value, dict):
-        mapping = CommentedMap((k, _flow(v)) for k, v in value.items())
-        mapping.fa.set_flow_style()
-        return mapping
-    if isinstance(value, list):
-        sequence = CommentedSeq(_flow(v) for v in value)
-        sequence.fa.set_flow_style()
-        return sequence
-    return value
 
 
 def parse_scalar(text: str) -> Any:
@@ -419,4 +374,4 @@ def parse_scalar(text: str) -> Any:
     try:
         return plain(YAML(typ="safe", pure=True).load(text.strip()))
     except Exception as error:
-        raise ValueError((str(error) or "unreadable").splitlines()[0]) from error
+        raise ValueError(first_line(error)) from error

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,63 +22,52 @@ Point = tuple[float, float]
 Frames = tuple[Array, Array, Array]
 
 
-class Moving(Protocol):
-    """A joint that moves: its name, its column in a log, its link, and how it follows the drive."""
+@dataclass(frozen=True)
+class Axis:
+    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
+
+    joint: Any
+    column: str
+    link: int
 
     @property
     def name(self) -> str:
         """Of the joint."""
-        ...
-
-    @property
-    def column(self) -> str:
-        """Of its angle in a log."""
-        ...
-
-    @property
-    def link(self) -> int:
-        """The one it turns."""
-        ...
+        return str(self.joint.name)
 
     @property
     def driven(self) -> Driven | None:
         """How it follows the drive; None where it yields."""
-        ...
+        law: Driven | None = self.joint.driven
+        return law
+
+    @property
+    def rate(self) -> str:
+        """The column of its rate."""
+        return self.column.replace("_rad", "_rate_rad_s")
 
 
 class Body(ABC):
-    """Links in a plane, joined by driven and passive joints, at the start values of a model's parameters.
+    """Links in a plane, joined by driven and passive joints, at the start values of a model's parameters."""
 
-    Attributes
-    ----------
-    free : bool
-        The base moves; otherwise it is held.
-    pose, velocity : tuple of three str
-        Channels of the reference point: two positions and the heading, two velocities in the body's axes
-        and the turning rate.
-    words : tuple of six str
-        The same in words.
-    lengths_m : tuple of float
-        Of each link, the base first.
-    reference_m : (float, float)
-        The reference point in the base's axes, m.
-    density_kg_m3 : float
-        Of the water.
-    step_s : float
-        Longest step of the integration.
-    driven, passive : sequence of Moving
-    """
-
+    #: The base moves; otherwise it is held.
     free: bool
+    #: Channels of the reference point: two positions and the heading, two velocities in the body's axes and
+    #: the turning rate.
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
-    words: tuple[str, str, str, str, str, str]
+    #: The same in words.
+    words: tuple[str, ...]
+    #: Of each link, the base first.
     lengths_m: tuple[float, ...]
+    #: The reference point in the base's axes, m.
     reference_m: Point
+    #: Of the water.
     density_kg_m3: float
+    #: Longest step of the integration.
     step_s: float
-    driven: Sequence[Moving]
-    passive: Sequence[Moving]
+    driven: Sequence[Axis]
+    passive: Sequence[Axis]
 
     @property
     def vertical(self) -> bool:

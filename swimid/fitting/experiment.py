@@ -22,33 +22,21 @@ from swimid.robots.file import Robot, locate
 
 @dataclass(frozen=True)
 class Experiment:
-    """A model with the trials that tell its parameters.
+    """A model with the trials that tell its parameters."""
 
-    Attributes
-    ----------
-    name : str
-        The trials file's ``experiment``.
-    robot : Robot
-    model : Model
-    trials : list of Trial
-    inputs : list of Input
-        Every file read: trials file, robot file, logs; and what was in memory.
-    variants : dict of str to list of Trial
-        Other readings of the same logs, between which the data decide (how an encoder
-        rounds, say); empty where there is only one.
-    facts : dict
-        What was found while reading, for the report.
-    robot_path : Path or None
-        The robot file, where a result refers to it.
-    """
-
+    #: The trials file's ``experiment``.
     name: str
     robot: Robot
     model: Model
     trials: list[Trial]
+    #: Every file read: trials file, robot file, logs; and what was in memory.
     inputs: list[Input]
+    #: Other readings of the same logs, between which the data decide (how an encoder rounds, say); empty
+    #: where there is only one.
     variants: Mapping[str, list[Trial]] = field(default_factory=dict)
+    #: What was found while reading, for the report.
     facts: Mapping[str, Any] = field(default_factory=dict)
+    #: The robot file, where a result refers to it.
     robot_path: Path | None = None
 
 

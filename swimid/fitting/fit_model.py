@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
@@ -108,10 +107,15 @@ def fit_model(
         parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
         result = start_states.with_held_out(result)
-        origin = provenance.collect(inputs, settings=_settings(fixed, freed, bounds))
+        settings = {
+            "fixed": dict(fixed or {}),
+            "freed": list(freed),
+            "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
+        }
+        origin = provenance.collect(inputs, settings=settings)
         file = fit_common.parameter_file(result, robot=robot, provenance=origin)
         checks = fit_common.checks(result, file)
-    shared = [label for label in result.labels if "[" not in label]
+    shared = result.shared
     if shared and all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult(
             f"none of {', '.join(shared)} can be identified from these trials",
@@ -143,15 +147,3 @@ def fit_model(
         ]
     )
     return fit_common.fitted(verb, text, file, evidence, target)
-
-
-def _settings(
-    fixed: Mapping[str, float] | None,
-    freed: Sequence[str],
-    bounds: Mapping[str, tuple[float, float]] | None,
-) -> dict[str, Any]:
-    return {
-        "fixed": dict(fixed or {}),
-        "freed": list(freed),
-        "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
-    }

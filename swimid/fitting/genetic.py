@@ -14,37 +14,26 @@ from swimid.fitting.model import Array
 #: The sea lion paper's settings (section II).
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
 #: An objective of a simulation that broke down.
-BROKEN = 1e9
+BROKEN_OBJECTIVE = 1e9
 
 
 @dataclass(frozen=True)
 class Front:
-    """The points of which none is better than another in every objective.
+    """The points of which none is better than another in every objective."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, d)
-        In the order of the first objective.
-    objectives : ndarray, shape (n, m)
-    history : ndarray, shape (generations, m)
-        Smallest value of each objective in the population of each generation.
-    evaluations : int
-    """
-
+    #: Shape (n, d): in the order of the first objective.
     points: Array
+    #: Shape (n, m).
     objectives: Array
+    #: Shape (generations, m): smallest value of each objective in the population of each generation.
     history: Array
     evaluations: int
 
 
 def knee(objectives: Array) -> int:
-    """The point nearest to the best of every objective, each over its range on the front.
+    """The point nearest to the best of every objective, shape (n, m), each over its range on the front.
 
     The ideal-point rule (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
-
-    Parameters
-    ----------
-    objectives : ndarray, shape (n, m)
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1
@@ -84,9 +73,7 @@ def nsga2(
     Parameters
     ----------
     evaluate : callable
-        Objectives, shape (n, m), of points, shape (n, d).
-    lower, upper : ndarray, shape (d,)
-        Finite bounds.
+        Objectives, shape (n, m), of points, shape (n, d), within finite bounds, shape (d,).
     objectives : int
         m.
     population, generations, crossover, seed
@@ -94,10 +81,8 @@ def nsga2(
     first : ndarray, shape (d,), optional
         A point that takes part from the beginning.
     checkpoint : Checkpoint, optional
-        Keeps the objectives of every generation: a search that was stopped is repeated with them up to there
-        and goes on as if nothing had happened.
-    name : str
-        What the generations are kept under.
+        Keeps the objectives of every generation under ``name``: a search that was stopped is repeated with
+        them up to there and goes on as if nothing had happened.
     advance : callable
         Called after each generation.
     """
@@ -125,7 +110,7 @@ def nsga2(
         label = f"{name}: generation {len(history)}"
         found = _kept(keep, label, points, objectives)
         if found is None:
-            found = np.nan_to_num(evaluate(points), nan=BROKEN, posinf=BROKEN)
+            found = np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE)
             keep.put(label, np.concatenate([points.ravel(), found.ravel()]))
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)

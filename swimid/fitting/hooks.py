@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -37,26 +37,19 @@ def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @dataclass(frozen=True)
 class Force:
-    """A force on one link, computed inside the compiled step.
+    """A force on one link, computed inside the compiled step."""
 
-    Attributes
-    ----------
-    function : numba cfunc of :data:`FORCE_SIGNATURE`
-        Adds to ``wrench`` (fx, fy, moment) at the point, in the link's axes, N and N m. It is
-        given the time (s), the ``pose`` (x, y of the reference point of the base in the world,
-        heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
-        axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one
-        coordinate: pose[0], velocity[0], wrench[0].
-    constants : ndarray, shape (c,)
-    link : int
-        Of a multi-link robot, 0 the base; -1 the last.
-    x, y : float, m
-        The point in the link's axes.
-    """
-
+    #: Numba cfunc of :data:`FORCE_SIGNATURE`. Adds to ``wrench`` (fx, fy, moment) at the point, in the link's
+    #: axes, N and N m. It is given the time (s), the ``pose`` (x, y of the reference point of the base in the
+    #: world, heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
+    #: axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one coordinate:
+    #: pose[0], velocity[0], wrench[0].
     function: Any
+    #: Shape (c,).
     constants: Array
+    #: Of a multi-link robot, 0 the base; -1 the last.
     link: int = 0
+    #: The point in the link's axes, m.
     x: float = 0.0
     y: float = 0.0
 
@@ -88,57 +81,32 @@ Flow = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions at the places of the chain; each tuple acts in its order.
+    """Functions at the places of the chain; each tuple acts in its order."""
 
-    Attributes
-    ----------
-    command : tuple of Command
-        Actuation: of each driven joint, or of the input column of a black-box model.
-    stroke : tuple of callables, Stroke -> Stroke
-        The same for models of the average over a beat.
-    tables : tuple of callables
-        Change the tables of a multi-link engine in place: dict of name to array
-        (:mod:`swimid.swimmer.planar.engine`, columns ``INERTIA``, ``PASSIVE``, ``DRAG`` ...).
-    coefficients : tuple of callables
-        Change the coefficients of a model of one equation in place: dict of name to float.
-    force : tuple of Force
-        At most :data:`MOST_FORCES`.
-    flow : tuple of Flow
-        Water that moves; all fluid forces act relative to it.
-    output : tuple of Output
-        Sensing.
-    clock_s : float
-        The log shows what happened this much earlier.
-    key : bytes
-        Tells one motion from another; two hooks of one key move the robot alike.
-    command_key : bytes
-        The same of the commands alone.
-    """
-
+    #: Actuation: of each driven joint, or of the input column of a black-box model.
     command: tuple[Command, ...] = ()
+    #: The same for models of the average over a beat.
     stroke: tuple[Callable[[Stroke], Stroke], ...] = ()
+    #: Change the tables of a multi-link engine in place: dict of name to array
+    #: (:mod:`swimid.swimmer.planar.engine`, columns ``INERTIA``, ``PASSIVE``, ``DRAG`` ...).
     tables: tuple[Callable[[dict[str, Any]], None], ...] = ()
+    #: Change the coefficients of a model of one equation in place: dict of name to float.
     coefficients: tuple[Callable[[dict[str, float]], None], ...] = ()
+    #: At most :data:`MOST_FORCES`.
     force: tuple[Force, ...] = ()
+    #: Water that moves; all fluid forces act relative to it.
     flow: tuple[Flow, ...] = ()
+    #: Sensing.
     output: tuple[Output, ...] = ()
+    #: The log shows what happened this much earlier.
     clock_s: float = 0.0
+    #: Tells one motion from another; two hooks of one key move the robot alike.
     key: bytes = b""
+    #: The same of the commands alone.
     command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
-        return Hooks(
-            self.command + other.command,
-            self.stroke + other.stroke,
-            self.tables + other.tables,
-            self.coefficients + other.coefficients,
-            self.force + other.force,
-            self.flow + other.flow,
-            self.output + other.output,
-            self.clock_s + other.clock_s,
-            self.key + other.key,
-            self.command_key + other.command_key,
-        )
+        return Hooks(*(getattr(self, name) + getattr(other, name) for name in _FIELDS))
 
     @property
     def moves(self) -> bool:
@@ -173,5 +141,6 @@ class Hooks:
         return found
 
 
+_FIELDS = tuple(field.name for field in fields(Hooks))
 #: Nothing acts.
 NONE = Hooks()

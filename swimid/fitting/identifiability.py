@@ -18,6 +18,7 @@ from swimid.fitting import output_error
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array
 from swimid.fitting.output_error import UNIDENTIFIABLE
+from swimid.fitting.sandwich import orthogonal_part
 from swimid.progress import Progress, silent
 
 #: Directions seen less than this, relatively to the one seen best, are not seen.
@@ -32,27 +33,19 @@ NEGLIGIBLE = 0.01
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that is known though its members are not.
+    """A weighted sum of parameters that is known though its members are not."""
 
-    Attributes
-    ----------
-    weights : dict of label to float
-        The largest is 1, where units differ that of the most important; those of the parameters over
-        :attr:`divisors` then.
-    members : tuple of str
-        The confounded parameters it belongs to, those of negligible weight too.
-    value, stderr : float
-    unit : str
-        Of the member whose weight is 1; none where units differ.
-    divisors : dict of label to str
-        Where units differ, what each member is divided by to have none: its size, with its unit.
-    """
-
+    #: Dict of label to float: the largest is 1, where units differ that of the most important; those of the
+    #: parameters over :attr:`divisors` then.
     weights: dict[str, float]
+    #: The confounded parameters it belongs to, those of negligible weight too.
     members: tuple[str, ...]
     value: float
     stderr: float
+    #: Of the member whose weight is 1; none where units differ.
     unit: str
+    #: Dict of label to str: where units differ, what each member is divided by to have none: its size, with
+    #: its unit.
     divisors: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -69,13 +62,6 @@ class Combination:
         return f"{terms} = {_rounded(self.value, self.stderr)}{unit}"
 
 
-def _rounded_sizes(group: Sequence[str], size: Array, units: Sequence[str]) -> tuple[Array, dict[str, str]]:
-    """Sizes to two digits, so that the sum can be computed from its words, and those words."""
-    short = [f"{s:.2g}" for s in size]
-    words = [text if unit == "1" else f"{text} {unit}" for text, unit in zip(short, units, strict=True)]
-    return np.array([float(text) for text in short]), dict(zip(group, words, strict=True))
-
-
 def unidentifiable(result: FitResult) -> list[str]:
     """Labels of the numbers the trials do not determine."""
     return [label for label in result.labels if result.status[label] == "unidentifiable"]
@@ -88,8 +74,7 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
     share its uncertainty and are themselves not known to :data:`VAGUE` of their size. A parameter
     the trials do not see at all is in no group, nor is a random effect.
     """
-    by_chance = {p.name for p in result.parameters if math.isfinite(p.spread)}
-    index = [i for i in _usable(result) if result.labels[i].split("[")[0] not in by_chance]
+    index = [i for i in _usable(result) if math.isinf(result.parameter(result.labels[i]).spread)]
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
     if len(vague) < 2:
         return []
@@ -120,10 +105,15 @@ def combinations(result: FitResult) -> list[Combination]:
             continue
         kept = np.where(np.abs(vt[0]) < NEGLIGIBLE * np.abs(vt[0]).max(), 0.0, vt[0])
         direction = kept if _sd(kept, singular, vt) * singular[0] <= 1.1 else vt[0]
-        units = [next(p.unit for p in result.parameters if p.name == g.split("[")[0]) for g in group]
-        # quantities of different units cannot be added: each is then counted in its own size
+        units = [result.parameter(g).unit for g in group]
         alike = len(set(units)) == 1
-        counted, divisors = (np.ones(len(group)), {}) if alike else _rounded_sizes(group, size, units)
+        counted, divisors = np.ones(len(group)), {}
+        if not alike:
+            # quantities of different units cannot be added: each is then counted in its own size, to two
+            # digits, so that the sum can be computed from its words
+            short = [f"{s:.2g}" for s in size]
+            words = [t if unit == "1" else f"{t} {unit}" for t, unit in zip(short, units, strict=True)]
+            counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
         weights = direction * counted / size
         one = float(weights[np.argmax(np.abs(weights))])
         weights /= one
@@ -190,16 +180,10 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
 def select_subset(
     result: FitResult, *, jobs: int | None = None, progress: Progress = silent
 ) -> tuple[FitResult, list[str]]:
-    """Fix the least identifiable parameters until the trials determine all the others.
+    """Fix the least identifiable parameters until the trials determine all the others; with their names.
 
     One at a time the lowest ranked of those not identifiable is fixed at its start value and
     the others are fitted again.
-
-    Returns
-    -------
-    result : FitResult
-    fixed : list of str
-        In the order they were fixed.
 
     Raises
     ------
@@ -219,7 +203,7 @@ def select_subset(
             parameters=[replace(p, free=p.free and p.name != weak[-1]) for p in result.parameters],
             progress=progress,
             jobs=jobs,
-            loss=result.loss,  # type: ignore[arg-type]
+            loss=result.loss,
             begin=begin,
         )
     return result, fixed
@@ -227,8 +211,7 @@ def select_subset(
 
 def _sizes(result: FitResult) -> Array:
     """Size of each number: its value, or its parameter's scale where that is larger."""
-    scale = {p.name: p.scale for p in result.parameters}
-    return np.maximum(np.abs(result.estimate), [scale[label.split("[")[0]] for label in result.labels])
+    return np.maximum(np.abs(result.estimate), [result.parameter(label).scale for label in result.labels])
 
 
 def _usable(result: FitResult) -> list[int]:
@@ -243,11 +226,7 @@ def _marginal(result: FitResult, index: Sequence[int]) -> Array:
     scaled = result.information_root * _sizes(result)
     others = [i for i in _usable(result) if i not in index]
     chosen = scaled[:, list(index)]
-    if not others:
-        return chosen
-    u, singular, _ = np.linalg.svd(scaled[:, others], full_matrices=False)
-    seen = u[:, singular > UNSEEN * max(singular[0], 1e-300)]
-    return chosen - seen @ (seen.T @ chosen)
+    return orthogonal_part(scaled[:, others], chosen, UNSEEN) if others else chosen
 
 
 def _sd(direction: Array, singular: Array, vt: Array) -> float:

@@ -9,41 +9,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-#: Time (s) -> angle, rate and acceleration of a joint.
-Motion = Callable[[Array], tuple[Array, Array, Array]]
+from swimid.fitting.drives import Array, Beat, Cycle, Motion
 
 
 @dataclass(frozen=True)
 class RigInput:
-    """A body on a test rig.
+    """A body on a test rig."""
 
-    Attributes
-    ----------
-    inertia : float
-        Known part, kg or kg m2, pulling mass and pulley included; NaN where none is known.
-    force : float, optional
-        Constant known force, N.
-    pulley : bool
-        A pulley's friction acts.
-    area_factor : float
-        ``rho A / 2``, kg/m; 0 where the quadratic coefficient itself is estimated.
-    release_s : float, optional
-        Time of release; zero where none is stated.
-    x0 : float
-        Displacement at release, m or rad.
-    """
-
+    #: Known part, kg or kg m2, pulling mass and pulley included; NaN where none is known.
     inertia: float = math.nan
+    #: Constant known force, N.
     force: float | None = None
+    #: A pulley's friction acts.
     pulley: bool = False
+    #: ``rho A / 2``, kg/m; 0 where the quadratic coefficient itself is estimated.
     area_factor: float = 0.0
+    #: Time of release; zero where none is stated.
     release_s: float | None = None
+    #: Displacement at release, m or rad.
     x0: float = 0.0
 
     @property
@@ -59,31 +46,21 @@ class RigInput:
 
 @dataclass(frozen=True)
 class SwimInput:
-    """A robot with links.
+    """A robot with links."""
 
-    Attributes
-    ----------
-    beat : swimid.swimmer.planar.drive.Beat, optional
-    stroke : swimid.swimmer.spatial.stroke.Cycle, optional
-    joints : sequence of Motion, optional
-        Of each driven joint, in place of a drive.
-    commanded : bool
-        The joints' motions are what they were told, not what was measured of them.
-    pose : tuple of float, optional
-        Of the reference point at the first sample, from which the start offsets count.
-    coefficients : mapping of str to float, optional
-        Those that were set otherwise in this trial.
-    """
-
-    beat: Any = None
-    stroke: Any = None
-    joints: Sequence[Motion] | None = None
+    beat: Beat | None = None
+    stroke: Cycle | None = None
+    #: Of each driven joint, in place of a drive: its motion at given times, s.
+    joints: Sequence[Callable[[Array], Motion]] | None = None
+    #: The joints' motions are what they were told, not what was measured of them.
     commanded: bool = False
+    #: Of the reference point at the first sample, from which the start offsets count.
     pose: tuple[float, ...] | None = None
+    #: Those that were set otherwise in this trial.
     coefficients: Mapping[str, float] | None = None
 
     @property
-    def drive(self) -> Any:
+    def drive(self) -> Beat | Cycle | None:
         """The beat or the stroke; None where measured joints, or nothing, move it."""
         return self.stroke if self.beat is None else self.beat
 
@@ -99,37 +76,23 @@ class SwimInput:
 
 @dataclass(frozen=True)
 class CruiseInput:
-    """Timed runs of one fin.
-
-    Attributes
-    ----------
-    fin : str
-    inertia_kg_m2 : float, optional
-        Hydrodynamic inertia of the fin, where it is known.
-    middle : (float, float)
-        Frequency (Hz) and amplitude (rad) about which the exponents of the law count.
-    rows : ndarray of int, optional
-        Rows of the table.
-    """
+    """Timed runs of one fin."""
 
     fin: str = ""
+    #: Hydrodynamic inertia of the fin, where it is known.
     inertia_kg_m2: float | None = None
+    #: Frequency (Hz) and amplitude (rad) about which the exponents of the law count.
     middle: tuple[float, float] = (1.0, 1.0)
+    #: Rows of the table.
     rows: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True)
 class SurgeInput:
-    """A steady beat of which only the mean over each beat is looked at.
+    """A steady beat of which only the mean over each beat is looked at."""
 
-    Attributes
-    ----------
-    frequency_hz, amplitude_rad : float
-        NaN where there is no such beat.
-    start_s : float
-        Time of the first sample.
-    """
-
+    #: NaN where there is no such beat.
     frequency_hz: float = math.nan
     amplitude_rad: float = math.nan
+    #: Time of the first sample.
     start_s: float = 0.0

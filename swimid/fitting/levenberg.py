@@ -31,59 +31,40 @@ CREEPING = 40
 STRAIGHT, BENT = 0.9, 0.75
 #: Derivatives are carried over a step that lowered the cost by more than this share of what it should have,
 #: and over so many steps at most.
-FAITHFUL, LONGEST = 0.75, 5
+FAITHFUL, CARRIED_STEPS = 0.75, 5
 #: What is said of a search that ends: at rest, where no step helps, on an edge, in a valley.
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 HIDDEN = "cost and estimates change by less than noise shows"
 KINKED = "no step lowers the cost though the gradient does not vanish"
-CREPT = "the search creeps"
+STALLED = "the search creeps"
 #: Columns that are a handful.
 FEW = 16
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A minimum of the sum of squares.
-
-    Attributes
-    ----------
-    x : ndarray, shape (p,)
-    cost : float
-        Sum of squared residuals there.
-    success : bool
-    message : str
-    iterations : int
-    crept : bool
-        Given up though steps still lowered the cost a little.
-    lowered : float
-        What the last `STRIDE` steps together lowered the cost by; infinite where there were fewer.
-    moved : ndarray, shape (p,)
-        How far they went; infinite where there were fewer.
-    """
+    """A minimum of the sum of squares, and that sum there."""
 
     x: Array
     cost: float
     success: bool
     message: str
     iterations: int
-    crept: bool = False
+    #: Given up though steps still lowered the cost a little.
+    stalled: bool = False
+    #: What the last `STRIDE` steps together lowered the cost by, and how far they went, shape (p,); infinite
+    #: where there were fewer.
     lowered: float = math.inf
     moved: Array = field(default_factory=lambda: np.full(1, math.inf))
 
 
 class Unnoticed(NamedTuple):
-    """What noise hides: a search may end whose last `BRIEF` steps together did no more.
+    """What noise hides: a search may end whose last `BRIEF` steps together did no more."""
 
-    Attributes
-    ----------
-    cost : float
-        By which they lowered the cost.
-    move : ndarray, shape (p,)
-        By which they moved each parameter; infinite for those that nothing is claimed of.
-    """
-
+    #: By which they lowered the cost.
     cost: float
+    #: By which they moved each parameter, shape (p,); infinite for those that nothing is claimed of.
     move: Array
 
 
@@ -142,10 +123,6 @@ def minimise(
         it derivatives are taken anew only where a step fell short (Broyden, Math. Comp. 19, 1965; Nielsen's
         "secant version").
 
-    Returns
-    -------
-    Solution
-
     Notes
     -----
     Damping after Nielsen ("Damping parameter in Marquardt's method", 1999). Parameters that
@@ -161,7 +138,7 @@ def minimise(
     if not np.isfinite(cost):
         return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
     attempt = partial(_attempt, residuals, lower, upper, scale)
-    told = watch or _untold
+    told = watch or (lambda x, cost, iteration: None)
     told(x, cost, 0)
     damping, growth = 1e-3, 2.0
     path = [(x, cost)]
@@ -212,7 +189,7 @@ def minimise(
                     if (
                         secant is not None
                         and gain > FAITHFUL
-                        and age < LONGEST
+                        and age < CARRIED_STEPS
                         and not (done or slight or small)
                     ):
                         rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
@@ -248,7 +225,7 @@ def _reason(
         if before - cost <= unnoticed.cost and np.all(np.abs(x - there) <= unnoticed.move):
             return HIDDEN
     if iteration > CREEPING and len(path) > STRIDE and path[-1 - STRIDE][1] - cost < little * cost:
-        return CREPT
+        return STALLED
     return None
 
 
@@ -256,7 +233,7 @@ def _solution(path: list[tuple[Array, float]], success: bool, message: str, iter
     """The end of a path of points and their costs."""
     x, cost = path[-1]
     there, before = path[-1 - STRIDE] if len(path) > STRIDE else (np.full(len(x), math.inf), math.inf)
-    return Solution(x, cost, success, message, iterations, message == CREPT, before - cost, x - there)
+    return Solution(x, cost, success, message, iterations, message == STALLED, before - cost, x - there)
 
 
 def _attempt(
@@ -282,10 +259,6 @@ def _corrected(
     if np.linalg.norm(bent * size) > BENT * np.linalg.norm(tried.step * size):
         return tried
     return min(tried, attempt(x, tried.step + bent), key=lambda t: t.cost)
-
-
-def _untold(x: Array, cost: float, iteration: int) -> None:
-    """Nobody watches."""
 
 
 def _products(rows: Array, r: Array) -> tuple[Array, Array]:

@@ -13,27 +13,17 @@ from swimid.fitting.model import Array
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one channel.
+    """Error of one channel."""
 
-    Attributes
-    ----------
-    rmse : float
-        Root-mean-square error, in the channel's unit.
-    nrmse : float
-        RMSE over the measured range (maximum minus minimum).
-    vaf : float
-        Variance accounted for, ``1 - var(error) / var(measured)``.
-    fit_percent : float
-        ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
-    bias : float
-        Mean error, measured minus simulated.
-    samples : int
-    """
-
+    #: Root-mean-square error, in the channel's unit.
     rmse: float
+    #: RMSE over the measured range (maximum minus minimum).
     nrmse: float
+    #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
+    #: ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
     fit_percent: float
+    #: Mean error, measured minus simulated.
     bias: float
     samples: int
 
@@ -43,22 +33,13 @@ class Score:
 
 
 def score(measured: Array, simulated: Array) -> Score:
-    """Compare two series, leaving out samples missing in either.
-
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n,)
-
-    Returns
-    -------
-    Score
-        NaN where nothing can be compared.
+    """Compare two series, shape (n,), leaving out samples missing in either; NaN where nothing is left.
 
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
     """
-    there = np.isfinite(measured) & np.isfinite(simulated)
-    y, e = measured[there], (measured - simulated)[there]
+    y, z = _both(measured, simulated)
+    e = y - z
     if len(y) == 0:
         return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
     rmse = float(np.sqrt(np.mean(e**2)))
@@ -76,15 +57,7 @@ def score(measured: Array, simulated: Array) -> Score:
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
     """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
 
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n,)
-        Samples missing in either are left out.
-
-    Returns
-    -------
-    (absolute, normalised)
-        In the channel's unit, and without one.
+    Of series of shape (n,), samples missing in either left out: in the channel's unit, and without one.
 
     >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
     (1.0, 0.25)

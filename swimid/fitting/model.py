@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import UsageError, nearest, suggestion
+from swimid.errors import UsageError, suggestion
 from swimid.fitting.body import Body
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
@@ -378,8 +378,7 @@ class Model(ABC):
         """
         names = [p.name for p in self.parameters]
         if name not in names:
-            close = nearest(name, names)
-            hint = f"did you mean '{close}'?" if close else f"it has: {', '.join(names)}"
+            hint = suggestion(name, names, "it has")
             raise UsageError(f"the model {self.name} has no parameter '{name}'", hint=hint)
         return names.index(name)
 
@@ -397,8 +396,7 @@ def chosen(
     names = [p.name for p in parameters]
     for name in (*fixed, *freed, *bounds):
         if name not in names:
-            hint = suggestion(name, names)
-            raise UsageError(f"there is no parameter '{name}'", hint=hint)
+            raise UsageError(f"there is no parameter '{name}'", hint=suggestion(name, names))
     result = []
     for parameter in parameters:
         if parameter.name in bounds:

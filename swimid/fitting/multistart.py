@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.fit_result import FitResult, Loss
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
@@ -22,16 +22,7 @@ SAME = 1e-3
 
 
 class Start(NamedTuple):
-    """One start and where it led.
-
-    Attributes
-    ----------
-    start, end : ndarray, shape (p,)
-        ``end`` is NaN where the search failed.
-    cost : float
-        :attr:`FitResult.cost` there; infinite where the search failed.
-    converged : bool
-    """
+    """One start and where it led, shape (p,) each: to NaN, at infinite cost, where the search failed."""
 
     start: Array
     end: Array
@@ -48,7 +39,7 @@ def multistart(
     seed: int = 0,
     begins: Sequence[Array] | None = None,
     jobs: int | None = None,
-    loss: output_error.Loss = "linear",
+    loss: Loss = "linear",
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starts and keep the best.
@@ -60,7 +51,6 @@ def multistart(
     starts : int
         The first are ``begins``; the others are uniform within the bounds, or within one scale of
         the start on a side without a bound.
-    seed : int
     begins : sequence of ndarray, each shape (p,), optional
         Default the parameters' own start alone.
 
@@ -85,7 +75,7 @@ def multistart(
     best: FitResult | None = None
     ends: list[Start] = []
     failure: NoTrustworthyResult | None = None
-    spent: list[tuple[int, int]] = []
+    results: list[FitResult] = []
     with progress("starts", total=starts) as step:
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
@@ -102,7 +92,7 @@ def multistart(
                 ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
-                spent.append((found.evaluations, found.jacobians))
+                results.append(found)
                 if best is None or (not found.converged, found.cost) < (not best.converged, best.cost):
                     best = found
                 if found.interrupted:
@@ -114,9 +104,11 @@ def multistart(
         assert failure is not None
         raise failure
     found = output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1)
-    evaluations = sum(e for e, _ in spent) - best.evaluations + found.evaluations
-    jacobians = sum(j for _, j in spent) - best.jacobians + found.jacobians
-    return replace(found, evaluations=evaluations, jacobians=jacobians), ends
+    others = [r for r in results if r is not best]
+    evaluations = found.evaluations + sum(r.evaluations for r in others)
+    return replace(
+        found, evaluations=evaluations, jacobians=found.jacobians + sum(r.jacobians for r in others)
+    ), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:

@@ -26,10 +26,7 @@ CLIPPED = float(
 
 
 def weigh_first(problem: Problem, even: bool) -> None:
-    """First weights: each channel by its own size, known error shapes as they are.
-
-    ``even`` leaves all weights equal.
-    """
+    """First weights: each channel by its own size, known error shapes as they are; all equal if ``even``."""
     if even:
         return
     for k, trial in enumerate(problem.trials):
@@ -51,7 +48,6 @@ def estimate(
     Parameters
     ----------
     theta : ndarray, shape (p,)
-        Where the residuals are taken.
     previous : dict of channel name to (float, float)
         The sizes of the round before; empty in the first.
     robust : bool
@@ -67,104 +63,72 @@ def estimate(
     """
     found: dict[str, tuple[float, float]] = {}
     simulations = problem.simulations(theta)
-    names = sorted({c for channels in problem.channels for c in channels})
-    for channel in names:
-        residuals, rates, shapes, uncertain, places = [], [], [], [], []
-        for k, trial in enumerate(problem.trials):
-            if channel not in problem.channels[k]:
-                continue
-            i = problem.channels[k].index(channel)
-            simulated = simulations[k][channel]
-            needs_rate = trial.stamps_uncertain or trial.time_sd_s > 0
-            rate = (
-                problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel]
-                if needs_rate
-                else np.zeros_like(simulated)
-            )
-            residuals.append(trial.measured[channel] - simulated)
+    for channel in sorted({c for channels in problem.channels for c in channels}):
+        owners = [k for k, channels in enumerate(problem.channels) if channel in channels]
+        errors, rates, shapes = [], [], []
+        for k in owners:
+            trial, simulated = problem.trials[k], simulations[k][channel]
+            rate = np.zeros_like(simulated)
+            if trial.stamps_uncertain or trial.time_sd_s > 0:
+                rate = problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel]
+            errors.append(trial.measured[channel] - simulated)
             rates.append(np.abs(rate))
             known = np.broadcast_to(
                 np.asarray(trial.value_sd.get(channel, 0.0), dtype=float), simulated.shape
             )
             shapes.append(np.sqrt(known**2 + (trial.time_sd_s * rate) ** 2))
-            uncertain.append(trial.stamps_uncertain)
-            places.append((k, i))
-        constant, stamp = _components(residuals, rates, shapes, uncertain, previous.get(channel), robust)
+        uncertain = [problem.trials[k].stamps_uncertain for k in owners]
+        constant, stamp = _components(errors, rates, shapes, uncertain, previous.get(channel), robust)
         found[channel] = (constant, stamp)
-        for (k, i), shape, rate, free, error in zip(places, shapes, rates, uncertain, residuals, strict=True):
+        for k, shape, rate, free, error in zip(owners, shapes, rates, uncertain, errors, strict=True):
+            i = problem.channels[k].index(channel)
             if np.any(shape > 0):
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
             else:
                 sd = np.sqrt(constant**2 + (stamp * rate) ** 2) if free else np.full(len(rate), constant)
-            problem.sd[k][i] = np.maximum(
-                sd, 1e-12 * max(1e-6, np.nanmax(np.abs(problem.trials[k].measured[channel])))
-            )
+            largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
+            problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
             if robust:
-                # the residual times this, squared, is the pull of Huber's loss times the residual
-                far = np.maximum(np.abs(np.nan_to_num(error, nan=0.0)) / problem.sd[k][i] / CORNER, 1.0)
-                problem.damping[k][i] = 1.0 / np.sqrt(far)
+                problem.damping[k][i] = huber_damping(error / problem.sd[k][i])
     return found
 
 
+def huber_damping(residuals: Array) -> Array:
+    """Factors of weighted residuals: what it makes of one, squared, pulls by it as Huber's loss does."""
+    far = np.maximum(np.abs(np.nan_to_num(residuals, nan=0.0)) / CORNER, 1.0)
+    return np.asarray(1.0 / np.sqrt(far))
+
+
 def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], list[Array]]:
-    """What weighted residuals and the rows of their derivatives become for the covariance.
+    """Each trial's residuals as if from least squares, and factors of the rows of their derivatives.
 
-    A robust loss lets a sample pull by at most its corner; its curvature vanishes beyond.
-
-    Parameters
-    ----------
-    residuals : list of ndarray, each shape (n_k,)
-        As :meth:`Problem.trial_residuals` gives them.
-
-    Returns
-    -------
-    residuals, factors : list of ndarray, each shape (n_k,)
-        Residuals as if they came from least squares, and what to multiply the rows by. With
-        the linear loss the same residuals, and ones.
+    A robust loss lets a sample pull by at most its corner; its curvature vanishes beyond. With the linear
+    loss these are the same residuals, and ones.
     """
     inside: dict[str, list[Array]] = {}
-    for names, dampings, masks in zip(problem.channels, problem.damping, problem.masks, strict=True):
-        for channel, damping, mask in zip(names, dampings, masks, strict=True):
+    for k, dampings in enumerate(problem.damping):
+        for channel, damping, mask in zip(problem.channels[k], dampings, problem.masks[k], strict=True):
             inside.setdefault(channel, []).append(damping[mask] == 1.0)
     curvature = {c: max(float(np.mean(np.concatenate(parts))), 1e-3) for c, parts in inside.items()}
-    pulls, factors = [], []
-    for k, values in enumerate(residuals):
-        parts = [
-            math.sqrt(curvature[c]) / damping[mask]
-            for c, damping, mask in zip(
-                problem.channels[k], problem.damping[k], problem.masks[k], strict=True
-            )
-        ]
-        factor = np.concatenate(parts) if parts else np.empty(0)
-        factors.append(factor)
-        pulls.append(values / factor)
-    return pulls, factors
-
-
-def far_apart(problem: Problem, before: list[list[Array]]) -> float:
-    """Largest relative change of any sample's weight against those of all samples together.
-
-    Parameters
-    ----------
-    before : list of list of ndarray
-        What :func:`weights` gave then.
-    """
-    every = np.concatenate(
-        [
-            (new / old)[mask]
-            for news, olds, masks in zip(weights(problem), before, problem.masks, strict=True)
-            for new, old, mask in zip(news, olds, masks, strict=True)
-        ]
-    )
-    return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
-
-
-def weights(problem: Problem) -> list[list[Array]]:
-    """Weight of every sample by trial and channel, each shape (n_k,)."""
-    return [
-        [damping / sd for damping, sd in zip(dampings, sds, strict=True)]
-        for dampings, sds in zip(problem.damping, problem.sd, strict=True)
+    factors = [
+        problem.at_samples(
+            k,
+            [math.sqrt(curvature[c]) / d for c, d in zip(problem.channels[k], dampings, strict=True)],
+        )
+        for k, dampings in enumerate(problem.damping)
     ]
+    return [values / factor for values, factor in zip(residuals, factors, strict=True)], factors
+
+
+def weights(problem: Problem) -> list[Array]:
+    """Weight of every sample of each trial, each shape (n_k,)."""
+    return [problem.sample_weights(k) for k in range(len(problem.trials))]
+
+
+def largest_change(problem: Problem, before: list[Array]) -> float:
+    """Largest relative change of a sample's weight since ``before``, against those of all together."""
+    every = np.concatenate(weights(problem)) / np.concatenate(before)
+    return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 
 
 def _components(
@@ -226,28 +190,13 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
 
 
 def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array]:
-    """Autoregression of the weighted residuals, pooled over trials, by channel; empty where white.
-
-    Parameters
-    ----------
-    residuals : list of ndarray
-        Weighted residuals of each trial, as :meth:`Problem.trial_residuals` gives them.
-    """
-    parts: dict[str, list[Array]] = {}
-    for k, values in enumerate(residuals):
-        at = 0
-        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
-            series = np.full(len(mask), np.nan)
-            series[mask] = values[at : at + int(mask.sum())]
-            at += int(mask.sum())
-            parts.setdefault(channel, []).append(series)
+    """Autoregression of the trials' weighted residuals by channel, pooled over trials; empty where white."""
     found = {}
-    for channel, series_list in parts.items():
-        x = joined(series_list, gap=30)
+    for channel, series in problem.series(residuals).items():
+        x = joined(series, gap=30)
         if np.isfinite(x).sum() < 12 or np.nanstd(x) == 0:
             found[channel] = np.empty(0)
             continue
-        longest = max(len(s) for s in series_list)
-        fitted = fit_autoregression(x, max_order=max(1, min(25, longest // 5)))
-        found[channel] = fitted.coefficients
+        longest = max(len(s) for s in series)
+        found[channel] = fit_autoregression(x, max_order=max(1, min(25, longest // 5))).coefficients
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +10,9 @@ from scipy import stats
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, start_states
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Array, Trial
 
 #: Fewest trials among which one can be odd: of fewer the others do not show how far off is far.
-FEWEST = 4
+MIN_TRIALS = 4
 #: A trial is odd when chance would put one of them as far off less often than this.
 ODD = 1e-2
 #: ... and its error of prediction is at least so many times that of the others: less is no mistake in a
@@ -24,62 +22,39 @@ TIMES = 2.0
 
 @dataclass(frozen=True)
 class Odd:
-    """A trial that the others do not predict.
-
-    Attributes
-    ----------
-    trial : str
-    times : float
-        Its error of prediction over the others' typical one.
-    p_value : float
-        Of the most distant of so many trials by Student's t of the logarithms of their errors.
-    others : FitResult
-        Of all other trials; this one has the role ``validate``.
-    """
+    """A trial that the others do not predict."""
 
     trial: str
+    #: Its error of prediction over the others' typical one.
     times: float
+    #: Of the most distant of so many trials by Student's t of the logarithms of their errors.
     p_value: float
+    #: Of all other trials; this one has the role ``validate``.
     others: FitResult
 
 
-def odd_trial(result: FitResult, fit: Callable[[Sequence[Trial]], FitResult] | None = None) -> Odd | None:
-    """The trial that does not agree with the others, where there is one.
+def odd_trial(result: FitResult) -> Odd | None:
+    """The trial that does not agree with the others; None where there is none, or a fit of the others fails.
 
     The suspect is the one whose absence lowers the misfit of the rest most. Its error, predicted from
     them, is then held against the errors with which each of them is predicted by the rest: what the model
     lacks for all trials is in those errors too, and makes none of them odd.
-
-    Parameters
-    ----------
-    result : FitResult
-    fit : callable, optional
-        How trials are fitted; default as the result was.
-
-    Returns
-    -------
-    Odd or None
-        None where there is none, fewer than :data:`FEWEST` trials, or a fit of the others fails.
     """
     names = [t.id for t in result.trials if t.role == "fit"]
-    if len(names) < FEWEST:
+    if len(names) < MIN_TRIALS:
         return None
-
-    here = tuple(p if p.per_trial else replace(p, start=result.value(p.name)) for p in result.parameters)
-
-    def again(trials: Sequence[Trial]) -> FitResult:
-        return output_error.fit(result.model, trials, parameters=here, tested=False)
-
-    run = fit or again
+    here = result.at_estimates()
 
     def without(*left_out: str) -> FitResult:
         trials = [replace(t, role="validate") if t.id in left_out else t for t in result.trials]
-        return start_states.with_held_out(run(trials))
+        fit = output_error.fit(result.model, trials, parameters=here, tested=False)
+        return start_states.with_held_out(fit)
 
     try:
         fits = {name: without(name) for name in names}
         suspect = min(names, key=lambda name: fits[name].cost)
-        scale = _scales(fits[suspect])
+        # so that channels of other units count alike
+        scale = {name: max(noise.value_sd, 1e-300) for name, noise in fits[suspect].noise.items()}
         rest = [name for name in names if name != suspect]
         logs = np.log([_error(without(suspect, name), name, scale) for name in rest])
         far = float(np.log(_error(fits[suspect], suspect, scale)))
@@ -96,15 +71,8 @@ def odd_trial(result: FitResult, fit: Callable[[Sequence[Trial]], FitResult] | N
     return Odd(suspect, times, p_value, fits[suspect]) if p_value < ODD and times >= TIMES else None
 
 
-def _scales(result: FitResult) -> dict[str, float]:
-    """Noise of each channel, so that channels of other units count alike."""
-    return {name: max(noise.value_sd, 1e-300) for name, noise in result.noise.items()}
-
-
 def _error(result: FitResult, trial: str, scale: dict[str, float]) -> float:
     """Root-mean-square error of a trial over the noise."""
-    parts: list[Array] = [
-        s.residual / scale[s.channel] for s in result.series if s.trial == trial and s.channel in scale
-    ]
-    values = np.concatenate(parts)
+    own = [s for s in result.series if s.trial == trial and s.channel in scale]
+    values = np.concatenate([s.residual / scale[s.channel] for s in own])
     return float(np.sqrt(np.nanmean(values**2)))

@@ -13,7 +13,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as noise_model
 from swimid.fitting import restarts, sandwich
-from swimid.fitting.fit_result import FitResult, Noise, Series
+from swimid.fitting.fit_result import FitResult, Loss, Noise, Series
 from swimid.fitting.levenberg import KINKED, STRIDE, Unnoticed
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import LITTLE, Problem
@@ -44,7 +43,7 @@ BY_NOISE = 2.0
 SLIGHT = 0.03
 #: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
 #: what fits of right models take (6 to 25; 52 where simulations break down at the start).
-LONGEST, BUDGET = 200, 75
+MAX_ITERATIONS, BUDGET = 200, 75
 #: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
 CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
@@ -58,7 +57,17 @@ RESTARTS, ANOTHER = 6, 1.0
 #: standard error does; and none is begun once they have taken this share of the first search.
 TRIFLE, SHARE = 0.1, 1.0
 
-Loss = Literal["linear", "huber"]
+
+@dataclass(frozen=True)
+class _Task:
+    """What is fitted, and how."""
+
+    model: Model
+    trials: tuple[Trial, ...]
+    parameters: tuple[Parameter, ...]
+    jobs: int
+    loss: Loss = "linear"
+    progress: Progress = silent
 
 
 def fit(
@@ -123,65 +132,45 @@ def fit(
     autoregression chosen by BIC; multiplied by the trials' scatter where they disagree. A
     parameter that its bound may hold by noise alone counts as free in it.
     """
-    parameters = tuple(parameters or model.parameters)
     threads = jobs or os.cpu_count() or 1
-    result = _refined(model, trials, parameters, progress, threads, loss, begin, unfinished)
+    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, loss, progress)
+    result = _refined(task, begin, unfinished)
     # what did not converge is no answer yet
     return held_to_restarts(result, jobs=threads) if tested and result.converged else result
 
 
 def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
-    """The answer of a fit, or a better one that restarts around it lead to; warns where they do.
+    """The answer of a fit, or a better one that restarts around it lead to; warns of that.
 
-    Parameters
-    ----------
-    result : FitResult
-    jobs : int
-        Threads.
-
-    Returns
-    -------
-    FitResult
-        With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
-    first, count = result, 0
+    first, count, settled = result, 0, True
     spent, taken, gain = result.evaluations, result.jacobians, 0.0
+    if result.interrupted:
+        return result
     try:
-        while not result.interrupted:
+        while True:
             if spent > (1.0 + SHARE) * first.evaluations and not restarts.kinked(result):
-                result = replace(result, restarts=count, settled=gain <= ANOTHER)
+                settled = gain <= ANOTHER
                 break
             with threadpool_limits(limits=1, user_api="blas"):
-                found = restarts.held(result, jobs=jobs, seed=count)
-            spent, taken = spent + found.evaluations, taken + found.jacobians
-            if found.point is None or count == RESTARTS:
-                result = replace(result, restarts=count, settled=found.point is None)
+                near = restarts.held(result, jobs=jobs, seed=count)
+            spent, taken = spent + near.evaluations, taken + near.jacobians
+            if near.point is None or count == RESTARTS:
+                settled = near.point is None
                 break
-            again = _refined(
-                result.model,
-                result.trials,
-                result.parameters,
-                silent,
-                jobs,
-                _loss(result),
-                found.point,
-                True,
-                near=result,
-            )
+            task = _Task(result.model, result.trials, result.parameters, jobs, result.loss)
+            again = _refined(task, near.point, True, near=result)
             spent, taken = spent + again.evaluations, taken + again.jacobians
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
-                result = replace(result, restarts=count, settled=True)
                 break
-            if not again.converged:
-                result = replace(again, restarts=count + 1, settled=False)
-                break
-            result, count = again, count + 1
-            if gain < TRIFLE and not found.rough:
-                result = replace(result, restarts=count, settled=True)
+            result, count, settled = again, count + 1, again.converged
+            if not settled or (gain < TRIFLE and not near.rough):
                 break
     except KeyboardInterrupt:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
+    result = replace(result, restarts=count, settled=settled)
     if _objective(first) - _objective(result) > ANOTHER:
         warn(
             "SWM073",
@@ -192,50 +181,24 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
     return replace(result, evaluations=spent, jacobians=taken)
 
 
-def _loss(result: FitResult) -> Loss:
-    return "huber" if result.loss == "huber" else "linear"
-
-
 def _objective(result: FitResult) -> float:
     """Twice the negative log-likelihood but for a constant, that of random effects included."""
     chance = 0.0
     for p in result.parameters:
         if math.isfinite(p.spread):
-            mine = [j for j, label in enumerate(result.labels) if label.split("[")[0] == p.name]
+            mine = [j for j, label in enumerate(result.labels) if result.parameter(label) is p]
             chance += float(np.sum(((result.estimate[mine] - p.start) / p.spread) ** 2))
     return result.samples * math.log(max(result.cost, 1e-300)) + chance
 
 
-def _refined(
-    model: Model,
-    trials: Sequence[Trial],
-    parameters: tuple[Parameter, ...],
-    progress: Progress,
-    jobs: int,
-    loss: Loss,
-    begin: Array | None,
-    unfinished: bool,
-    near: FitResult | None = None,
-) -> FitResult:
+def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult | None = None) -> FitResult:
     """The fit, with the integration step halved until that changes nothing.
 
     With a fit ``near`` the weights begin as that one's.
     """
     spent = taken = 0
     for _ in range(MAX_REFINEMENTS):
-        # the matrices here are small: BLAS threads would only take the cores from the simulations
-        with threadpool_limits(limits=1, user_api="blas"):
-            result = _fit_once(
-                model,
-                trials,
-                parameters,
-                progress,
-                jobs,
-                loss,
-                begin,
-                budget=BUDGET if unfinished else LONGEST,
-                near=near,
-            )
+        result = _fit_once(task, begin, budget=BUDGET if unfinished else MAX_ITERATIONS, near=near)
         spent, taken = spent + result.evaluations, taken + result.jacobians
         result = replace(result, evaluations=spent, jacobians=taken)
         if not (result.converged or result.interrupted or unfinished):
@@ -243,14 +206,14 @@ def _refined(
                 f"the fit did not converge: {result.message}",
                 hint="check units and trial settings, or hold a parameter with --fix",
             )
-        finer = model.refined()
+        finer = task.model.refined()
         if finer is None or result.interrupted:
             return result
         spent += len(result.trials)
         result = replace(result, step_error=_step_error(result, finer), evaluations=spent)
         if not result.converged or result.step_error <= STEP_ERROR:
             return result
-        model, begin, near = finer, result.estimate, result
+        task, begin, near = replace(task, model=finer), result.estimate, result
     return result
 
 
@@ -276,50 +239,37 @@ def at(
     NoTrustworthyResult
         When the model cannot be simulated there, or there are fewer samples than unknowns.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
-        result = _fit_once(
-            model,
-            trials,
-            tuple(parameters or model.parameters),
-            silent,
-            jobs or os.cpu_count() or 1,
-            "linear",
-            point,
-            search=False,
-        )
+    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), jobs or os.cpu_count() or 1)
+    result = _fit_once(task, point, search=False)
     finer = model.refined()
     return result if finer is None else replace(result, step_error=_step_error(result, finer))
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
-    trials = {t.id: t for t in result.trials}
     worst = 0.0
-    for name, trial in trials.items():
-        fine = finer.simulate(result.values(name), trial)
+    for trial in result.trials:
+        fine = finer.simulate(result.values(trial.id), trial)
         for s in result.series:
-            if s.trial == name:
+            if s.trial == trial.id:
                 change = np.abs(fine[s.channel] - s.simulated) / s.sd
                 worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
     return worst
 
 
+# the matrices here are small: BLAS threads would only take the cores from the simulations
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_once(
-    model: Model,
-    trials: Sequence[Trial],
-    parameters: tuple[Parameter, ...],
-    progress: Progress,
-    jobs: int,
-    loss: Loss,
+    task: _Task,
     begin: Array | None,
     *,
     search: bool = True,
     budget: int = 0,
     near: FitResult | None = None,
 ) -> FitResult:
-    fitted = [t for t in trials if t.role == "fit"]
+    fitted = [t for t in task.trials if t.role == "fit"]
     if not fitted:
         raise NoTrustworthyResult("no trial has the role 'fit'")
-    problem = Problem(model, parameters, fitted, jobs=jobs)
+    problem = Problem(task.model, task.parameters, fitted, jobs=task.jobs)
     start = problem.start if begin is None else np.clip(begin, problem.lower, problem.upper)
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     if samples <= len(start):
@@ -328,9 +278,9 @@ def _fit_once(
             hint="give longer logs or more trials, or fix some parameters",
         )
     try:
-        path = _Search(problem, start, loss, budget, near)
+        path = _Search(problem, start, task.loss, budget, near)
         if search:
-            path.run(progress)
+            path.run(task.progress)
         else:
             path.stay()
         if not np.isfinite(path.theta).all():
@@ -338,15 +288,15 @@ def _fit_once(
                 f"the fit did not converge: {path.message}", hint="check units and trial settings"
             )
         _insist_unbroken(problem, path.theta)
-        if path.crept:
+        if path.stalled:
             warn(
                 "SWM026",
                 f"the search converged slowly along a flat valley and was ended after {path.iterations} "
                 f"iterations: ten of them together lowered the squared residuals by less than {LITTLE:.0e} "
                 "of their sum",
             )
-        noise = noise_model.estimate(problem, path.theta, path.noise, robust=loss == "huber")
-        result = _result(problem, path, noise, parameters, tuple(trials), loss)
+        path.estimate_noise()
+        result = _result(path, task)
         why = None if path.interrupted or not search else _unfinished(path, result)
         return result if why is None else replace(result, converged=False, message=why)
     finally:
@@ -364,7 +314,7 @@ class _Search:
     near: FitResult | None = None
     converged: bool = False
     interrupted: bool = False
-    crept: bool = False
+    stalled: bool = False
     message: str = ""
     iterations: int = 0
     lowered: float = math.inf
@@ -421,17 +371,18 @@ class _Search:
         """Estimate the noise anew; the largest relative change of a weight."""
         _insist_unbroken(self.problem, self.theta)
         before = noise_model.weights(self.problem)
+        self.estimate_noise()
+        return noise_model.largest_change(self.problem, before)
+
+    def estimate_noise(self) -> None:
+        """The size of the noise at the present point, and the weights that follow."""
         self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
-        return noise_model.far_apart(self.problem, before)
 
     def _unnoticed(self) -> Unnoticed:
         """What the last steps of a search may still do without being noticed."""
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
-        raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-        residuals, factors = noise_model.influence(problem, raw)
-        jacobians = problem.trial_jacobians(theta)
-        rows = [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
+        _, residuals, rows = _influences(problem, theta)
         found = sandwich.sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
@@ -454,14 +405,14 @@ class _Search:
             watch=watch,
         )
         self.theta, self.iterations = solution.x, done + solution.iterations
-        self.converged, self.message, self.crept = solution.success, solution.message, solution.crept
+        self.converged, self.message, self.stalled = solution.success, solution.message, solution.stalled
         self.lowered, self.moved = solution.lowered, solution.moved
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
     """Why the end of a search is no minimum, in words; None where it is one as far as noise tells."""
     moving = {}
-    if search.moved is not None and not (search.converged and not search.crept):
+    if search.moved is not None and not (search.converged and not search.stalled):
         for label, move in zip(result.labels, search.moved, strict=True):
             error = result.stderr(label)
             if "[" not in label and result.status[label] == "estimated" and error:
@@ -491,20 +442,20 @@ def _insist_unbroken(problem: Problem, theta: Array) -> None:
         )
 
 
-def _result(
-    problem: Problem,
-    search: _Search,
-    noise: dict[str, tuple[float, float]],
-    parameters: tuple[Parameter, ...],
-    trials: tuple[Trial, ...],
-    loss: Loss,
-) -> FitResult:
-    theta = search.theta
+def _influences(
+    problem: Problem, theta: Array, *, central: bool = False
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Each trial's weighted residuals, what they become for the covariance, and so the scaled derivatives."""
     raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    samples = sum(len(r) for r in raw)
-    jacobians = problem.trial_jacobians(theta, central=samples * len(theta) <= CENTRAL_NUMBERS)
     residuals, factors = noise_model.influence(problem, raw)
-    rows = [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
+    jacobians = problem.trial_jacobians(theta, central=central)
+    return raw, residuals, [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
+
+
+def _result(search: _Search, task: _Task) -> FitResult:
+    problem, theta = search.problem, search.theta
+    samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
+    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= CENTRAL_NUMBERS)
     autoregressions = noise_model.autoregressions(problem, residuals)
     priors = problem.priors(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
@@ -536,8 +487,8 @@ def _result(
     covariance[held] = covariance[:, held] = np.nan
     result = FitResult(
         model=problem.model,
-        parameters=parameters,
-        trials=trials,
+        parameters=task.parameters,
+        trials=task.trials,
         labels=problem.labels,
         estimate=theta,
         covariance=covariance,
@@ -545,21 +496,21 @@ def _result(
         series=[],
         noise={
             c: Noise(noise_model.value_sd(problem, c, v), t, autoregressions[c])
-            for c, (v, t) in noise.items()
+            for c, (v, t) in search.noise.items()
         },
         scatter=1.0 if found is None else found.scatter,
         scatter_p=1.0 if found is None else found.scatter_p,
         samples=samples,
         converged=search.converged,
         message=search.message,
-        evaluations=problem.evaluations + sum(t.role != "fit" for t in trials),
+        evaluations=problem.evaluations + sum(t.role != "fit" for t in task.trials),
         interrupted=search.interrupted,
         cost=_cost(problem, raw),
         information_root=root,
-        loss=loss,
+        loss=task.loss,
         jacobians=problem.jacobians,
     )
-    return replace(result, series=_series(problem, result, trials))
+    return replace(result, series=_series(problem, result))
 
 
 def _by_noise(
@@ -591,47 +542,29 @@ def _cost(problem: Problem, residuals: list[Array]) -> float:
     """See :attr:`FitResult.cost`; ``residuals`` as weighted by the final noise model."""
     total, count = 0.0, 0
     for k, values in enumerate(residuals):
-        sds, dampings = (
-            np.concatenate([v[mask] for v, mask in zip(parts[k], problem.masks[k], strict=True)])
-            if parts[k]
-            else np.empty(0)
-            for parts in (problem.sd, problem.damping)
-        )
+        sds, dampings = problem.at_samples(k, problem.sd[k]), problem.at_samples(k, problem.damping[k])
         # under Huber's loss a far residual costs 2 c |r| - c^2; linear losses have no damping
-        far = dampings < 1
-        squares = np.where(far, 2 * values**2 - noise_model.CORNER**2, values**2)
+        squares = np.where(dampings < 1, 2 * values**2 - noise_model.CORNER**2, values**2)
         total += float(np.sum(2 * np.log(sds) + squares))
         count += len(values)
     return float(np.exp(min(total / max(count, 1) - 1.0, 700.0)))
 
 
-def _series(problem: Problem, result: FitResult, trials: tuple[Trial, ...]) -> list[Series]:
-    by_id = {t.id: k for k, t in enumerate(problem.trials)}
+def _series(problem: Problem, result: FitResult) -> list[Series]:
+    places = {t.id: k for k, t in enumerate(problem.trials)}
     known = problem.simulations(result.estimate)
     series = []
-    for trial in trials:
-        simulated = (
-            known[by_id[trial.id]]
-            if trial.id in by_id
-            else problem.model.simulate(result.values(trial.id), trial)
-        )
+    for trial in result.trials:
+        k = places.get(trial.id)
+        simulated = problem.model.simulate(result.values(trial.id), trial) if k is None else known[k]
         for channel in (c.name for c in problem.model.channels if c.name in trial.measured):
-            if trial.id in by_id and channel in problem.channels[by_id[trial.id]]:
-                k = by_id[trial.id]
+            if k is not None and channel in problem.channels[k]:
                 sd = problem.sd[k][problem.channels[k].index(channel)]
             else:
-                sd = np.full(
-                    len(trial.time_s), result.noise[channel].value_sd if channel in result.noise else np.nan
-                )
+                size = result.noise[channel].value_sd if channel in result.noise else np.nan
+                sd = np.full(len(trial.time_s), size)
+            measured = trial.measured[channel]
             series.append(
-                Series(
-                    trial.id,
-                    trial.role,
-                    channel,
-                    trial.time_s,
-                    trial.measured[channel],
-                    simulated[channel],
-                    sd,
-                )
+                Series(trial.id, trial.role, channel, trial.time_s, measured, simulated[channel], sd)
             )
     return series

@@ -74,43 +74,40 @@ class Problem:
         for index, parameter in enumerate(self.parameters):
             if not parameter.free:
                 continue
-            owners: list[int | None] = [None]
-            if parameter.per_trial:
-                held = [parameter.name in t.held for t in self.trials]
-                owners = [k for k in range(len(self.trials)) if not held[k]]
-            for owner in owners:
-                name = parameter.name
-                self.labels.append(name if owner is None else f"{name}[{self.trials[owner].id}]")
-                self.slots.append((index, owner))
+            if not parameter.per_trial:
+                self.labels.append(parameter.name)
+                self.slots.append((index, None))
+                continue
+            for owner, trial in enumerate(self.trials):
+                if parameter.name not in trial.held:
+                    self.labels.append(f"{parameter.name}[{trial.id}]")
+                    self.slots.append((index, owner))
         self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
         for k in range(len(self.trials)):
-            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner is None or owner == k]
+            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
             taken = [self.slots[j][0] for j in numbers]
             self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
-        self.masks = [
-            [np.isfinite(t.measured[c]) for c in names]
-            for t, names in zip(self.trials, self.channels, strict=True)
-        ]
-        self.sd = [
-            [np.ones(len(t.time_s)) for _ in names]
-            for t, names in zip(self.trials, self.channels, strict=True)
-        ]
+        of_trials = list(zip(self.trials, self.channels, strict=True))
+        self.masks = [[np.isfinite(t.measured[c]) for c in names] for t, names in of_trials]
+        self.sd = [[np.ones(len(t.time_s)) for _ in names] for t, names in of_trials]
         self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
         self.evaluations = 0
         self.jacobians = 0
         self.base = np.array([p.start for p in self.parameters])
-        self.lower = np.array([self.parameters[i].lower for i, _ in self.slots])
-        self.upper = np.array([self.parameters[i].upper for i, _ in self.slots])
-        self.scale = np.array([self.parameters[i].scale for i, _ in self.slots])
-        starts = np.array([self._start_of(i, owner) for i, owner in self.slots])
-        self.start = np.clip(starts, self.lower, self.upper)
-        self._spread = np.array([self.parameters[i].spread for i, _ in self.slots])
-        self._middle = np.array([self.parameters[i].start for i, _ in self.slots])
+        of_numbers = [self.parameters[i] for i, _ in self.slots]
+        self.lower, self.upper, self.scale, self._spread, self._middle = (
+            np.array([getattr(p, name) for p in of_numbers])
+            for name in ("lower", "upper", "scale", "spread", "start")
+        )
+        # as a trial's log suggests, else as the parameter says
+        known = [{} if owner is None else self.trials[owner].starts for _, owner in self.slots]
+        starts = [float(own.get(p.name, p.start)) for p, own in zip(of_numbers, known, strict=True)]
+        self.start = np.clip(np.array(starts), self.lower, self.upper)
         self.random = np.isfinite(self._spread)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
-        self._lent: dict[str, list[Array]] = {}
+        self._held: dict[str, list[Array]] = {}
         self._typical_s = 0.0
         self._pool: ThreadPoolExecutor | None = None
 
@@ -119,12 +116,6 @@ class Problem:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
-
-    def _start_of(self, index: int, owner: int | None) -> float:
-        """Where the search for a number begins: as the trial's log suggests, else as the parameter says."""
-        parameter = self.parameters[index]
-        known = {} if owner is None else self.trials[owner].starts
-        return float(known.get(parameter.name, parameter.start))
 
     def box(self) -> tuple[Array, Array]:
         """Ends of the range a search over all of it covers, each shape (p,).
@@ -197,17 +188,13 @@ class Problem:
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
-    def lend(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
+    def hold_derivatives(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
         """Take the derivatives to some numbers as known and unchanging.
 
-        Parameters
-        ----------
-        labels : sequence of str
-        rows : sequence of ndarray, shape (n_k, len(labels))
-            Of each trial, of the simulated samples, weighted as here.
+        The rows, shape (n_k, len(labels)), are each trial's, of the simulated samples, weighted as here.
         """
         weights = [self.sample_weights(k) for k in range(len(self.trials))]
-        self._lent = {
+        self._held = {
             label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
         }
 
@@ -245,16 +232,32 @@ class Problem:
 
     def sample_weights(self, k: int) -> Array:
         """Factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
-        parts = [
-            (damping / sd)[mask]
-            for damping, sd, mask in zip(self.damping[k], self.sd[k], self.masks[k], strict=True)
-        ]
-        return np.concatenate(parts) if parts else np.empty(0)
+        return self.at_samples(k, [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)])
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
         """Values of channels where a trial was measured, in the order of its residuals, shape (n_k,)."""
-        parts = [series[c][mask] for c, mask in zip(self.channels[k], self.masks[k], strict=True)]
-        return np.concatenate(parts) if parts else np.empty(0)
+        return self.at_samples(k, [series[c] for c in self.channels[k]])
+
+    def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
+        """What is known of each channel of a trial, where that was measured, shape (n_k,)."""
+        kept = [part[mask] for part, mask in zip(parts, self.masks[k], strict=True)]
+        return np.concatenate(kept) if kept else np.empty(0)
+
+    def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
+        """Channel, mask and rows of each channel of a trial's residuals."""
+        ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
+        parts = np.split(rows[: ends[-1]], ends[:-1]) if len(ends) else []
+        return list(zip(self.channels[k], self.masks[k], parts, strict=True))
+
+    def series(self, residuals: Sequence[Array]) -> dict[str, list[Array]]:
+        """Residuals of each channel, one series a trial that has it; NaN where a sample is missing."""
+        found: dict[str, list[Array]] = {}
+        for k, values in enumerate(residuals):
+            for channel, mask, part in self.by_channel(k, values):
+                series = np.full(len(mask), np.nan)
+                series[mask] = part
+                found.setdefault(channel, []).append(series)
+        return found
 
     def _derivatives(self, theta: Array, central: bool) -> list[Array]:
         """Derivative of the simulated samples of each trial, shape (n_k, p) each."""
@@ -272,8 +275,8 @@ class Problem:
         places: list[tuple[int, int]] = []
         slopes = [np.zeros((len(y), len(theta))) for y in here]
         for j, (_, owner) in enumerate(self.slots):
-            if self.labels[j] in self._lent:
-                for k, rows in enumerate(self._lent[self.labels[j]]):
+            if self.labels[j] in self._held:
+                for k, rows in enumerate(self._held[self.labels[j]]):
                     slopes[k][:, j] = rows
                 continue
             for k in range(len(self.trials)) if owner is None else [owner]:

@@ -18,12 +18,8 @@ def profile_interval(
 
     The parameter is held at values ever farther from its estimate, all others are refitted,
     and the interval ends where the fit is worse by the chi-square quantile. Coloured residuals
-    and scattering trials widen it by the same factor as they widen the standard error.
-
-    Returns
-    -------
-    low, high : float or None
-        None where the interval runs into a bound or does not end within some ten standard errors.
+    and scattering trials widen it by the same factor as they widen the standard error. An
+    end is None where the interval runs into a bound or does not end within some ten standard errors.
     """
     stderr = result.stderr(name)
     if stderr is None:
@@ -43,7 +39,7 @@ def profile_interval(
         held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
         return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
 
-    parameter = next(p for p in result.parameters if p.name == name)
+    parameter = result.parameter(name)
     ends: list[float | None] = []
     for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
         near, end = centre, None

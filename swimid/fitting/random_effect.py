@@ -30,32 +30,19 @@ LEAST = 1e-12
 
 @dataclass(frozen=True)
 class Own:
-    """What each trial by itself says of a number, all shared parameters free.
-
-    Attributes
-    ----------
-    trials : tuple of str, length n
-    value : ndarray, shape (n,)
-    covariance : ndarray, shape (n, n)
-        Of their errors, under coloured residuals. What the shared parameters can imitate is hardly known.
-    """
+    """What each trial by itself says of a number, all shared parameters free."""
 
     trials: tuple[str, ...]
+    #: Shape (n,).
     value: Array
+    #: Shape (n, n): of their errors, under coloured residuals. What the shared parameters can imitate is
+    #: hardly known.
     covariance: Array
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation of a number between trials.
-
-    Attributes
-    ----------
-    sd : float
-    stderr : float
-    p_value : float
-        Of the test that there is none.
-    """
+    """Standard deviation of a number between trials, and the p-value of the test that there is none."""
 
     sd: float
     stderr: float
@@ -64,15 +51,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Trend:
-    """How a number follows a setting of the trials.
-
-    Attributes
-    ----------
-    slope, stderr : float
-        Per unit of the setting.
-    p_value : float
-        Two-sided, of Student's t.
-    """
+    """How a number follows a setting of the trials, per unit of that; p-value two-sided, of Student's t."""
 
     slope: float
     stderr: float
@@ -80,14 +59,7 @@ class Trend:
 
 
 def own_numbers(result: FitResult, name: str, common: str) -> Own:
-    """Each trial's own value of a per-trial parameter, by one linear step from a fit.
-
-    Parameters
-    ----------
-    result : FitResult
-    name, common : str
-        The per-trial parameter, and the shared one it deviates from.
-    """
+    """Each trial's own value of a per-trial parameter that deviates from a common one, by one linear step."""
     parameters = tuple(
         replace(p, free=True, spread=math.inf)
         if p.name == name
@@ -97,7 +69,8 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
         for p in result.parameters
     )
     problem = weighted(result, parameters)
-    theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in _parted(problem.labels)])
+    parted = [label.partition("[") for label in problem.labels]
+    theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in parted])
     rows = [j * problem.scale for j in problem.trial_jacobians(theta, central=True)]
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     held = np.array([result.status.get(label) == "at-bound" for label in problem.labels], dtype=bool)
@@ -114,9 +87,7 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     root = found.root * found.scatter
     others = [i for i in range(len(labels)) if i not in mine]
-    u, singular, _ = np.linalg.svd(root[:, others], full_matrices=False)
-    dark = u[:, singular > math.sqrt(LEAST) * singular.max(initial=0.0)]
-    part = root[:, mine] - dark @ (dark.T @ root[:, mine])
+    part = sandwich.orthogonal_part(root[:, others], root[:, mine], math.sqrt(LEAST))
     values, vectors = np.linalg.eigh(part.T @ part)
     values = np.maximum(values, LEAST * values.max(initial=1e-300))
     size = problem.scale[seen][mine]
@@ -127,15 +98,9 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
     )
 
 
-def _parted(labels: list[str]) -> list[tuple[str, str, str]]:
-    return [label.partition("[") for label in labels]
-
-
 def spread(own: Own) -> Spread:
     """Standard deviation between trials by restricted maximum likelihood.
 
-    Examples
-    --------
     >>> s = spread(Own(tuple("abcdef"), np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), 1e-6 * np.eye(6)))
     >>> round(s.sd, 2)
     1.1
@@ -150,12 +115,7 @@ def spread(own: Own) -> Spread:
 
 
 def trend(own: Own, setting: Array) -> Trend:
-    """Slope of the trials' numbers over a setting, beside a spread by chance.
-
-    Parameters
-    ----------
-    setting : ndarray, shape (n,)
-    """
+    """Slope of the trials' numbers over a setting, shape (n,), beside a spread by chance."""
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
     between, _ = _reml(variances, values, slope_column)

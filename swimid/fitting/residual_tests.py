@@ -35,49 +35,28 @@ SIGNIFICANCE = 0.01
 
 @dataclass(frozen=True)
 class Correlation:
-    """A correlation function with its band under the null hypothesis.
+    """A correlation function with its band under the null hypothesis; fields of shape (m,)."""
 
-    Attributes
-    ----------
-    lags : ndarray of int, shape (m,)
-        In samples.
-    values : ndarray, shape (m,)
-        Correlation coefficients, NaN where no pair of samples exists.
-    bound : ndarray, shape (m,)
-        Half-width of the 95 % band around zero.
-    pairs : ndarray of int, shape (m,)
-        Number of sample pairs behind each value.
-    """
-
+    #: In samples.
     lags: np.ndarray
+    #: Correlation coefficients, NaN where no pair of samples exists.
     values: np.ndarray
+    #: Half-width of the 95 % band around zero.
     bound: np.ndarray
+    #: Number of sample pairs behind each value.
     pairs: np.ndarray
-
-    @property
-    def outside(self) -> float:
-        """Share of the nonzero lags outside their band; 0.05 is expected by chance."""
-        use = (self.lags != 0) & np.isfinite(self.values)
-        return float(np.mean(np.abs(self.values[use]) > self.bound[use])) if np.any(use) else 0.0
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """A chi-square test.
-
-    Attributes
-    ----------
-    statistic : float
-    degrees : int
-        Degrees of freedom.
-    p_value : float
-        Probability of a statistic at least this large when the hypothesis holds.
-    """
+    """A chi-square test."""
 
     __test__ = False  # not a pytest class
 
     statistic: float
+    #: Degrees of freedom.
     degrees: int
+    #: Probability of a statistic at least this large when the hypothesis holds.
     p_value: float
 
     @property
@@ -88,29 +67,12 @@ class TestResult:
 
 @dataclass(frozen=True)
 class AutoregressiveFit:
-    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``.
+    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (p,)
-        a1 .. ap; empty for a white series.
-    variance : float
-        Variance of e.
-    criteria : ndarray, shape (max_order + 1,)
-        The information criterion of each order tried.
-    samples : int
-        Number of finite samples used.
-    """
-
+    #: Shape (p,): a1 .. ap; empty for a white series.
     coefficients: np.ndarray
+    #: Variance of e.
     variance: float
-    criteria: np.ndarray
-    samples: int
-
-    @property
-    def order(self) -> int:
-        """Number of coefficients."""
-        return len(self.coefficients)
 
     @property
     def long_run_variance(self) -> float:
@@ -119,28 +81,13 @@ class AutoregressiveFit:
 
 
 def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
-    """Several series as one, with ``gap`` samples of NaN between them.
-
-    Parameters
-    ----------
-    parts : sequence of ndarray, shape (n_i,) each
-        The series.
-    gap : int
-        At least the largest lag that will be asked for.
-
-    Returns
-    -------
-    ndarray, shape (sum n_i + gap (len(parts) - 1),)
+    """Several series as one, with ``gap`` samples of NaN between them: at least the largest lag asked for.
 
     >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
     array([ 1., nan, nan,  2.])
     """
-    pieces: list[np.ndarray] = []
-    for part in parts:
-        if pieces:
-            pieces.append(np.full(gap, np.nan))
-        pieces.append(np.asarray(part, dtype=float))
-    return np.concatenate(pieces) if pieces else np.empty(0)
+    apart = [piece for part in parts for piece in (np.full(gap, np.nan), np.asarray(part, dtype=float))]
+    return np.concatenate(apart[1:]) if apart else np.empty(0)
 
 
 def default_lags(samples: int) -> int:
@@ -176,23 +123,16 @@ def _lagged_means(
 
 
 def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
-    """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise.
+    """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise, 1.96 / sqrt(pairs).
+
+    Each lag is the mean over its own pairs, not the sum over n: with gaps the pairs differ.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        NaN where there is no sample. The mean is removed.
+        NaN where there is no sample. The mean is removed; all NaN for a constant series.
     max_lag : int, optional
         Default :func:`default_lags`.
-
-    Returns
-    -------
-    Correlation
-        Band 1.96 / sqrt(pairs). All NaN for a constant series.
-
-    Notes
-    -----
-    Each lag is the mean over its own pairs, not the sum over n: with gaps the pairs differ.
 
     >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
     array([ 1., -1.,  1.])
@@ -241,7 +181,7 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
 
 
 def cross_correlation(
-    residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None, negative: bool = True
+    residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None
 ) -> Correlation:
     """Correlation of residuals e(k) with a source u(k - lag), lags -max_lag .. max_lag.
 
@@ -251,14 +191,12 @@ def cross_correlation(
         At the same rate; NaN where there is no sample.
     max_lag : int, optional
         Default :func:`default_lags`.
-    negative : bool
-        Also lags below zero, where feedback from the output to the source shows.
 
     Returns
     -------
     Correlation
         A value at a positive lag outside its band says that the model misses a part of what the
-        source did ``lag`` samples before.
+        source did ``lag`` samples before; at a negative lag feedback from the output to the source shows.
 
     Notes
     -----
@@ -270,9 +208,8 @@ def cross_correlation(
     u, u_there = _centred(source)
     if len(e) != len(u):
         raise ValueError(f"residuals and source differ in length: {len(e)} and {len(u)}")
-    count = int(np.count_nonzero(e_there))
-    top = default_lags(count) if max_lag is None else max_lag
-    lags = np.arange(-top if negative else 0, top + 1)
+    top = default_lags(int(np.count_nonzero(e_there))) if max_lag is None else max_lag
+    lags = np.arange(-top, top + 1)
     means, pairs = _lagged_means(e, e_there, u, u_there, lags)
     scale = _deviation(e, e_there) * _deviation(u, u_there)
     values = means / scale if scale > 0 else np.full(len(lags), np.nan)
@@ -286,8 +223,7 @@ def _deviation(values: np.ndarray, there: np.ndarray) -> float:
 
 def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
     """Sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate at all."""
-    count = int(np.count_nonzero(np.isfinite(e)))
-    top = default_lags(count)
+    top = default_lags(int(np.count_nonzero(np.isfinite(e))))
     re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
     r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
     r = np.nan_to_num(r)
@@ -307,8 +243,6 @@ def independence(
     lags : int, optional
         Number of lags ``first .. first + lags - 1`` tested together, default
         :func:`default_lags`.
-    first : int
-        The first lag, 0 by default.
 
     Returns
     -------
@@ -324,16 +258,13 @@ def independence(
     """
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
-    count = int(np.count_nonzero(e_there))
-    number = default_lags(count) if lags is None else lags
-    wanted = np.arange(first, first + number)
-    means, pairs = _lagged_means(e, e_there, u, u_there, wanted)
+    top = default_lags(int(np.count_nonzero(e_there)))
+    number = top if lags is None else lags
+    means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
     if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
         return TestResult(0.0, number, 1.0)
-    top = default_lags(count)
     re = autocorrelation(residuals, max_lag=top)
-    reach = number + top
-    covariances = np.nan_to_num(_lagged_means(u, u_there, u, u_there, np.arange(reach))[0])
+    covariances = np.nan_to_num(_lagged_means(u, u_there, u, u_there, np.arange(number + top))[0])
     power = _deviation(e, e_there) ** 2
     matrix = np.zeros((number, number))
     for j in range(-top, top + 1):
@@ -354,19 +285,8 @@ def independence(
     return TestResult(statistic, degrees, float(stats.chi2.sf(statistic, degrees)))
 
 
-def segments(x: np.ndarray) -> list[slice]:
-    """The stretches of a series without NaN, in order.
-
-    >>> segments(np.array([1.0, np.nan, 2.0, 3.0]))
-    [slice(0, 1, None), slice(2, 4, None)]
-    """
-    there = np.concatenate(([False], np.isfinite(np.asarray(x, dtype=float)), [False]))
-    edges = np.flatnonzero(there[1:] != there[:-1])
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def fit_autoregression(
-    x: np.ndarray, *, max_order: int | None = None, order: int | None = None, criterion: str = "bic"
+    x: np.ndarray, *, max_order: int | None = None, order: int | None = None
 ) -> AutoregressiveFit:
     """Autoregression of a series by Burg's method, always stable, over all its stretches.
 
@@ -375,15 +295,9 @@ def fit_autoregression(
     x : ndarray, shape (n,)
         NaN where there is no sample. The mean is removed.
     max_order : int, optional
-        Largest order tried, default :func:`default_lags`.
+        Largest order tried, default :func:`default_lags`; BIC chooses.
     order : int, optional
         Take this order instead of choosing one.
-    criterion : {"bic", "aic"}
-        Chooses the order.
-
-    Returns
-    -------
-    AutoregressiveFit
 
     Raises
     ------
@@ -394,14 +308,12 @@ def fit_autoregression(
     n = int(np.count_nonzero(there))
     if n < 3:
         raise ValueError(f"an autoregression needs at least three samples, here are {n}")
-    if criterion not in ("bic", "aic"):
-        raise ValueError(f"criterion {criterion!r}: use 'bic' or 'aic'")
     top = min(order if order is not None else (max_order or default_lags(n)), n - 2)
-    forward = [values[part].copy() for part in segments(np.where(there, values, np.nan))]
+    stretches = np.ma.clump_unmasked(np.ma.masked_array(values, ~there))
+    forward = [values[part].copy() for part in stretches]
     backward = [part.copy() for part in forward]
     variance = float(np.mean(values[there] ** 2))
     a = np.empty(0)
-    penalty = np.log(n) if criterion == "bic" else 2.0
     fits = [(a, variance)]
     criteria = [n * np.log(max(variance, np.finfo(float).tiny))]
     for p in range(1, top + 1):
@@ -417,74 +329,38 @@ def fit_autoregression(
             forward[i], backward[i] = f[1:] + reflection * b[:-1], b[:-1] + reflection * f[1:]
         variance *= max(1.0 - reflection**2, 0.0)
         fits.append((a, variance))
-        criteria.append(n * np.log(max(variance, np.finfo(float).tiny)) + penalty * p)
-    chosen = len(fits) - 1 if order is not None else int(np.argmin(criteria))
-    return AutoregressiveFit(fits[chosen][0], fits[chosen][1], np.array(criteria), n)
+        criteria.append(n * np.log(max(variance, np.finfo(float).tiny)) + np.log(n) * p)
+    return AutoregressiveFit(*fits[-1 if order is not None else int(np.argmin(criteria))])
 
 
-def whitened(x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """The innovations of a series under an autoregression.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        NaN where there is no sample.
-    coefficients : ndarray, shape (p,)
-        a1 .. ap of :class:`AutoregressiveFit`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        ``x(k) + sum a_i x(k - i)``; NaN where one of these samples is missing, the first p
-        included.
-    """
-    x = np.asarray(x, dtype=float)
-    result = x.copy()
-    for i, value in enumerate(coefficients, start=1):
-        shifted = np.full(len(x), np.nan)
-        shifted[i:] = x[:-i] if i < len(x) else np.empty(0)
-        result = result + value * shifted
-    return result
-
-
-def long_run_covariance(scores: np.ndarray, *, lags: int | None = None) -> np.ndarray:
+def long_run_covariance(scores: np.ndarray) -> np.ndarray:
     """Covariance of a sum of correlated vectors (Newey and West): the meat of a sandwich.
 
     Parameters
     ----------
     scores : ndarray, shape (n, p)
         Row k is regressor times residual at sample k; a row with NaN is a gap.
-    lags : int, optional
-        Bandwidth L of the Bartlett window, default ``floor(4 (n / 100)^(2/9))`` but at least
-        twice the lag at which the scores still correlate.
 
     Returns
     -------
     ndarray, shape (p, p)
         ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_.
         Positive semi-definite. With J the derivative of the model and J'J invertible, the
-        covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``.
+        covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the
+        Bartlett window is ``floor(4 (n / 100)^(2/9))`` but at least twice the lag at which the
+        scores still correlate.
     """
     from statsmodels.stats.sandwich_covariance import S_hac_simple
 
     scores = np.atleast_2d(np.asarray(scores, dtype=float))
     there = np.all(np.isfinite(scores), axis=1)
-    rows = np.where(there[:, None], scores, 0.0)
     n = int(np.count_nonzero(there))
-    if lags is None:
-        lags = max(
-            int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * _memory(np.where(there[:, None], scores, np.nan))
-        )
-    covariance: np.ndarray = S_hac_simple(rows, min(lags, max(len(rows) - 1, 0)))
-    return covariance
-
-
-def _memory(scores: np.ndarray) -> int:
-    """The last lag before which every autocorrelation of some column is outside its band."""
-    longest = 0
-    for column in scores.T:
+    memory = 0
+    for column in np.where(there[:, None], scores, np.nan).T:
         correlation = autocorrelation(column)
         outside = np.abs(correlation.values[1:]) > correlation.bound[1:]
-        run = len(outside) if np.all(outside) else int(np.argmin(outside))
-        longest = max(longest, run)
-    return longest
+        memory = max(memory, len(outside) if np.all(outside) else int(np.argmin(outside)))
+    lags = max(int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * memory)
+    rows = np.where(there[:, None], scores, 0.0)
+    covariance: np.ndarray = S_hac_simple(rows, min(lags, max(len(rows) - 1, 0)))
+    return covariance

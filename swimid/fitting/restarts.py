@@ -13,11 +13,11 @@ import numpy as np
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.levenberg import minimise
 from swimid.fitting.model import Array, Parameter
-from swimid.fitting.noise import CORNER
+from swimid.fitting.noise import huber_damping
 from swimid.fitting.problem import IMMATERIAL, Problem
 
 #: Pairs of points tried around the answer, and their distance in standard errors under white noise.
-PAIRS, NEAR = 3, 2.0
+PAIRS, PAIR_DISTANCE = 3, 2.0
 #: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
 #: error's worth) has corners.
 ROUGH = 0.5
@@ -40,34 +40,20 @@ LARGEST = 0.5
 
 @dataclass(frozen=True)
 class Tested:
-    """What points around an answer came to.
+    """What points around an answer came to."""
 
-    Attributes
-    ----------
-    point : ndarray, shape (p,), or None
-        With a lower cost than the answer; None where none was found.
-    evaluations, jacobians : int
-        Simulations of single trials it took, and derivatives.
-    rough : bool
-        The cost has corners: a parameter says so, or it is not as its curvature says.
-    """
-
+    #: With a lower cost than the answer, shape (p,); None where none was found.
     point: Array | None
+    #: Simulations of single trials it took, and derivatives.
     evaluations: int
     jacobians: int
+    #: The cost has corners: a parameter says so, or it is not as its curvature says.
     rough: bool
 
 
 def held(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Tested:
     """Hold the answer of a fit against points near it.
 
-    Parameters
-    ----------
-    result : FitResult
-    jobs, seed : int
-
-    Notes
-    -----
     Where the cost is smooth, the derivatives at the answer serve all starts: a step that leads at least
     half the way back to it, as the data measure ways, ends a start. Only what leads elsewhere is searched
     with derivatives of its own.
@@ -97,8 +83,7 @@ def weigh(problem: Problem, result: FitResult) -> None:
         series = [known[trial.id, channel] for channel in problem.channels[k]]
         problem.sd[k] = [s.sd for s in series]
         if result.loss == "huber":
-            far = [np.maximum(np.abs(np.nan_to_num(s.weighted)) / CORNER, 1.0) for s in series]
-            problem.damping[k] = [1.0 / np.sqrt(f) for f in far]
+            problem.damping[k] = [huber_damping(s.weighted) for s in series]
 
 
 def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
@@ -112,7 +97,7 @@ def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tu
     tried: list[tuple[float, Array]] = []
     rough = kinked(result)
     for _ in range(PAIRS):
-        step = NEAR * steps @ _unit(rng, len(theta))
+        step = PAIR_DISTANCE * steps @ _unit(rng, len(theta))
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
         costs = [_cost(problem, point) for point in pair]
         tried += list(zip(costs, pair, strict=True))

@@ -20,95 +20,71 @@ HETEROGENEITY = 1e-3
 SINGULAR = 1e-8
 
 
-def autocovariance(coefficients: Array, lags: int) -> Array:
-    """Autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,).
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (p,)
-        Of ``x(k) + a1 x(k-1) + .. = e(k)``.
-    """
-    rho = np.zeros(lags + 1)
-    rho[0] = 1.0
-    p = len(coefficients)
-    if p == 0:
-        return rho
+def _autocorrelation(coefficients: Array, lags: int) -> Array:
+    """Autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
+    if len(coefficients) == 0:
+        return np.eye(1, lags + 1)[0]
     # impulse response of 1 / A, long enough to have died out, correlated with itself
     length = lags + 1 + min(20000, max(2000, 10 * lags))
     from scipy.signal import lfilter
 
-    impulse = np.zeros(length)
-    impulse[0] = 1.0
-    response = lfilter([1.0], np.concatenate(([1.0], coefficients)), impulse)
+    response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
     spectrum = np.fft.rfft(response, 2 * length)
     covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: lags + 1]
-    return covariance / covariance[0]
+    return np.asarray(covariance / covariance[0])
 
 
-def correlated_rows(
-    problem: Problem, jacobians: list[Array], autoregressions: dict[str, Array]
-) -> list[Array]:
-    """R J for each trial, R the residuals' correlation matrix under their autoregressions.
+def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
+    """R times the rows of each trial, R the residuals' correlation matrix under their autoregressions.
 
-    Parameters
-    ----------
-    jacobians : list of ndarray, each shape (n_k, p)
-        Of the weighted residuals of each trial. Rows beyond its samples, of random effects, are white.
-    autoregressions : dict of channel name to ndarray
-
-    Returns
-    -------
-    list of ndarray, each shape (n_k, p)
+    Rows beyond a trial's samples, of random effects, are white.
     """
     longest = max(len(t.time_s) for t in problem.trials)
-    rho = {c: autocovariance(a, longest - 1) for c, a in autoregressions.items()}
+    rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items()}
     products = []
-    for k, jacobian in enumerate(jacobians):
-        parts, at = [], 0
-        for channel, mask in zip(problem.channels[k], problem.masks[k], strict=True):
-            count = int(mask.sum())
-            rows = np.zeros((len(mask), jacobian.shape[1]))
-            rows[mask] = jacobian[at : at + count]
-            at += count
+    for k, whole in enumerate(rows):
+        parts = []
+        for channel, mask, part in problem.by_channel(k, whole):
+            even = np.zeros((len(mask), whole.shape[1]))
+            even[mask] = part
             if len(autoregressions[channel]):
-                rows = matmul_toeplitz(rho[channel][: len(mask)], rows)
-            parts.append(rows[mask])
-        products.append(np.concatenate([*parts, jacobian[at:]]))
+                even = matmul_toeplitz(rho[channel][: len(mask)], even)
+            parts.append(even[mask])
+        products.append(np.concatenate([*parts, whole[sum(map(len, parts)) :]]))
     return products
+
+
+def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
+    """The part of columns orthogonal to all others: what no combination of those can imitate.
+
+    Directions in which the others have less than the share ``floor`` of their largest are not counted.
+    """
+    u, singular, _ = np.linalg.svd(others, full_matrices=False)
+    seen = u[:, singular > floor * singular.max(initial=0.0)]
+    return np.asarray(columns - seen @ (seen.T @ columns))
 
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Covariance of least-squares estimates, and what it was made of.
+    """Covariance of least-squares estimates, and what it was made of."""
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (p, p)
-        ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
-        parameters the data do not see are NaN.
-    null : ndarray of bool, shape (p,)
-        Parameters the data do not see.
-    root : ndarray, shape (p, p)
-        Square root of the information: ``root' root`` is the inverse of the covariance, and
-        stays accurate where that is singular.
-    step : ndarray, shape (p,)
-        The Gauss-Newton step from here to the minimum without bounds.
-    gain : float
-        Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
-        unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
-    scatter : float
-        At least 1.
-    scatter_p : float
-        Of the test that the trials agree: their scores, each zero on average at the common
-        optimum, against their own covariance.
-    """
-
+    #: Shape (p, p): ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
+    #: parameters the data do not see are NaN.
     covariance: Array
+    #: Shape (p,): parameters the data do not see.
     null: NDArray[np.bool_]
+    #: Shape (p, p): square root of the information: ``root' root`` is the inverse of the covariance, and
+    #: stays accurate where that is singular.
     root: Array
+    #: Shape (p,): the Gauss-Newton step from here to the minimum without bounds.
     step: Array
+    #: Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
+    #: unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
     gain: float
+    #: At least 1.
     scatter: float
+    #: Of the test that the trials agree: their scores, each zero on average at the common optimum, against
+    #: their own covariance.
     scatter_p: float
 
 
@@ -119,9 +95,8 @@ def sandwich(
 
     Parameters
     ----------
-    jacobians : list of ndarray, each shape (n_k, p)
-        Of the weighted residuals of each trial, columns scaled to parameters of like size.
-    residuals : list of ndarray, each shape (n_k,)
+    jacobians, residuals : list of ndarray, each shape (n_k, p) and (n_k,)
+        Weighted, of each trial; columns scaled to parameters of like size.
     autoregressions : dict of channel name to ndarray
         Of the weighted residuals.
 
@@ -141,7 +116,7 @@ def sandwich(
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])
     directions = [u[a:b] for a, b in itertools.pairwise(ends)]
-    coloured = correlated_rows(problem, directions, autoregressions)
+    coloured = _correlated(problem, directions, autoregressions)
     r = np.concatenate(residuals)
     variance = float(r @ r) / max(samples - unknowns, 1)
     middle = np.sum([a.T @ b for a, b in zip(directions, coloured, strict=True)], axis=0)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.fitting.fit_result import FitResult, Series
+from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 
@@ -27,7 +27,7 @@ def estimate(
     *,
     tolerance: float = TOLERANCE,
 ) -> dict[str, float]:
-    """Per-trial parameters of one trial, the shared ones held at their start values.
+    """Per-trial parameters of one trial by label, ``name[trial]``, the shared ones held at their starts.
 
     Parameters
     ----------
@@ -35,13 +35,6 @@ def estimate(
         Shared ones with their values as ``start``; of the others those that are free are estimated.
     sd : mapping of channel name to float
         Noise of each channel, for the weights; channels that are not in it are not used.
-    tolerance : float
-        Of the search, relative.
-
-    Returns
-    -------
-    dict of label to float
-        ``name[trial]``; empty where nothing is free.
     """
     held = [replace(p, free=p.free and p.per_trial) for p in parameters]
     used = {c: v for c, v in trial.measured.items() if c in sd}
@@ -66,14 +59,14 @@ def with_held_out(result: FitResult) -> FitResult:
     waiting = [t for t in result.trials if t.role == "validate"]
     if not any(p.free and p.per_trial for p in result.parameters):
         return result
-    shared = tuple(p if p.per_trial else replace(p, start=result.value(p.name)) for p in result.parameters)
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
     found: dict[str, float] = {}
     for trial in waiting:
-        found.update(estimate(result.model, shared, trial, sd))
+        found.update(estimate(result.model, result.at_estimates(), trial, sd))
     result = replace(result, start_states=found)
-    series: list[Series] = []
     simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
-    for s in result.series:
-        series.append(replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s)
+    series = [
+        replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s
+        for s in result.series
+    ]
     return replace(result, series=series)

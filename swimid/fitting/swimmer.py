@@ -3,46 +3,30 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Sequence
-from typing import Self
+from collections.abc import Sequence
 
-from swimid.fitting.body import Moving
+from swimid.fitting.body import Axis
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
 
 
 class Swimmer(Model):
-    """A robot with links: driven and passive joints, on a base that moves or is held.
-
-    Attributes
-    ----------
-    robot : Robot
-    max_step : float
-        Longest step of the integration, s.
-    pose, velocity : tuple of str
-        Channels of the reference point.
-    driven, passive : sequence of Moving
-    free_base : bool
-    coefficients : list of str
-        Those of the robot file, the first of the parameters.
-    starts : tuple of str
-        Per-trial offsets of the start pose.
-    """
+    """A robot with links: driven and passive joints, on a base that moves or is held."""
 
     robot: Robot
+    #: Longest step of the integration, s.
     max_step: float
+    #: Channels of the reference point.
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
-    driven: Sequence[Moving]
-    passive: Sequence[Moving]
+    driven: Sequence[Axis]
+    passive: Sequence[Axis]
     free_base: bool
+    #: Those of the robot file, the first of the parameters.
     coefficients: list[str]
+    #: Per-trial offsets of the start pose.
     starts: tuple[str, ...]
-    _at: dict[str, int]
-
-    @abstractmethod
-    def __init__(self, robot: Robot, *, max_step: float) -> None: ...
 
     @property
     def swimmer(self) -> Swimmer:
@@ -50,18 +34,8 @@ class Swimmer(Model):
         return self
 
     @abstractmethod
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample, by parameter, as channels show them.
-
-        Parameters
-        ----------
-        seen : callable
-            Value (0) or rate (1) of a channel there; None where it does not tell.
-        """
-
-    @abstractmethod
-    def initial(self, measured: Collection[str]) -> list[str]:
-        """The start velocities, angles and rates that these channels can tell."""
+    def refined(self) -> Swimmer:
+        """The same model with half the integration step."""
 
     @abstractmethod
     def check(self, values: Array) -> None:
@@ -90,29 +64,3 @@ class Swimmer(Model):
         if trial.swim.joints is None:
             return []
         return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
-
-    def of_trial(self, values: Array, trial: Trial) -> Array:
-        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
-        own = trial.swim.coefficients
-        if not own:
-            return values
-        values = values.copy()
-        for name, value in own.items():
-            values[self._at[name]] = value
-        return values
-
-    def refined(self) -> Self:
-        """The same model with half the integration step."""
-        return self._stepping(0.5 * self.max_step)
-
-    def coarser(self) -> Self:
-        """The same model with twice the integration step."""
-        return self._stepping(2.0 * self.max_step)
-
-    def _stepping(self, max_step: float) -> Self:
-        other = type(self)(self.robot, max_step=max_step)
-        other.parameters = self.parameters
-        return other
-
-    def _value(self, values: Array, name: str) -> float:
-        return float(values[self._at[name]]) if name in self._at else 0.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.errors import UsageError, nearest
+from swimid.errors import UsageError, suggestion
 from swimid.fitting.body import Body
 from swimid.fitting.model import Array, Entry, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
@@ -90,12 +90,8 @@ class Tied(Model):
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
         """What is known of each parameter, by the names of the untied model.
 
-        Parameters
-        ----------
-        entries : mapping of str to anything
-            By parameter name, or ``name[trial]``: a value, an estimate with its error.
-            A shared one is repeated for every member; its standard error is each member's,
-            all of them fully correlated.
+        A shared one is repeated for every member; its standard error is each member's, all of them fully
+        correlated.
         """
         found: dict[str, Entry] = {}
         for label, entry in entries.items():
@@ -141,7 +137,6 @@ def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
     if len(members) < 2:
         stems = [re.sub(r"\d+$", "", p.name) for p in model.parameters if re.search(r"\d+$", p.name)]
         several = sorted({s for s in stems if stems.count(s) > 1})
-        close = nearest(prefix, several)
-        hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(several) or 'none'}"
+        hint = suggestion(prefix, several)
         raise UsageError(f"the model {model.name} has no parameters to share as '{prefix}'", hint=hint)
     return {prefix: members}

@@ -1,12 +1,12 @@
 """From accelerations and turn rates to motion: ``swimid track imu``.
 
 ``record`` and ``sensor`` are what is known, ``faults`` what may be wrong with a recording (one module
-each); ``rest``, ``attitude``, ``mounting``, ``strapdown``, ``errorstate``, ``aiding`` and ``smoother`` make
-the path of a unit by itself (``alone``) or beside another log (``fusion``, with ``clock`` and
-``alignment``); ``motion`` is that path at the body's reference point, ``oscillation`` the motion within a
-stroke, ``paper`` the long-fin paper's way. ``trust`` and ``plausible`` judge. The verb is ``track_imu``:
-its ``options``, ``settings`` and ``inputs``, the ``run`` with all that was found, and how that is told
-(``evidence``, ``checks``, ``figures``).
+each); ``rest`` and ``mounting`` tell rests and how the sensor sits, and ``setup`` holds all that is known
+before the motion. ``strapdown`` reckons, ``errorstate`` and ``smoother`` follow the errors with what
+``aiding`` observes; they make the path of a unit by itself (``alone``) or beside another log (``fusion``,
+with ``clock`` and ``alignment``), and ``plausible`` judges it. ``motion`` is that path at the body's
+reference point, ``paper`` the long-fin paper's way. The verb is ``track_imu``: its ``options`` and
+``inputs``, the ``run`` with all it estimates, and how that is told (``evidence``, ``checks``, ``figures``).
 
 Frames
 ------

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, signal, stats
 
-from swimid.inertial.record import Array
+from swimid.inertial.record import Array, resampled
 
 #: The likelihood is searched this far about the start, in periods of the signal.
 _SEARCH_PERIODS = 0.6
@@ -24,26 +24,17 @@ _OVERLAP = 0.3
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to the times of the seen log to have them on the reference's clock.
+    """What to add to the times of the seen log to have them on the reference's clock."""
 
-    Attributes
-    ----------
-    value_s, stderr_s, low_s, high_s : float
-        Estimate, standard error and 95 % interval.
-    explained : float
-        Share of the variance of the seen channels, slow parts removed, that the reference explains.
-    factors : ndarray, shape (k, d)
-        What the reference channels were multiplied with.
-    samples : int
-    """
-
+    #: Estimate, standard error and 95 % interval.
     value_s: float
     stderr_s: float
     low_s: float
     high_s: float
+    #: Share of the variance of the seen channels, slow parts removed, that the reference explains.
     explained: float
+    #: Shape (k, d). What the reference channels were multiplied with.
     factors: Array
-    samples: int
 
     @property
     def excludes_zero(self) -> bool:
@@ -58,7 +49,6 @@ def offset(
     seen: Array,
     *,
     slow_s: float = 5.0,
-    widest_s: float | None = None,
 ) -> Offset | None:
     """Estimate the offset between two clocks.
 
@@ -73,8 +63,6 @@ def offset(
         NaN where missing.
     slow_s : float
         Slower than this is drift, and left out of the comparison.
-    widest_s : float, optional
-        Largest offset looked for; default as far as the records overlap at all.
 
     Returns
     -------
@@ -101,7 +89,7 @@ def offset(
         return None
     if np.median(np.diff(seen_time_s[there])) > 0.2 * slow_s:
         return None  # too sparse to show anything faster than drift
-    start = _correlate(time_s, reference, seen_time_s[there], seen[there], slow_s, widest_s)
+    start = _correlate(time_s, reference, seen_time_s[there], seen[there], slow_s)
     if start is None:
         return None
     profile = _Profile(time_s, reference, seen_time_s[there], seen[there], slow_s)
@@ -123,8 +111,11 @@ def offset(
     if not np.isfinite(stderr):
         return None
     low, high = (_edge(profile, value, side, stderr, widening) for side in (-1.0, 1.0))
-    explained, factors, count = profile.quality(value)
-    return Offset(value, stderr, low, high, explained, factors, count)
+    fitted = profile.fit(value)
+    assert fitted is not None
+    x, y, factors, _ = fitted
+    explained = 1 - float(np.sum((y - x @ factors) ** 2) / max(np.sum(y**2), 1e-30))
+    return Offset(value, stderr, low, high, explained, factors)
 
 
 class _Profile:
@@ -144,7 +135,7 @@ class _Profile:
         inside = (when >= self.t[0]) & (when <= self.t[-1])
         if inside.sum() < 16:
             return None
-        expected = np.column_stack([np.interp(when[inside], self.t, c) for c in self.reference.T])
+        expected = resampled(when[inside], self.t, self.reference)
         both = without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
         k = expected.shape[1]
         factors = np.asarray(np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0], dtype=float)
@@ -183,13 +174,6 @@ class _Profile:
         widening = max(total / information, 1.0) if information > 0 else np.inf
         return float(np.sqrt(widening / information)) if information > 0 else np.nan, widening
 
-    def quality(self, shift: float) -> tuple[float, Array, int]:
-        fitted = self.fit(shift)
-        assert fitted is not None
-        x, y, factors, rows = fitted
-        share = 1 - float(np.sum((y - x @ factors) ** 2) / max(np.sum(y**2), 1e-30))
-        return share, factors, len(rows)
-
 
 def _edge(profile: _Profile, value: float, side: float, stderr: float, widening: float) -> float:
     """Where the widened log likelihood has dropped by 1.92."""
@@ -217,16 +201,14 @@ def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
 
 
-def _correlate(
-    t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float, widest_s: float | None
-) -> float | None:
+def _correlate(t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> float | None:
     """Offset of the largest cross-correlation, summed over pairs of channels."""
     step = float(np.median(np.diff(seen_t)))
     a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
     if len(a_t) < 16 or len(b_t) < 16:
         return None
-    a = _normal(without_slow(a_t, np.column_stack([np.interp(a_t, t, c) for c in reference.T]), slow_s))
-    b = _normal(without_slow(b_t, np.column_stack([np.interp(b_t, seen_t, c) for c in seen.T]), slow_s))
+    a = _normal(without_slow(a_t, resampled(a_t, t, reference), slow_s))
+    b = _normal(without_slow(b_t, resampled(b_t, seen_t, seen), slow_s))
     lags = signal.correlation_lags(len(a), len(b))
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
     overlap = signal.correlate(ones_a, ones_b)
@@ -240,8 +222,6 @@ def _correlate(
     score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
     shifts = lags * step + a_t[0] - b_t[0]
     allowed = overlap >= _OVERLAP * min(len(a), len(b))
-    if widest_s is not None:
-        allowed &= np.abs(shifts) <= widest_s + step
     if not allowed.any() or not np.any(score[allowed] > 0):
         return None
     return float(shifts[allowed][np.argmax(score[allowed])])

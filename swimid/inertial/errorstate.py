@@ -5,9 +5,7 @@ axes), the biases of accelerometer and gyroscope (sensor axes) and their errors 
 for fusion the lever from the sensor to the reference point, the mounting turn, the tilt of the world against
 gravity, and the offset between the clocks.
 
-Sources: error equations after Groves (2013), Principles of GNSS, Inertial, and Multisensor
-Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not turn; smoother after Rauch,
-Tung and Striebel (1965, doi:10.2514/3.3166).
+After Rauch, Tung and Striebel (1965, doi:10.2514/3.3166).
 """
 
 from __future__ import annotations
@@ -17,156 +15,79 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.inertial.record import GRAVITY_M_S2, Array
+from swimid.inertial.record import Array
 
-P, V, T = slice(0, 3), slice(3, 6), slice(6, 9)
-BA, BG = slice(9, 12), slice(12, 15)
-#: Errors of scale and alignment of accelerometer and gyroscope, matrices by rows.
-SA, SG = slice(15, 24), slice(24, 33)
-LEVER, MOUNT, TILT, CLOCK = slice(33, 36), slice(36, 39), slice(39, 41), 41
+#: Where the error of each part of the state lies; scales are matrices by rows.
+PARTS = {
+    "position": slice(0, 3),
+    "velocity": slice(3, 6),
+    "rotation": slice(6, 9),
+    "acceleration_bias": slice(9, 12),
+    "rate_bias": slice(12, 15),
+    "acceleration_scale": slice(15, 24),
+    "rate_scale": slice(24, 33),
+    "lever": slice(33, 36),
+    "mount": slice(36, 39),
+    "tilt": slice(39, 41),
+    "clock_s": slice(41, 42),
+}
 #: States without and with another log.
 ALONE, FUSED = 33, 42
 #: States that move from node to node by themselves; the others stay or wander.
 MOVING = 9
 
 
+def jacobian(states: int, *shape: int, **by: Array) -> Array:
+    """Derivatives with respect to the states, shape (*shape, states), from those with respect to its parts.
+
+    Parts that are no states, without another log, are left out.
+    """
+    out = np.zeros((*shape, states))
+    for name, values in by.items():
+        if PARTS[name].stop <= states:
+            out[..., PARTS[name]] = values
+    return out
+
+
 @dataclass(frozen=True)
 class Observation:
-    """A measurement of the error at one node.
-
-    Attributes
-    ----------
-    node : int
-    kind : str
-        What it is, for the account kept of each kind.
-    residual : ndarray, shape (m,)
-        Measured minus reckoned.
-    sensitivity : ndarray, shape (m, states)
-    sd : ndarray, shape (m,)
-        Standard deviations, independent of each other.
-    gate : float
-        A residual beyond this many deviations is an outlier and not used; infinite for none.
-    counted : bool
-        Whether it counts in the likelihood; one that another clock leaves outside the record does not.
-    """
+    """A measurement of the error at one node."""
 
     node: int
+    #: What it is, for the account kept of each kind.
     kind: str
+    #: Shape (m,). Measured minus reckoned.
     residual: Array
+    #: Shape (m, states).
     sensitivity: Array
+    #: Shape (m,). Standard deviations, independent of each other.
     sd: Array
+    #: A residual beyond this many deviations is an outlier and not used; infinite for none.
     gate: float = np.inf
+    #: Whether it counts in the likelihood; one that another clock leaves outside the record does not.
     counted: bool = True
-
-
-@dataclass(frozen=True)
-class Driving:
-    """What makes the errors grow, per step between nodes.
-
-    Attributes
-    ----------
-    acceleration, rate : ndarray, shape (steps,)
-        Variance of the velocity and of the angle that one step adds, (m/s)^2 and rad^2.
-    acceleration_bias, rate_bias : float
-        Power of the random walk of the biases, (m/s^2)^2/s and (rad/s)^2/s.
-    """
-
-    acceleration: Array
-    rate: Array
-    acceleration_bias: float
-    rate_bias: float
+    #: Which pose of another log it is of; -1 for none.
+    fix: int = -1
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Smoothed errors.
+    """Smoothed errors."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (nodes, states)
-    covariance : ndarray, shape (nodes, states, states)
-    likelihood : float
-        Log likelihood of the observations that were used and count.
-    scores : dict of str to ndarray
-        Normalised innovations of every kind of observation, one row each (NaN beyond its width).
-    rejected : dict of str to int
-        Observations beyond their gate, of every kind.
-    """
-
+    #: Shape (nodes, states).
     mean: Array
+    #: Shape (nodes, states, states).
     covariance: Array
+    #: Log likelihood of the observations that were used and count.
     likelihood: float
+    #: Normalised innovations of every kind of observation, one row each (NaN beyond its width).
     scores: dict[str, Array]
-    rejected: dict[str, int]
+    #: Observations beyond their gate.
+    rejected: int
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Means over the steps between nodes, of which transitions are made.
-
-    Attributes
-    ----------
-    turn : ndarray, shape (steps, 3, 3)
-        Rotation matrix, sensor to world.
-    specific_force_w : ndarray, shape (steps, 3)
-        World axes, m/s^2.
-    turn_by_force, turn_by_rate : ndarray, shape (steps, 3, 3, 3)
-        Every column of the rotation matrix (last index but one) times every component of specific force,
-        and of the turn rate (last index; sensor axes).
-    defect : ndarray, shape (steps, 9)
-        Position, velocity and turn that the samples make of a step, less those of the nominal path: 0 for a
-        path that was reckoned from the samples.
-    """
-
-    turn: Array
-    specific_force_w: Array
-    turn_by_force: Array
-    turn_by_rate: Array
-    defect: Array
-
-
-def transitions(time_s: Array, steps: Steps, states: int) -> Array:
-    """Transition matrices of the errors from node to node.
-
-    Returns
-    -------
-    ndarray, shape (nodes - 1, states, states)
-        exp(F dt) to third order in dt.
-    """
-    dt = np.diff(time_s)
-    n = len(dt)
-    f = np.zeros((n, states, states))
-    f[:, P, V] = np.eye(3)
-    f[:, V, T] = -cross_matrix(steps.specific_force_w)
-    f[:, V, BA] = -steps.turn
-    f[:, V, SA] = -steps.turn_by_force.reshape(n, 3, 9)
-    f[:, T, BG] = -steps.turn
-    f[:, T, SG] = -steps.turn_by_rate.reshape(n, 3, 9)
-    if states > ALONE:
-        f[:, 3, TILT.start] = f[:, 4, TILT.start + 1] = -GRAVITY_M_S2
-    f *= dt[:, None, None]
-    moving = f[:, :MOVING, :MOVING]
-    square = moving @ f[:, :MOVING]
-    out = np.broadcast_to(np.eye(states), f.shape).copy()
-    out[:, :MOVING] += f[:, :MOVING] + square / 2 + moving @ square / 6
-    return out
-
-
-def driving_noise(time_s: Array, driving: Driving, states: int) -> Array:
-    """Covariance each step adds, shape (nodes - 1, states, states)."""
-    dt = np.diff(time_s)
-    q = np.zeros((len(dt), states, states))
-    for i in range(3):
-        q[:, 3 + i, 3 + i] = driving.acceleration
-        q[:, i, i] = driving.acceleration * dt**2 / 3
-        q[:, i, 3 + i] = q[:, 3 + i, i] = driving.acceleration * dt / 2
-        q[:, 6 + i, 6 + i] = driving.rate
-        q[:, 9 + i, 9 + i] = driving.acceleration_bias * dt
-        q[:, 12 + i, 12 + i] = driving.rate_bias * dt
-    return q
-
-
-def smooth(
+@threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size
+def smooth_errors(
     start_mean: Array,
     start: Array,
     transition: Array,
@@ -185,18 +106,6 @@ def smooth(
     defect : ndarray, shape (nodes - 1, 9)
         What each step adds to the errors of position, velocity and attitude besides.
     """
-    with threadpool_limits(1):  # threads cost more than they bring at this size
-        return _smooth(start_mean, start, transition, noise, observations, defect)
-
-
-def _smooth(
-    start_mean: Array,
-    start: Array,
-    transition: Array,
-    noise: Array,
-    observations: list[Observation],
-    defect: Array,
-) -> Errors:
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
     for observation in observations:
@@ -206,8 +115,7 @@ def _smooth(
     mean, cov = start_mean.copy(), start.copy()
     means, covs = np.empty((nodes, states)), np.empty((nodes, states, states))
     scores: dict[str, list[Array]] = {}
-    rejected: dict[str, int] = {}
-    likelihood = 0.0
+    rejected, likelihood = 0, 0.0
     for k in range(nodes):
         if k:
             mean = transition[k - 1] @ mean
@@ -217,7 +125,7 @@ def _smooth(
         for seen in at.get(k, ()):
             mean, cov, score, likely = _update(mean, cov, seen)
             if score is None:
-                rejected[seen.kind] = rejected.get(seen.kind, 0) + 1
+                rejected += 1
             else:
                 scores.setdefault(seen.kind, []).append(score)
                 likelihood += likely if seen.counted else 0.0
@@ -253,9 +161,5 @@ def _padded(rows: list[Array]) -> Array:
 
 
 def cross_matrix(vectors: Array) -> Array:
-    """Matrices of the cross products ``v x``, shape (n, 3, 3)."""
-    x, y, z = np.moveaxis(np.atleast_2d(vectors), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2
-    )
+    """Matrices of the cross products ``v x``, shape (..., 3, 3)."""
+    return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)

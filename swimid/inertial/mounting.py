@@ -28,12 +28,6 @@ class Mount:
     up: Array
 
 
-def given(mount_deg: tuple[float, float, float]) -> Rotation:
-    """Body to sensor, from the sensor's roll, pitch and yaw in the body, degrees."""
-    roll, pitch, yaw = (np.array([v * DEG]) for v in mount_deg)
-    return from_angles(roll, pitch, yaw)[0].inv()
-
-
 def settle(
     record: Record,
     rests: list[Rest],
@@ -57,33 +51,30 @@ def settle(
     up = seen[0] if np.min(seen @ seen[0]) < np.cos(UPRIGHT) else seen.mean(axis=0)
     up = up / np.linalg.norm(up)
     if mount_deg is not None:
-        return Mount(given(mount_deg), "given", up), []
+        roll, pitch, yaw = (np.array([angle * DEG]) for angle in mount_deg)
+        return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up), []
     if record.quaternion is not None:
         return Mount(Rotation.identity(), "quaternions", up), []
-    off = float(np.arccos(np.clip(up[2], -1, 1)))
-    if off <= UPRIGHT:
+    if float(np.arccos(np.clip(up[2], -1, 1))) <= UPRIGHT:
         if level_at_rest:
             return Mount(level(up).inv(), "level at rest", up), []
         return Mount(Rotation.identity(), "as the sensor's axes", up), []
     axis = int(np.argmax(np.abs(up)))
+    nearest = np.sign(up[axis]) * np.eye(3)[axis]
     name = f"{'-' if up[axis] < 0 else '+'}{'xyz'[axis]}"
     if name == "-z":
         raise InputError(
             "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
             file=record.name,
             column="az_m_s2",
-            hint="for an accelerometer of the other sign give factor -1 for all three "
-            "axes in a mapping (--map); "
-            "for a sensor mounted upside down give --mount-deg 180 0 0",
+            hint="for an accelerometer of the other sign give factor -1 for all three axes in a mapping "
+            "(--map); for a sensor mounted upside down give --mount-deg 180 0 0",
         )
-    snapped = np.zeros(3)
-    snapped[axis] = np.sign(up[axis])
-    rotation = level(up if level_at_rest else snapped).inv()
     text = (
-        f"gravity lies along the sensor's {name} axis, not +z: the sensor is "
-        f"taken as turned by the smallest turn "
-        "that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
+        f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
+        "turn that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
     )
+    rotation = level(up if level_at_rest else nearest).inv()
     return Mount(rotation, f"{name} axis up", up), [Finding(NAME, "handled", text)]
 
 

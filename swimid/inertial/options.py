@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
+from pydantic import model_validator
+
+from swimid.errors import UsageError
 from swimid.options import Options, Source, option
 
 
 class TrackImuOptions(Options):
     """What ``track imu`` can be told."""
 
-    map_path: Source = option(None, flag="--map", help="Mapping of foreign columns and units.")
-    other: Source = option(None, flag="--with", help="Another log of the trial to fuse with (a camera's).")
+    map_path: Source = option(
+        None, flag="--map", recorded=False, help="Mapping of foreign columns and units."
+    )
+    other: Source = option(
+        None, flag="--with", recorded=False, help="Another log of the trial to fuse with (a camera's)."
+    )
     method: Literal["smoother", "paper"] = option(
         "smoother", help="Error-state smoother, or the steps of Shang et al. (2012)."
     )
     motion_mode: Literal["marching", "receding", "rotating"] = option(
         "marching", help="The paper's motion mode: which constant parts are removed."
     )
-    threshold_m_s2: float | None = option(
-        None, ge=0, help="The paper's threshold on accelerations  [default: 0.02]."
-    )
-    threshold_rad_s: float | None = option(
-        None, ge=0, help="The paper's threshold on turn rates  [default: 0.01]."
-    )
+    threshold_m_s2: float = option(0.02, ge=0, help="The paper's threshold on accelerations.")
+    threshold_rad_s: float = option(0.01, ge=0, help="The paper's threshold on turn rates.")
     still: tuple[tuple[float, float], ...] = option(
         (), metavar="T0 T1", help="Times, s, between which the robot rests. Repeatable."
     )
@@ -59,14 +62,17 @@ class TrackImuOptions(Options):
     gyro_noise: float | None = option(
         None, gt=0, help="Gyroscope noise, rad/s/sqrt(Hz)  [default: from still periods]."
     )
-    accel_bias_mg: float | None = option(
-        None, gt=0, help="Accelerometer bias before any calibration, mg  [default: 10]."
-    )
-    gyro_bias_deg_s: float | None = option(
-        None, gt=0, help="Gyroscope bias before any calibration, deg/s  [default: 1]."
-    )
+    accel_bias_mg: float = option(10.0, gt=0, help="Accelerometer bias before any calibration, mg.")
+    gyro_bias_deg_s: float = option(1.0, gt=0, help="Gyroscope bias before any calibration, deg/s.")
     attitude_sd_deg: float | None = option(
         None,
         gt=0,
         help="Error of quaternions in the log, or of the attitude filter, deg  [default: 2, 1].",
     )
+
+    @model_validator(mode="after")
+    def _can_be_meant(self) -> Self:
+        for start, end in self.still:
+            if not start < end:
+                raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
+        return self

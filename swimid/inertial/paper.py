@@ -18,41 +18,21 @@ from swimid.inertial import strapdown
 from swimid.inertial.record import Array, Record
 
 Mode = Literal["marching", "receding", "rotating"]
-#: Readings below these are set to 0: m/s^2 and rad/s. The paper: "small and not very clear".
-THRESHOLD_M_S2, THRESHOLD_RAD_S = 0.02, 0.01
 
 
 @dataclass(frozen=True)
 class PaperMotion:
-    """Motion by the paper's steps, each kept.
+    """Motion by the paper's steps."""
 
-    Attributes
-    ----------
-    acceleration_body, rate_body : ndarray, shape (n, 3)
-        After the constant part and small readings are gone (a_f and omega_f).
-    acceleration, rate : ndarray, shape (n, 3)
-        Earth axes, Eqs 10 and 11.
-    velocity, position : ndarray, shape (n, 3)
-        Earth axes, Eqs 12 and 13, from rest at the origin.
-    removed_acceleration, removed_rate : ndarray, shape (3,)
-        The constant parts.
-    """
-
-    acceleration_body: Array
-    rate_body: Array
+    #: Shape (n, 3). Earth axes, Eqs 10 and 11.
     acceleration: Array
     rate: Array
+    #: Shape (n, 3). Earth axes, Eqs 12 and 13, from rest at the origin.
     velocity: Array
     position: Array
+    #: Shape (3,). The constant parts.
     removed_acceleration: Array
     removed_rate: Array
-
-
-def constant_part(values: Array, kept_axes: tuple[int, ...] = ()) -> Array:
-    """Mean of each channel, 0 for axes whose constant part is motion, shape (3,)."""
-    mean = np.asarray(values.mean(axis=0))
-    mean[list(kept_axes)] = 0.0
-    return mean
 
 
 def thresholded(values: Array, threshold: float) -> Array:
@@ -68,9 +48,8 @@ def integrate(
     record: Record,
     attitude: Rotation,
     mode: Mode,
-    *,
-    threshold_m_s2: float = THRESHOLD_M_S2,
-    threshold_rad_s: float = THRESHOLD_RAD_S,
+    threshold_m_s2: float,
+    threshold_rad_s: float,
 ) -> PaperMotion:
     """The paper's way, from a record in body axes.
 
@@ -83,18 +62,20 @@ def integrate(
         ``marching`` and ``receding``: the vehicle keeps its heading, so the constant part of all six
         channels is error (and gravity). ``rotating``: it turns at a mean rate, so that of the yaw rate
         is kept.
+    threshold_m_s2, threshold_rad_s : float
+        Readings below these are set to 0. The paper: "small and not very clear".
 
     Notes
     -----
     Taking off the mean acceleration makes the last velocity equal the first, whatever the vehicle did.
     """
-    kept = (2,) if mode == "rotating" else ()
-    mean_a = constant_part(record.acceleration)
-    mean_w = constant_part(record.rate, kept)
+    mean_a, mean_w = record.acceleration.mean(axis=0), record.rate.mean(axis=0)
+    if mode == "rotating":
+        mean_w[2] = 0.0
     body_a = thresholded(record.acceleration - mean_a, threshold_m_s2)
     body_w = thresholded(record.rate - mean_w, threshold_rad_s)
     earth_a = attitude.apply(body_a)  # Eq 10: a_e = (M_e^f)^-1 a_f
     earth_w = attitude.apply(body_w)  # Eq 11
     velocity = strapdown.integral(record.time_s, earth_a)  # Eq 12
     position = strapdown.integral(record.time_s, velocity)  # Eq 13
-    return PaperMotion(body_a, body_w, earth_a, earth_w, velocity, position, mean_a, mean_w)
+    return PaperMotion(earth_a, earth_w, velocity, position, mean_a, mean_w)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ Flags = NDArray[np.bool_]
 
 ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+CHANNELS = (*ACCELERATION, *RATE)
 QUATERNION = ("qw", "qx", "qy", "qz")
 MAGNETIC = ("mx", "my", "mz")
 #: Standard gravity, m/s^2 (CGPM 1901).
@@ -23,34 +24,23 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class Record:
-    """Samples of one inertial unit, in the sensor's axes.
+    """Samples of one inertial unit, in the sensor's axes."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-    acceleration : ndarray, shape (n, 3)
-        Specific force, m/s^2.
-    rate : ndarray, shape (n, 3)
-        Turn rate, rad/s.
-    quaternion : ndarray, shape (n, 4), or None
-        w, x, y, z; sensor to world.
-    magnetic : ndarray, shape (n, 3), or None
-        Magnetic field, any unit.
-    filled_acceleration, filled_rate : ndarray of bool, shape (n,)
-        Samples that were not measured but bridged.
-    metadata : dict
-    name : str
-        The file's name, for messages.
-    """
-
+    #: Shape (n,).
     time_s: Array
+    #: Shape (n, 3). Specific force, m/s^2.
     acceleration: Array
+    #: Shape (n, 3). Turn rate, rad/s.
     rate: Array
+    #: Shape (n, 4). w, x, y, z; sensor to world.
     quaternion: Array | None = None
+    #: Shape (n, 3). Magnetic field, any unit.
     magnetic: Array | None = None
+    #: Shape (n,). Samples that were not measured but bridged.
     filled_acceleration: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     filled_rate: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    #: The file's name, for messages.
     name: str = "the log"
 
     def __post_init__(self) -> None:
@@ -66,19 +56,25 @@ class Record:
         """Typical sample time, s."""
         return float(np.median(np.diff(self.time_s)))
 
+    @property
+    def channels(self) -> Array:
+        """Accelerations and turn rates, columns as in :data:`CHANNELS`, shape (n, 6)."""
+        return np.hstack([self.acceleration, self.rate])
+
+    def with_channels(self, values: Array) -> Record:
+        """The same with other accelerations and turn rates, shape (n, 6)."""
+        acceleration, rate = (np.ascontiguousarray(half) for half in np.hsplit(values, 2))
+        return replace(self, acceleration=acceleration, rate=rate)
+
     def take(self, rows: Any) -> Record:
         """Only these rows."""
-        return Record(
-            self.time_s[rows],
-            self.acceleration[rows],
-            self.rate[rows],
-            None if self.quaternion is None else self.quaternion[rows],
-            None if self.magnetic is None else self.magnetic[rows],
-            self.filled_acceleration[rows],
-            self.filled_rate[rows],
-            self.metadata,
-            self.name,
-        )
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
+
+
+def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Every column of ``values``, shape (n, k), at other times, linearly between samples, shape (m, k)."""
+    return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:

@@ -2,39 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.inertial.record import Array, Flags, Record
+from swimid.inertial.record import Array, Record
 from swimid.logs.log import runs
 
 #: Length over which motion is judged, s, and the shortest rest, s.
 WINDOW_S, SHORTEST_S = 0.5, 1.0
-#: The quietest share of a record that serves as its noise.
-QUIET_SHARE = 0.05
-#: A window is still when it is no louder than this many times the quietest ones.
-LOUDER = 2.0
-#: Least motion that is motion, however silent the sensor: m/s^2 and rad/s.
+#: The share of a record with the least deviations, which serves as its noise.
+NOISE_SHARE = 0.05
+#: A window is still when its deviations are at most this many times those.
+NOISE_RATIO = 2.0
+#: Least motion that is motion, however small the sensor's noise: m/s^2 and rad/s.
 LEAST_ACCELERATION, LEAST_RATE = 0.03, 0.01
-#: No sensor at rest is as loud as this: m/s^2 and rad/s.
-LOUDEST_ACCELERATION, LOUDEST_RATE = 0.25, 0.05
+#: No sensor at rest deviates by more: m/s^2 and rad/s.
+MOST_ACCELERATION, MOST_RATE = 0.25, 0.05
 #: No gyroscope at rest shows more than this on average: 20 deg/s on each axis (InvenSense MPU-6050), rad/s.
 LARGEST_RATE = 20 * np.sqrt(3) * np.pi / 180
 
 
 @dataclass(frozen=True)
 class Rest:
-    """One still stretch, rows ``first`` to ``last`` (not included).
-
-    ``declared`` where the user named it; ``at`` is "start", "end" or "between".
-    """
+    """One still stretch, rows ``first`` to ``last`` (not included); ``at`` is "start", "end" or "between"."""
 
     first: int
     last: int
     at: str
-    declared: bool = False
 
     @property
     def rows(self) -> slice:
@@ -45,8 +42,8 @@ class Rest:
 def find(record: Record) -> list[Rest]:
     """Still stretches of a record.
 
-    A window is still when the deviation of accelerations and rates, and the mean rate against its own
-    quietest windows, are those of the quietest 5 % of the record, and these are quiet at all.
+    A window is still when the deviation of accelerations and rates, and the mean rate against that of such
+    windows, are within those of the least moving 5 % of the record, and these are no motion.
 
     Notes
     -----
@@ -56,20 +53,24 @@ def find(record: Record) -> list[Rest]:
     size = max(round(WINDOW_S / record.step_s), 4)
     if len(record) < 3 * size:
         return []
-    loud_a, loud_w = _loudness(record.acceleration, size), _loudness(record.rate, size)
+    deviation_a, deviation_w = _deviation(record.acceleration, size), _deviation(record.rate, size)
+    floor_a, floor_w = (max(float(np.quantile(d, NOISE_SHARE)), 1e-9) for d in (deviation_a, deviation_w))
+    if floor_a > MOST_ACCELERATION or floor_w > MOST_RATE:
+        return []
+    limit_a, limit_w = max(NOISE_RATIO * floor_a, LEAST_ACCELERATION), max(NOISE_RATIO * floor_w, LEAST_RATE)
+    steady = (deviation_a <= limit_a) & (deviation_w <= limit_w)
+    if not steady.any():
+        return []
     mean_w = _moving_mean(record.rate, size)
-    floor_a = max(float(np.quantile(loud_a, QUIET_SHARE)), 1e-9)
-    floor_w = max(float(np.quantile(loud_w, QUIET_SHARE)), 1e-9)
-    if floor_a > LOUDEST_ACCELERATION or floor_w > LOUDEST_RATE:
-        return []
-    quiet = (loud_a <= max(LOUDER * floor_a, LEAST_ACCELERATION)) & (
-        loud_w <= max(LOUDER * floor_w, LEAST_RATE)
-    )
-    if not quiet.any():
-        return []
-    usual = np.median(mean_w[quiet], axis=0)
-    still = quiet & (np.linalg.norm(mean_w - usual, axis=1) <= max(LOUDER * floor_w, LEAST_RATE))
-    return _stretches(still, record, size)
+    off = np.linalg.norm(mean_w - np.median(mean_w[steady], axis=0), axis=1)
+    rests = []
+    for first, last in runs(steady & (off <= limit_w)).tolist():
+        # a window reaches beyond its middle: its outer halves may already move
+        begin = first if first == 0 else first + size // 2
+        end = last if last == len(record) else last - size // 2
+        if end - begin >= 4 and record.time_s[end - 1] - record.time_s[begin] >= SHORTEST_S:
+            rests.append(_rest(record, begin, end))
+    return rests
 
 
 def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
@@ -78,7 +79,7 @@ def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
     return np.array([part.mean(axis=0) for part in parts])
 
 
-def declared(record: Record, windows: list[tuple[float, float]]) -> list[Rest]:
+def declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Rest]:
     """The stretches a user named by their times, s.
 
     Raises
@@ -86,42 +87,41 @@ def declared(record: Record, windows: list[tuple[float, float]]) -> list[Rest]:
     InputError
         The sensor turns in one of them as no gyroscope at rest shows it.
     """
-    found = []
+    rests = []
     for start, end in windows:
-        first, last = np.searchsorted(record.time_s, [start, end])
-        if last - first >= 4:
-            turning = float(np.mean(np.linalg.norm(record.rate[first:last], axis=1)))
-            if turning > LARGEST_RATE:
-                raise InputError(
-                    f"turns at {turning:.1f} rad/s from {start:g} to {end:g} s, which is named as a rest",
-                    file=record.name,
-                    hint="name a stretch in which the robot rests, or leave --still out",
-                )
-            found.append(Rest(int(first), int(last), _place(int(first), int(last), len(record)), True))
-    return found
+        first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
+        if last - first < 4:
+            continue
+        turning = float(np.mean(np.linalg.norm(record.rate[first:last], axis=1)))
+        if turning > LARGEST_RATE:
+            raise InputError(
+                f"turns at {turning:.1f} rad/s from {start:g} to {end:g} s, which is named as a rest",
+                file=record.name,
+                hint="name a stretch in which the robot rests, or leave --still out",
+            )
+        rests.append(_rest(record, first, last))
+    return rests
+
+
+def _rest(record: Record, first: int, last: int) -> Rest:
+    edge = 0.02 * len(record)
+    return Rest(first, last, "start" if first <= edge else "end" if last >= len(record) - edge else "between")
 
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of the sensor.
+    """White noise of the sensor."""
 
-    Attributes
-    ----------
-    acceleration : float
-        Density, m/s^2/sqrt(Hz).
-    rate : float
-        Density, rad/s/sqrt(Hz).
-    source : str
-        "still periods", "given" or "data sheet".
-    """
-
+    #: Density, m/s^2/sqrt(Hz).
     acceleration: float
+    #: Density, rad/s/sqrt(Hz).
     rate: float
+    #: "still periods", "given" or "data sheet".
     source: str
 
 
 def noise(record: Record, rests: list[Rest]) -> Noise | None:
-    """White noise densities from still stretches, the quietest axes counting as much as the loudest."""
+    """White noise densities from still stretches, all axes together."""
     if not rests:
         return None
     parts_a = np.vstack([np.diff(record.acceleration[r.rows], axis=0) for r in rests])
@@ -140,26 +140,8 @@ def _moving_mean(values: Array, size: int) -> Array:
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="nearest"))
 
 
-def _loudness(values: Array, size: int) -> Array:
+def _deviation(values: Array, size: int) -> Array:
     """Deviation within a window about each sample, all axes together, shape (n,)."""
     centred = values - values.mean(axis=0)
     spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
     return np.sqrt(np.maximum(spread.sum(axis=1), 0.0))
-
-
-def _stretches(still: Flags, record: Record, size: int) -> list[Rest]:
-    found = []
-    for first, last in runs(still).tolist():
-        # a window reaches beyond its middle: its outer halves may already move
-        inner_first = first if first == 0 else first + size // 2
-        inner_last = last if last == len(still) else last - size // 2
-        if inner_last - inner_first < 4:
-            continue
-        if record.time_s[inner_last - 1] - record.time_s[inner_first] >= SHORTEST_S:
-            found.append(Rest(inner_first, inner_last, _place(inner_first, inner_last, len(still))))
-    return found
-
-
-def _place(first: int, last: int, n: int) -> str:
-    edge = 0.02 * n
-    return "start" if first <= edge else "end" if last >= n - edge else "between"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,47 +10,53 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import mounting
-from swimid.inertial.alone import Stillness
-from swimid.inertial.attitude import Source
+from swimid.inertial.alignment import Poses
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.fusion import Fused
 from swimid.inertial.motion import Motion
-from swimid.inertial.mounting import Mount
 from swimid.inertial.paper import PaperMotion
-from swimid.inertial.record import Array, Record
-from swimid.inertial.settings import Settings
-from swimid.inertial.trust import Trust
+from swimid.inertial.plausible import Trust
+from swimid.inertial.record import Array
+from swimid.inertial.setup import Setup
+from swimid.inertial.smoother import Smoothed
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.rotation import angles
 
 #: Metadata that disagrees with the stroke by more than this share, and by more than its interval, is wrong.
 FREQUENCY_SHARE = 0.03
+ANGLES = ("roll", "pitch", "yaw")
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, kw_only=True)
+class Run(Setup):
     """Everything a run found, for its log, its evidence and its summary.
 
     ``impossible`` says why positions and velocities of the motion are empty where they are.
     """
 
-    record: Record
-    source: Source
-    still: Stillness
-    mount: Mount
-    settings: Settings
     findings: list[Finding]
     stroke: Rhythm | None
     cutoff_hz: float
+    poses: Poses | None = None
     motion: Motion | None = None
     paper: PaperMotion | None = None
+    smoothed: Smoothed | None = None
     fused: Fused | None = None
-    rest_score: float | None = None
     trust: Trust | None = None
     surge_osc: Array | None = None
     surge_osc_sd: float | None = None
-    bias: Array | None = None
     impossible: tuple[str, ...] = ()
+
+    @property
+    def bias(self) -> Array | None:
+        """Of the accelerometer (m/s^2) and the gyroscope (rad/s) at the end, shape (6,)."""
+        path = None if self.smoothed is None else self.smoothed.path
+        return None if path is None else np.concatenate([path.acceleration_bias[-1], path.rate_bias[-1]])
+
+    @property
+    def rest_score(self) -> float | None:
+        """Innovations at rests, in their deviations, rms."""
+        return None if self.smoothed is None else self.smoothed.score("rest")
 
     @property
     def body_to_sensor(self) -> Rotation:
@@ -78,7 +85,7 @@ class Run:
         stroke, stated = self.stroke, self.stated_hz
         if stroke is None or stated is None:
             return False
-        low, high = stroke.interval_hz
+        low, high = stroke.beat.interval_hz
         off = abs(stated / stroke.beat.frequency_hz - 1)
         if stroke.maybe_double and abs(2 * stated / stroke.beat.frequency_hz - 1) < FREQUENCY_SHARE:
             return False
@@ -87,40 +94,41 @@ class Run:
     def columns(self) -> dict[str, Any]:
         """The columns of the log, in order."""
         if self.paper is not None:
-            body = self.source.rotation * self.mount.rotation
-            roll, pitch, yaw = angles(body)
-            p, v = self.paper.position, self.paper.velocity
-            u = body.inv().apply(v)
+            p, v, turn = self.paper.position, self.paper.velocity, self.attitude
             return {
-                "t_s": self.record.time_s,
-                "x_m": p[:, 0], "y_m": p[:, 1], "z_m": p[:, 2],
-                "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw,
-                "u_m_s": u[:, 0], "v_m_s": u[:, 1], "w_m_s": u[:, 2],
-                "vx_m_s": v[:, 0], "vy_m_s": v[:, 1], "vz_m_s": v[:, 2],
-                **{f"a{a}_world_m_s2": c for a, c in zip("xyz", self.paper.acceleration.T, strict=True)},
-                **{f"w{a}_world_rad_s": c for a, c in zip("xyz", self.paper.rate.T, strict=True)},
-            }  # fmt: skip
-        found = self.motion
-        assert found is not None
-        roll, pitch, yaw = angles(found.rotation)
-        quaternion = found.rotation.as_quat()
-        out: dict[str, Any] = {"t_s": found.time_s}
-        out |= dict(zip(("x_m", "y_m", "z_m"), found.position.T, strict=True))
-        out |= {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
-        out |= dict(zip(("u_m_s", "v_m_s", "w_m_s"), found.body_velocity.T, strict=True))
-        out |= dict(zip(("vx_m_s", "vy_m_s", "vz_m_s"), found.velocity.T, strict=True))
-        out |= {"roll_rate_rad_s": found.rate[:, 0], "pitch_rate_rad_s": -found.rate[:, 1]}
-        out |= {"yaw_rate_rad_s": found.rate[:, 2], "u_osc_m_s": self.surge_osc}
-        out |= dict(
-            zip(("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"), found.acceleration.T, strict=True)
-        )
-        out |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
-        out |= dict(zip(("x_sd_m", "y_sd_m", "z_sd_m"), found.position_sd.T, strict=True))
-        out |= dict(zip(("roll_sd_rad", "pitch_sd_rad", "yaw_sd_rad"), found.angle_sd.T, strict=True))
-        out |= dict(zip(("u_sd_m_s", "v_sd_m_s", "w_sd_m_s"), found.body_velocity_sd.T, strict=True))
-        out |= dict(zip(("vx_sd_m_s", "vy_sd_m_s", "vz_sd_m_s"), found.velocity_sd.T, strict=True))
-        out["u_osc_sd_m_s"] = np.full(
-            len(found.time_s), np.nan if self.surge_osc_sd is None else self.surge_osc_sd
-        )
-        out["bridged"] = (self.record.filled_acceleration | self.record.filled_rate).astype(int)
-        return out
+                **_pose(self.record.time_s, p, turn, turn.inv().apply(v), v),
+                **_named("a{}_world_m_s2", self.paper.acceleration),
+                **_named("w{}_world_rad_s", self.paper.rate),
+            }
+        m = self.motion
+        assert m is not None
+        surge_sd = np.nan if self.surge_osc_sd is None else self.surge_osc_sd
+        return {
+            **_pose(m.time_s, m.position, m.rotation, m.body_velocity, m.velocity),
+            **_named("{}_rate_rad_s", m.rate * [1.0, -1.0, 1.0], ANGLES),
+            "u_osc_m_s": self.surge_osc,
+            **_named("a{}_world_m_s2", m.acceleration),
+            **_named("q{}", m.rotation.as_quat(), "xyzw"),
+            **_named("{}_sd_m", m.position_sd),
+            **_named("{}_sd_rad", m.angle_sd, ANGLES),
+            **_named("{}_sd_m_s", m.body_velocity_sd, "uvw"),
+            **_named("v{}_sd_m_s", m.velocity_sd),
+            "u_osc_sd_m_s": np.full(len(m.time_s), surge_sd),
+            "bridged": (self.record.filled_acceleration | self.record.filled_rate).astype(int),
+        }
+
+
+def _named(name: str, values: Array, parts: Sequence[str] = "xyz") -> dict[str, Array]:
+    return {name.format(part): column for part, column in zip(parts, values.T, strict=True)}
+
+
+def _pose(
+    time_s: Array, place: Array, turn: Rotation, body_velocity: Array, velocity: Array
+) -> dict[str, Any]:
+    return {
+        "t_s": time_s,
+        **_named("{}_m", place),
+        **_named("{}_rad", np.column_stack(angles(turn)), ANGLES),
+        **_named("{}_m_s", body_velocity, "uvw"),
+        **_named("v{}_m_s", velocity),
+    }

@@ -6,44 +6,48 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import GRAVITY_M_S2
 
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
+#: Standard deviations in half a 95 % band.
+BAND = 1.96
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Error figures of an inertial unit; the defaults are those of the 3DM-GX1's class.
+    """Error figures of an inertial unit; the defaults are those of the 3DM-GX1's class."""
 
-    Attributes
-    ----------
-    acceleration_noise, rate_noise : float or None
-        White noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); None: from still periods, or where there
-        are none 0.4 mg/sqrt(Hz) and 3.5 deg/sqrt(h) (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012,
-        Table I).
-    acceleration_bias_sd, rate_bias_sd : float
-        Of a bias nobody has measured, m/s^2 and rad/s: 10 mg and 1 deg/s.
-    acceleration_drift, rate_drift : float
-        What a bias changes by in 100 s, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of
-        Shang et al.) and 0.02 deg/s.
-    scale_sd : float
-        Error of scale and alignment of both sensors, 0.5 %.
-    bending_sd : float
-        What a scale changes by with the reading itself (nonlinearity), both sensors, 0.2 %.
-    attitude_sd : float or None
-        Of attitudes in the log, or of the filter's, rad; None: 2 deg (Table I) and 1 deg.
-    """
-
+    #: White noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); None: from still periods, or where there are
+    #: none 0.4 mg/sqrt(Hz) and 3.5 deg/sqrt(h) (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
     acceleration_noise: float | None = None
     rate_noise: float | None = None
+    #: Of a bias nobody has measured, m/s^2 and rad/s: 10 mg and 1 deg/s.
     acceleration_bias_sd: float = 10 * MILLI_G
     rate_bias_sd: float = 1.0 * DEG
+    #: What a bias changes by in 100 s, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of Shang et
+    #: al.) and 0.02 deg/s.
     acceleration_drift: float = 0.2 * MILLI_G
     rate_drift: float = 0.02 * DEG
+    #: Error of scale and alignment of both sensors, 0.5 %.
     scale_sd: float = 0.005
+    #: What a scale changes by with the reading itself (nonlinearity), both sensors, 0.2 %.
     bending_sd: float = 0.002
+    #: Of attitudes in the log, or of the filter's, rad; None: 2 deg (Table I) and 1 deg.
     attitude_sd: float | None = None
+
+    @classmethod
+    def of(cls, options: TrackImuOptions) -> Sensor:
+        """The error figures as the options state them."""
+        attitude_deg = options.attitude_sd_deg
+        return cls(
+            options.accel_noise,
+            options.gyro_noise,
+            options.accel_bias_mg * MILLI_G,
+            options.gyro_bias_deg_s * DEG,
+            attitude_sd=None if attitude_deg is None else attitude_deg * DEG,
+        )
 
     def classes(self) -> dict[str, Sensor]:
         """The same with the errors of other classes of sensor where nothing is stated, by name."""
@@ -71,9 +75,6 @@ CHIP_NAME = "a consumer's chip (biases of 30 mg, scales off by 1.5 %)"
 WARMING_NAME = (
     "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)"
 )
-#: Noise densities where nothing tells: m/s^2/sqrt(Hz), rad/s/sqrt(Hz).
-SHEET_ACCELERATION_NOISE = 0.4 * MILLI_G
-SHEET_RATE_NOISE = 3.5 * DEG / 60.0
 #: Deviation of an attitude: the sensor's own, the filter's (rad).
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
 #: How long an error of such an attitude lasts at least, s: so many seconds count as one measurement.

@@ -9,33 +9,17 @@ leave an attitude that is off by radians, and no small turn corrects that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import errorstate, strapdown
-from swimid.inertial.errorstate import (
-    ALONE,
-    BA,
-    BG,
-    CLOCK,
-    FUSED,
-    LEVER,
-    MOUNT,
-    SA,
-    SG,
-    TILT,
-    Driving,
-    Errors,
-    Observation,
-    P,
-    Steps,
-    T,
-    V,
-)
-from swimid.inertial.record import GRAVITY_M_S2, Array, Record
+from swimid.inertial.errorstate import ALONE, MOVING, PARTS, Errors, Observation, cross_matrix, jacobian
+from swimid.inertial.record import GRAVITY_M_S2, Array, Record, resampled
 from swimid.inertial.rest import Noise
 from swimid.inertial.sensor import DRIFT_TIME_S, Sensor
 
@@ -46,50 +30,77 @@ NODE_S, MOST_NODES = 0.02, 20_000
 GAP_STEPS, HIDDEN_S, RHYTHM_S = 1.5, 0.1, 0.5
 #: Turns of linearising and smoothing; biases and attitude settle in two.
 PASSES = 3
+#: The parts that change from sample to sample.
+CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
 
 
-@dataclass(frozen=True)
-class Nominal:
-    """A reckoned path at every sample, with the parameters it was reckoned with.
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """What the errors are errors of, at one instant; of a path, at every sample."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-    rotation : Rotation
-        Sensor to world.
-    velocity, position : ndarray, shape (n, 3)
-        Of the sensor, world axes.
-    force : ndarray, shape (n, 3)
-        Specific force less its bias, sensor axes.
-    rate : ndarray, shape (n, 3)
-        Turn rate less its bias, sensor axes.
-    acceleration_bias, rate_bias : ndarray, shape (n, 3)
-    acceleration_scale, rate_scale : ndarray, shape (3, 3)
-        Errors of scale and alignment: this times the reading was taken off.
-    lever : ndarray, shape (3,)
-        From the sensor to the reference point, sensor axes, m.
-    mount : Rotation
-        Body to sensor.
-    tilt : ndarray, shape (2,)
-        Gravity's horizontal components in the world, over g.
-    clock_s : float
-        To add to the times of the other log.
-    """
-
-    time_s: Array
+    #: Sensor to world.
     rotation: Rotation
-    velocity: Array
-    position: Array
-    force: Array
-    rate: Array
-    acceleration_bias: Array
-    rate_bias: Array
-    acceleration_scale: Array
-    rate_scale: Array
-    lever: Array
-    mount: Rotation
-    tilt: Array
+    #: Shape (3,) or (n, 3). Of the sensor, world axes.
+    position: Array = field(default_factory=partial(np.zeros, 3))
+    velocity: Array = field(default_factory=partial(np.zeros, 3))
+    #: Shape (3,) or (n, 3).
+    acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
+    rate_bias: Array = field(default_factory=partial(np.zeros, 3))
+    #: Shape (3, 3). Errors of scale and alignment: this times the reading was taken off.
+    acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
+    rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
+    #: Shape (3,). From the sensor to the reference point, sensor axes, m.
+    lever: Array = field(default_factory=partial(np.zeros, 3))
+    #: Body to sensor.
+    mount: Rotation = field(default_factory=Rotation.identity)
+    #: Shape (2,). Gravity's horizontal components in the world, over g.
+    tilt: Array = field(default_factory=partial(np.zeros, 2))
+    #: To add to the times of the other log.
     clock_s: float = 0.0
+
+    def corrected(self, error: Array) -> Self:
+        """The same with its error taken out, shape (states,), or (n, states) of a path."""
+        parts = {}
+        for name, part in PARTS.items():
+            off, value = error[..., part], getattr(self, name)
+            if not off.size:
+                break  # no other log: it is no state
+            off = off if name in CHANGING else np.atleast_2d(off)[-1]
+            turned = isinstance(value, Rotation)
+            parts[name] = (
+                Rotation.from_rotvec(off) * value if turned else value + off.reshape(np.shape(value))
+            )
+        return replace(self, **parts)
+
+    def less(self, other: State) -> Array:
+        """The error of another state seen from this one, all states."""
+        parts = []
+        for name in PARTS:
+            here, there = getattr(self, name), getattr(other, name)
+            turned = isinstance(here, Rotation)
+            parts.append((here * there.inv()).as_rotvec() if turned else np.ravel(here - there))
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nominal(State):
+    """A reckoned path at every sample."""
+
+    #: Shape (n,).
+    time_s: Array
+    #: Shape (n, 3). Specific force less its bias, sensor axes.
+    force: Array
+    #: Shape (n, 3). Turn rate less its bias, sensor axes.
+    rate: Array
+    #: Shape (m,). Rows at which its errors are followed.
+    nodes: np.ndarray
+    #: How many errors are.
+    states: int
+
+    @property
+    def node_s(self) -> Array:
+        """Times of the nodes."""
+        return self.time_s[self.nodes]
 
     @property
     def acceleration(self) -> Array:
@@ -98,95 +109,42 @@ class Nominal:
 
 
 @dataclass(frozen=True)
-class Origin:
-    """Everything a path is reckoned from; shapes and units as in :class:`Nominal`."""
+class Prior:
+    """What is known before anything is observed."""
 
-    position: Array
-    velocity: Array
-    rotation: Rotation
-    acceleration_bias: Array
-    rate_bias: Array
-    acceleration_scale: Array
-    rate_scale: Array
-    lever: Array
-    mount: Rotation
-    tilt: Array
-    clock_s: float
-
-
-@dataclass(frozen=True)
-class Start:
-    """What is known at the first sample, and the attitude to begin the search at.
-
-    ``guide``: sensor to world, n of them. ``position``, ``velocity``: shape (3,), at the first sample, with
-    their deviations; ``rotation_sd``: of the first attitude, roll, pitch and yaw about world axes, rad.
-    """
-
+    #: Sensor to world, n of them: the attitude to begin the search at.
     guide: Rotation
-    position: Array = field(default_factory=lambda: np.zeros(3))
-    velocity: Array = field(default_factory=lambda: np.zeros(3))
-    position_sd: float = 1e-6
-    velocity_sd: float = 1.0
-    rotation_sd: tuple[float, float, float] = (0.05, 0.05, 1e-6)
-    rate_bias: Array = field(default_factory=lambda: np.zeros(3))
-
-
-@dataclass(frozen=True)
-class Mounting:
-    """How the sensor sits in the body: body to sensor, lever to the reference point (sensor axes, m).
-
-    With the deviation of each, of the world's tilt against gravity (rad), and of the other log's clock (s).
-    """
-
-    mount: Rotation = field(default_factory=Rotation.identity)
-    lever: Array = field(default_factory=lambda: np.zeros(3))
-    mount_sd: float = 1e-6
-    lever_sd: float = 1e-6
-    tilt_sd: float = 1e-6
-    clock_s: float = 0.0
-    clock_sd: float = 1e-9
-
-
-#: Makes observations of a reckoned path: called with the path, the rows of its nodes, and the
-#: number of states.
-Aid = Callable[[Nominal, np.ndarray, int], list[Observation]]
+    #: At the first sample.
+    state: State
+    #: Deviations of its parts; those of the sensor's errors are the sensor's.
+    sd: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The corrected path, and the covariance of what is left of its errors.
+    """The corrected path, and the covariance of what is left of its errors."""
 
-    Attributes
-    ----------
-    path : Nominal
-        With the errors taken out.
-    nodes : ndarray of int, shape (m,)
-        Rows the covariance is known at.
-    errors : Errors
-        Of the last pass.
-    origin : Origin
-        What a next pass would start from; the path it would be about is ``path``.
-    """
-
+    #: With the errors taken out.
     path: Nominal
-    nodes: np.ndarray
+    #: Of the last pass, at the nodes of the path.
     errors: Errors
-    origin: Origin
+    #: What a next pass would start from; the path it would be about is ``path``.
+    origin: State
 
+    def with_clock(self, clock_s: float) -> Smoothed:
+        """The same path to go on from, with another offset between the clocks."""
+        path, origin = replace(self.path, clock_s=clock_s), replace(self.origin, clock_s=clock_s)
+        return replace(self, path=path, origin=origin)
 
-def with_clock(smoothed: Smoothed, clock_s: float) -> Smoothed:
-    """The same path to go on from, with another offset between the clocks."""
-    return replace(
-        smoothed,
-        path=replace(smoothed.path, clock_s=clock_s),
-        origin=replace(smoothed.origin, clock_s=clock_s),
-    )
+    def score(self, kind: str) -> float | None:
+        """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
+        seen = self.errors.scores.get(kind)
+        return None if seen is None else float(np.sqrt(np.nanmean(seen**2)))
 
-
-def widened(smoothed: Smoothed, factor: float) -> Smoothed:
-    """The same with all deviations times ``factor``."""
-    errors = smoothed.errors
-    return replace(smoothed, errors=replace(errors, covariance=errors.covariance * factor**2))
+    def widened(self, factor: float) -> Smoothed:
+        """The same with all deviations times ``factor``."""
+        errors = replace(self.errors, covariance=self.errors.covariance * factor**2)
+        return replace(self, errors=errors)
 
 
 def gravity(tilt: Array) -> Array:
@@ -194,7 +152,50 @@ def gravity(tilt: Array) -> Array:
     return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
-def node_rows(time_s: Array) -> np.ndarray:
+def smooth(
+    record: Record,
+    prior: Prior,
+    sensor: Sensor,
+    noise: Noise,
+    observe: Callable[[Nominal], list[Observation]],
+    *,
+    states: int = ALONE,
+    after: Smoothed | None = None,
+    passes: int = PASSES,
+) -> Smoothed:
+    """Reckon, smooth the errors, and again.
+
+    Parameters
+    ----------
+    observe : callable
+        Everything that is known of a path besides the samples; :mod:`swimid.inertial.aiding` makes it.
+    states : int
+        With those of another log lever, mounting, the world's tilt and its clock are estimated.
+    after : Smoothed, optional
+        An earlier answer to go on from.
+    passes : int
+        Reckonings.
+    """
+    if after is None:
+        now, path = prior.state, _reckoned(record, prior, states)
+    else:
+        now, path = after.origin, _about(record, after.origin, after.path)
+    driving = _driving_noise(record, sensor, noise, path)
+    covariance = _start_covariance(prior, sensor, states)
+    for turn in range(passes):
+        if turn:
+            path = _about(record, now, path)
+        transition, defect = _transitions(record, path)
+        mean = prior.state.less(now)[:states]
+        errors = errorstate.smooth_errors(mean, covariance, transition, driving, observe(path), defect)
+        # constant biases by their means over the record
+        begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
+        begin[MOVING:ALONE] = mean[MOVING:ALONE]
+        now, path = now.corrected(begin), _corrected(record, path, errors)
+    return Smoothed(path, errors, now)
+
+
+def _node_rows(time_s: Array) -> np.ndarray:
     """Rows of a record at which its errors are followed, shape (m,)."""
     duration = float(time_s[-1] - time_s[0])
     spacing = max(NODE_S, duration / MOST_NODES)
@@ -204,262 +205,126 @@ def node_rows(time_s: Array) -> np.ndarray:
     return np.unique(np.concatenate([wanted, [len(time_s) - 1]]))
 
 
-def run(
-    record: Record,
-    start: Start,
-    mounting: Mounting,
-    sensor: Sensor,
-    noise: Noise,
-    aids: Sequence[Aid],
-    *,
-    fused: bool = False,
-    after: Smoothed | None = None,
-    passes: int = PASSES,
-    advance: Callable[[], None] = lambda: None,
-) -> Smoothed:
-    """Reckon, smooth the errors, and again.
-
-    Parameters
-    ----------
-    aids : sequence of callables
-        Everything that is known besides the samples; :mod:`swimid.inertial.aiding` makes them.
-    fused : bool
-        Whether lever, mounting, the world's tilt and the other log's clock are states.
-    after : Smoothed, optional
-        An earlier answer to go on from.
-    passes : int
-        Reckonings.
-    advance : callable
-        Called after each pass.
-    """
-    states = FUSED if fused else ALONE
-    rows = node_rows(record.time_s)
-    driving = _driving(record, rows, sensor, noise)
-    covariance = _start_covariance(start, mounting, sensor, states)
-    begin = Origin(
-        start.position,
-        start.velocity,
-        start.guide[0],
-        np.zeros(3),
-        start.rate_bias,
-        np.zeros((3, 3)),
-        np.zeros((3, 3)),
-        mounting.lever,
-        mounting.mount,
-        np.zeros(2),
-        mounting.clock_s,
-    )
-    path = reckon(record, begin, start.guide) if after is None else about(record, after.origin, after.path)
-    now = begin if after is None else after.origin
-    for turn in range(passes):
-        if turn:
-            path = about(record, now, path)
-        steps = _steps(record, path, rows)
-        errors = errorstate.smooth(
-            _difference(begin, now)[:states],
-            covariance,
-            errorstate.transitions(record.time_s[rows], steps, states),
-            errorstate.driving_noise(record.time_s[rows], driving, states),
-            [o for aid in aids for o in aid(path, rows, states)],
-            steps.defect,
-        )
-        now, path = _moved(now, errors), _corrected(record, path, errors, rows)
-        advance()
-    return Smoothed(path, rows, errors, now)
-
-
-def reckon(record: Record, origin: Origin, rotation: Rotation) -> Nominal:
+def _reckoned(record: Record, prior: Prior, states: int) -> Nominal:
     """The path that follows from accelerations, an attitude and where it starts."""
-    rate, force = _readings(record, origin)
-    acceleration = rotation.apply(force) + gravity(origin.tilt)
-    velocity = strapdown.integral(record.time_s, acceleration, origin.velocity)
-    position = strapdown.integral(record.time_s, velocity, origin.position)
-    return _nominal(record, origin, rotation, velocity, position, rate, force)
+    t, start = record.time_s, prior.state
+    known = {**vars(start), "rotation": prior.guide, "nodes": _node_rows(t), "states": states}
+    path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
+    velocity = strapdown.integral(t, path.acceleration, start.velocity)
+    return replace(path, velocity=velocity, position=strapdown.integral(t, velocity, start.position))
 
 
-def about(record: Record, origin: Origin, path: Nominal) -> Nominal:
+def _about(record: Record, origin: State, path: Nominal) -> Nominal:
     """The same path with the readings corrected by an origin's biases and scales."""
-    rate, force = _readings(record, origin)
-    return _nominal(record, origin, path.rotation, path.velocity, path.position, rate, force)
-
-
-def _readings(record: Record, origin: Origin) -> tuple[Array, Array]:
-    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
     force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
-    return rate, force
+    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
+    constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
+    constant["acceleration_bias"] = np.broadcast_to(origin.acceleration_bias, force.shape)
+    constant["rate_bias"] = np.broadcast_to(origin.rate_bias, rate.shape)
+    return replace(path, **constant, force=force, rate=rate)
 
 
-def _nominal(
-    record: Record,
-    origin: Origin,
-    rotation: Rotation,
-    velocity: Array,
-    position: Array,
-    rate: Array,
-    force: Array,
-) -> Nominal:
-    return Nominal(
-        record.time_s,
-        rotation,
-        velocity,
-        position,
-        force,
-        rate,
-        np.broadcast_to(origin.acceleration_bias, force.shape),
-        np.broadcast_to(origin.rate_bias, rate.shape),
-        origin.acceleration_scale,
-        origin.rate_scale,
-        origin.lever,
-        origin.mount,
-        origin.tilt,
-        origin.clock_s,
-    )
+def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
+    """The path, and the readings it was reckoned from, without their errors."""
+    x = resampled(path.time_s, path.node_s, errors.mean)
+    bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
+    scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
+    force = path.force - bias_a - record.acceleration @ scale_a.T
+    rate = path.rate - bias_w - record.rate @ scale_w.T
+    return replace(path.corrected(x), force=force, rate=rate)
 
 
-def at_nodes(errors: Errors, rows: np.ndarray, time_s: Array) -> Array:
-    """Mean errors at every sample, shape (n, states)."""
-    nodes = time_s[rows]
-    return np.column_stack([np.interp(time_s, nodes, column) for column in errors.mean.T])
+def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
+    sds = {
+        **prior.sd,
+        "acceleration_bias": sensor.acceleration_bias_sd,
+        "rate_bias": sensor.rate_bias_sd,
+        "acceleration_scale": sensor.scale_sd,
+        "rate_scale": sensor.scale_sd,
+    }
+    sd = np.zeros(states)
+    for name, part in PARTS.items():
+        if part.stop <= states:
+            sd[part] = sds[name]
+    return np.diag(sd**2)
 
 
-def _corrected(record: Record, path: Nominal, errors: Errors, rows: np.ndarray) -> Nominal:
-    x = at_nodes(errors, rows, path.time_s)
-    last = errors.mean[-1]
-    fused = len(last) > ALONE
-    scale_a, scale_w = last[SA].reshape(3, 3), last[SG].reshape(3, 3)
-    return Nominal(
-        path.time_s,
-        Rotation.from_rotvec(x[:, T]) * path.rotation,
-        path.velocity + x[:, V],
-        path.position + x[:, P],
-        path.force - x[:, BA] - record.acceleration @ scale_a.T,
-        path.rate - x[:, BG] - record.rate @ scale_w.T,
-        path.acceleration_bias + x[:, BA],
-        path.rate_bias + x[:, BG],
-        path.acceleration_scale + scale_a,
-        path.rate_scale + scale_w,
-        path.lever + (last[LEVER] if fused else 0.0),
-        (Rotation.from_rotvec(last[MOUNT]) * path.mount) if fused else path.mount,
-        path.tilt + (last[TILT] if fused else 0.0),
-        path.clock_s + (float(last[CLOCK]) if fused else 0.0),
-    )
+def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
+    """Transition matrices over the steps between nodes, and their defects, shape (steps, 9).
 
-
-def _difference(begin: Origin, now: Origin) -> Array:
-    """Where the search began, seen from where it is: the prior mean of the errors, all states."""
-    return np.concatenate(
-        [
-            begin.position - now.position,
-            begin.velocity - now.velocity,
-            (begin.rotation * now.rotation.inv()).as_rotvec(),
-            begin.acceleration_bias - now.acceleration_bias,
-            begin.rate_bias - now.rate_bias,
-            (begin.acceleration_scale - now.acceleration_scale).ravel(),
-            (begin.rate_scale - now.rate_scale).ravel(),
-            begin.lever - now.lever,
-            (begin.mount * now.mount.inv()).as_rotvec(),
-            begin.tilt - now.tilt,
-            [begin.clock_s - now.clock_s],
-        ]
-    )
-
-
-def _moved(now: Origin, errors: Errors) -> Origin:
-    """The origin after a pass; biases by their means over the record."""
-    first, mean = errors.mean[0], errors.mean.mean(axis=0)
-    fused = len(first) > ALONE
-    return Origin(
-        now.position + first[P],
-        now.velocity + first[V],
-        Rotation.from_rotvec(first[T]) * now.rotation,
-        now.acceleration_bias + mean[BA],
-        now.rate_bias + mean[BG],
-        now.acceleration_scale + mean[SA].reshape(3, 3),
-        now.rate_scale + mean[SG].reshape(3, 3),
-        now.lever + (first[LEVER] if fused else 0.0),
-        (Rotation.from_rotvec(first[MOUNT]) * now.mount) if fused else now.mount,
-        now.tilt + (first[TILT] if fused else 0.0),
-        now.clock_s + (float(first[CLOCK]) if fused else 0.0),
-    )
-
-
-def _start_covariance(start: Start, mounting: Mounting, sensor: Sensor, states: int) -> Array:
-    sd = np.concatenate(
-        [
-            np.full(3, start.position_sd),
-            np.full(3, start.velocity_sd),
-            start.rotation_sd,
-            np.full(3, sensor.acceleration_bias_sd),
-            np.full(3, sensor.rate_bias_sd),
-            np.full(18, sensor.scale_sd),
-            np.full(3, mounting.lever_sd),
-            np.full(3, mounting.mount_sd),
-            np.full(2, mounting.tilt_sd),
-            [mounting.clock_sd],
-        ]
-    )
-    return np.diag(sd[:states] ** 2)
-
-
-def _steps(record: Record, path: Nominal, rows: np.ndarray) -> Steps:
-    """Means over every step between nodes, and what the samples make of it less what the path does."""
-    t = path.time_s
+    Matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of GNSS,
+    Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not
+    turn). A defect is the position, velocity and turn that the samples make of a step, less those of the
+    path: 0 for a path that was reckoned from the samples.
+    """
+    t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
 
     def mean(values: Array) -> Array:
-        return np.diff(strapdown.integral(t, values)[rows], axis=0) / dt
+        steps = np.diff(strapdown.integral(t, values.reshape(len(t), -1))[rows], axis=0) / dt
+        return steps.reshape(-1, *values.shape[1:])
 
-    matrices = path.rotation.as_matrix()
+    def turn_by(readings: Array) -> Array:
+        """Every column of the rotation matrix times every component, which runs fastest."""
+        parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
+        return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
-    def columns_by(readings: Array) -> Array:
-        parts = [mean((matrices * readings[:, None, j, None]).reshape(-1, 9)) for j in range(3)]
-        return np.stack([part.reshape(-1, 3, 3) for part in parts], axis=-1)
-
-    acceleration = path.acceleration
-    velocity = strapdown.integral(t, acceleration)
+    by_force, by_bias = -cross_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
+    by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
+    by_tilt = -GRAVITY_M_S2 * np.eye(3)[:, :2]
+    place = jacobian(states, len(dt), 3, velocity=np.eye(3))
+    speed = jacobian(
+        states, len(dt), 3, rotation=by_force, acceleration_bias=by_bias, acceleration_scale=by_scale_a,
+        tilt=by_tilt,
+    )  # fmt: skip
+    angle = jacobian(states, len(dt), 3, rate_bias=by_bias, rate_scale=by_scale_w)
+    f = np.concatenate([place, speed, angle], axis=1) * dt[:, :, None]
+    square = f[:, :, :MOVING] @ f
+    transition = np.tile(np.eye(states), (len(dt), 1, 1))
+    transition[:, :MOVING] += f + square / 2 + f[:, :, :MOVING] @ square / 6
+    velocity = strapdown.integral(t, path.acceleration)
     position = strapdown.integral(t, velocity)
     first, last = rows[:-1], rows[1:]
     sensed = strapdown.attitude(t, path.rate, path.rotation[0])
     step = sensed[first].inv() * sensed[last]
     defect = np.hstack(
         [
-            path.velocity[first] * dt + np.diff(position[rows], axis=0) - velocity[first] * dt
-            - np.diff(path.position[rows], axis=0),
+            path.velocity[first] * dt + np.diff(position[rows], axis=0)
+            - velocity[first] * dt - np.diff(path.position[rows], axis=0),
             np.diff(velocity[rows], axis=0) - np.diff(path.velocity[rows], axis=0),
             (path.rotation[first] * step * path.rotation[last].inv()).as_rotvec(),
         ]
     )  # fmt: skip
-    return Steps(
-        mean(matrices.reshape(-1, 9)).reshape(-1, 3, 3),
-        mean(path.rotation.apply(path.force)),
-        columns_by(record.acceleration),
-        columns_by(record.rate),
-        defect,
-    )
+    return transition, defect
 
 
-def _driving(record: Record, rows: np.ndarray, sensor: Sensor, noise: Noise) -> Driving:
-    """Noise of the sensor, errors of its scale, and what bridged samples hide."""
-    t = record.time_s
-    dt = np.diff(t)
-    moving_a = record.acceleration - np.median(record.acceleration, axis=0)
-    spread_a, spread_w = np.std(record.acceleration, axis=0), np.std(record.rate, axis=0)
-    variance_a = noise.acceleration**2 * dt
-    variance_w = noise.rate**2 * dt
+def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
+    """Covariance each step between nodes adds, shape (steps, states, states).
+
+    Noise of the sensor, errors of its scale, and what bridged samples hide.
+    """
+    dt = np.diff(record.time_s)
     # a step of several sample times, or bridged samples, hide what the sensor did there
     hidden = np.maximum(dt - GAP_STEPS * record.step_s, 0.0)
-    lost_a = record.filled_acceleration[1:] | record.filled_acceleration[:-1]
-    lost_w = record.filled_rate[1:] | record.filled_rate[:-1]
-    variance_a = variance_a + float(np.sum(spread_a**2)) * (hidden**2 + lost_a * dt * HIDDEN_S)
-    variance_w = variance_w + float(np.sum(spread_w**2)) * (hidden**2 + lost_w * dt * HIDDEN_S)
-    # what scales leave (bending) acts with the motion's own rhythm: white beyond half a stroke
-    variance_a = variance_a + sensor.bending_sd**2 * np.sum(moving_a[1:] ** 2, axis=1) * dt * RHYTHM_S
-    variance_w = variance_w + sensor.bending_sd**2 * np.sum(record.rate[1:] ** 2, axis=1) * dt * RHYTHM_S
-    sums = np.vstack([np.zeros((1, 2)), np.cumsum(np.column_stack([variance_a, variance_w]), axis=0)])
-    steps = np.diff(sums[rows], axis=0)
-    return Driving(
-        steps[:, 0],
-        steps[:, 1],
-        sensor.acceleration_drift**2 / DRIFT_TIME_S,
-        sensor.rate_drift**2 / DRIFT_TIME_S,
-    )
+
+    def white(density: float, readings: Array, moving: Array, filled: np.ndarray) -> Array:
+        lost = filled[1:] | filled[:-1]
+        variance = density**2 * dt
+        variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
+        # what scales leave (bending) acts with the motion's own rhythm: white beyond half a stroke
+        variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
+        return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
+
+    moving = record.acceleration - np.median(record.acceleration, axis=0)
+    velocity = white(noise.acceleration, record.acceleration, moving, record.filled_acceleration)
+    angle = white(noise.rate, record.rate, record.rate, record.filled_rate)
+    dt_nodes = np.diff(path.node_s)
+    q = np.zeros((len(dt_nodes), path.states, path.states))
+    for i in range(3):
+        q[:, 3 + i, 3 + i] = velocity
+        q[:, i, i] = velocity * dt_nodes**2 / 3
+        q[:, i, 3 + i] = q[:, 3 + i, i] = velocity * dt_nodes / 2
+        q[:, 6 + i, 6 + i] = angle
+        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / DRIFT_TIME_S * dt_nodes
+        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / DRIFT_TIME_S * dt_nodes
+    return q

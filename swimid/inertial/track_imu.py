@@ -2,39 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.inertial import (
-    aiding,
-    alone,
-    attitude,
-    evidence,
-    fusion,
-    inputs,
-    motion,
-    mounting,
-    oscillation,
-    paper,
-    plausible,
-    trust,
-)
-from swimid.inertial import faults as recording_faults
+from swimid.inertial import alone, evidence, faults, fusion, inputs, motion, paper, plausible
 from swimid.inertial.alignment import Poses
-from swimid.inertial.checks import REST_LIMIT
+from swimid.inertial.checks import warnings
 from swimid.inertial.faults.base import Finding
+from swimid.inertial.fusion import Fused
 from swimid.inertial.motion import Motion
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record
+from swimid.inertial.record import ACCELERATION, RATE
 from swimid.inertial.run import Run
-from swimid.inertial.settings import Settings
-from swimid.inertial.smoother import Smoothed, gravity
+from swimid.inertial.setup import Setup, prepare
+from swimid.inertial.smoother import gravity
 from swimid.logs import log, mapping, rhythm
 from swimid.logs.log import LogLike
 from swimid.logs.logged import Logged
@@ -103,7 +88,7 @@ def track_imu(
     >>> bool(made.frame[["vx_m_s", "vy_m_s", "vz_m_s"]].abs().to_numpy().max() < 0.01)
     True
     """
-    settings, map_path, other = Settings.of(options), options.map_path, options.other
+    map_path, other = options.map_path, options.other
     recording = log.unread(imu, name="imu")
     rules = None if map_path is None else mapping.of(map_path)
     given: list[provenance.Input] = [recording]
@@ -113,112 +98,83 @@ def track_imu(
         given.append(log.unread(other, name="other"))
     if output is not None:
         output = atomic.check_writable(output, inputs=given)
-    if settings.method == "paper" and other is not None:
+    if options.method == "paper" and other is not None:
         raise UsageError(
             "--method paper fuses with nothing", hint="leave out --with, or take --method smoother"
         )
     with recorded(repeat=True) as notices:
         named = given[0 if rules is None else 1]
         record, notes = inputs.read_record(recording, rules, provenance.path_of(named), progress)
-        record, findings = recording_faults.mend(record)
+        record, findings = faults.mend(record)
         poses = None if other is None else inputs.read_poses(log.of(other, name="other"))
-        run = _prepare(record, findings, settings)
+        setup, of_mounting = prepare(record, options)
+        run = _begun(setup, [*findings, *of_mounting], poses)
         with progress("smoothing", total=None) as step:
-            run = _by_paper(run) if settings.method == "paper" else _by_smoother(run, poses, step)
-        _warn(run, notes)
-        origin = provenance.collect(given, settings=run.settings.to_dict())
-        result = evidence.result(run, poses, notices, origin)
+            setup = replace(setup, advance=step)
+            run = _by_paper(run) if options.method == "paper" else _by_smoother(run, setup)
+        for note in notes:
+            warn("SWM004", f"{record.name}: {note}")
+        for code, text in warnings(run):
+            warn(code, text)
+        origin = provenance.collect(given, settings=options.settings())
+        result = evidence.result(run, notices, origin)
     return result if output is None else result.save(output)
 
 
-def _prepare(record: Record, findings: list[Finding], settings: Settings) -> Run:
-    still = alone.stillness(record, settings.sensor, settings.declared)
-    mount, told_by_gravity = mounting.settle(
-        record, still.found, settings.mount_deg, level_at_rest=settings.level_at_rest
-    )
-    source = attitude.estimate(record, still.found)
-    body_w = mount.rotation.inv().apply(record.rate)
-    body_a = mount.rotation.inv().apply(record.acceleration)
-    names_w, names_a = ("wx_rad_s", "wy_rad_s", "wz_rad_s"), ("ax_m_s2", "ay_m_s2", "az_m_s2")
-    channels = dict(zip((*names_w, *names_a), np.hstack([body_w, body_a]).T, strict=True))
-    stroke = rhythm.find(record.time_s, channels)
-    cutoff = oscillation.LOWEST_HZ if stroke is None else oscillation.SHARE * stroke.beat.frequency_hz
-    return Run(record, source, still, mount, settings, [*findings, *told_by_gravity], stroke, cutoff)
+def _begun(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
+    """What is found before the motion: the stroke."""
+    body = setup.body
+    readings = np.hstack([body.rate, body.acceleration]).T
+    stroke = rhythm.find(body.time_s, dict(zip((*RATE, *ACCELERATION), readings, strict=True)))
+    cutoff = motion.LOWEST_HZ if stroke is None else motion.STROKE_SHARE * stroke.beat.frequency_hz
+    return Run(**vars(setup), findings=findings, poses=poses, stroke=stroke, cutoff_hz=cutoff)
 
 
 def _by_paper(run: Run) -> Run:
-    turned = run.mount.rotation.inv()
-    body = replace(
-        run.record, acceleration=turned.apply(run.record.acceleration), rate=turned.apply(run.record.rate)
-    )
-    found = paper.integrate(
-        body,
-        run.source.rotation * run.mount.rotation,
-        run.settings.mode,
-        threshold_m_s2=run.settings.threshold_m_s2,
-        threshold_rad_s=run.settings.threshold_rad_s,
-    )
-    return replace(run, paper=found)
+    o = run.options
+    moved = paper.integrate(run.body, run.attitude, o.motion_mode, o.threshold_m_s2, o.threshold_rad_s)
+    return replace(run, paper=moved)
 
 
-def _by_smoother(run: Run, poses: Poses | None, step: Callable[[], Any]) -> Run:
-    settings, fused = run.settings, None
-    common = (run.record, run.source, run.still, run.mount)
-    if poses is None:
-        judged = alone.judged(*common, settings.sensor, settings.declared, advance=step)
-        smoothed, still, impossible = judged.smoothed, judged.still, judged.impossible
-        sensor, findings = judged.sensor, judged.findings
-    else:
-        fused = fusion.run(
-            *common,
-            poses,
-            settings.sensor,
-            settings.declared,
-            clock_offset_s=settings.clock_offset_s,
-            fix_sd_m=settings.fix_sd_m,
-            advance=step,
-        )
-        smoothed, still, impossible = fused.smoothed, fused.still, fused.impossible
-        sensor, findings = fused.sensor, fused.findings
-    settings = replace(settings, sensor=sensor)
-    run = replace(run, settings=settings, fused=fused, still=still, findings=[*run.findings, *findings])
-    if impossible:
-        return _attitude_alone(run, impossible)
-    moved = motion.at_reference(smoothed)
-    surge = oscillation.surge(moved.time_s, moved.velocity, moved.rotation, run.cutoff_hz)
-    surge_sd = oscillation.high_passed_sd(still.noise.acceleration, run.cutoff_hz, sensor.scale_sd, surge)
-    if fused is None:
-        moved, impossible = _never_too_fast(moved, settings.declared.top_speed_m_s)
-    rest = smoothed.errors.scores.get("rest")
+def _by_smoother(run: Run, setup: Setup) -> Run:
+    estimate = alone.estimate(setup) if run.poses is None else fusion.estimate(setup, run.poses)
+    run = replace(
+        run,
+        sensor=estimate.sensor,
+        still=estimate.still,
+        findings=[*run.findings, *estimate.findings],
+        fused=estimate if isinstance(estimate, Fused) else None,
+    )
+    if estimate.impossible:
+        return _attitude_alone(run, estimate.impossible)
+    moved = motion.at_reference(estimate.smoothed)
+    impossible: list[str] = []
+    surge = motion.surge_within_stroke(moved, run.cutoff_hz)
+    noise, scale_sd = run.still.noise.acceleration, run.sensor.scale_sd
+    if run.fused is None:
+        moved, impossible = _never_too_fast(moved, run.options.top_speed_m_s)
     return replace(
         run,
         motion=moved,
-        trust=_reach(run, moved) if fused is None else None,
+        smoothed=estimate.smoothed,
+        trust=_reach(run, moved),
         surge_osc=surge,
-        surge_osc_sd=surge_sd,
-        rest_score=None if rest is None else float(np.sqrt(np.nanmean(rest**2))),
-        bias=_biases(smoothed),
+        surge_osc_sd=motion.high_passed_sd(noise, run.cutoff_hz, scale_sd, surge),
         impossible=tuple(impossible),
     )
 
 
 def _attitude_alone(run: Run, impossible: list[str]) -> Run:
     """No motion that can be: the attitude before smoothing, everything else empty."""
-    turned = run.mount.rotation.inv()
     moved = motion.of_attitude(
         run.record.time_s,
-        run.source.rotation * run.mount.rotation,
-        turned.apply(run.record.rate - attitude.still_rate(run.record, run.still.found)),
+        run.attitude,
+        run.mount.rotation.inv().apply(run.record.rate - run.still_rate),
         run.source.rotation.apply(run.record.acceleration) + gravity(np.zeros(2)),
-        alone.attitude_sd(run.source, run.settings.sensor),
+        run.attitude_sd,
     )
-    return replace(
-        run,
-        motion=moved,
-        trust=_reach(run, moved) if run.fused is None else None,
-        surge_osc=np.full(len(run.record), np.nan),
-        impossible=tuple(impossible),
-    )
+    empty = np.full(len(run.record), np.nan)
+    return replace(run, motion=moved, trust=_reach(run, moved), surge_osc=empty, impossible=tuple(impossible))
 
 
 def _never_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]:
@@ -234,74 +190,10 @@ def _never_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]:
     return motion.without(moved, fast), [text]
 
 
-def _reach(run: Run, moved: Motion) -> trust.Trust:
-    first = run.still.used[0] if run.still.used and run.still.used[0].first == 0 else None
+def _reach(run: Run, moved: Motion) -> plausible.Trust | None:
+    """How far the path of a unit alone can be trusted."""
+    if run.fused is not None:
+        return None
+    first = run.still.rests[0] if run.still.rests and run.still.rests[0].first == 0 else None
     moving_from = run.record.time_s[0 if first is None else first.last - 1]
-    return trust.horizon(moved.time_s, moved.position, moved.position_sd, float(moving_from))
-
-
-def _biases(smoothed: Smoothed) -> Any:
-    return np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
-
-
-def _warn(run: Run, notes: list[str]) -> None:
-    name = run.record.name
-    for note in notes:
-        warn("SWM004", f"{name}: {note}")
-    for finding in run.findings:
-        if finding.verdict == "handled":
-            warn("SWM080", f"{name}, {finding.fault}: {finding.text}")
-    if run.impossible:
-        warn(
-            "SWM086",
-            f"{name}: {'; '.join(run.impossible)}: no such motion can be; its positions and velocities are "
-            "empty. Name the true rests with --still, or fuse a camera log (--with)",
-        )
-    if not run.still.found:
-        warn(
-            "SWM082",
-            f"{name}: no still period found; the biases are known to data-sheet accuracy only. Let the robot "
-            "rest for some seconds before and after a run, or name a rest with --still",
-        )
-    if run.trust is not None and run.trust.seconds is not None:
-        warn(
-            "SWM081",
-            f"{name}: the integrated position is not to be trusted after {run.trust.seconds:.1f} s of motion "
-            f"(at t = {run.trust.until_s:.1f} s its 95 % band exceeds 0.1 m and a tenth of the way)",
-        )
-    if run.fused is not None and run.settings.clock_offset_s is None and run.fused.offset.excludes_zero:
-        o = run.fused.offset
-        warn(
-            "SWM083",
-            f"the clocks differ: {1e3 * o.value_s:.1f} ms to add to the other log "
-            f"(95 %: {1e3 * o.low_s:.1f} ... {1e3 * o.high_s:.1f} ms); the output is on the inertial clock",
-        )
-    if run.fused is not None and run.fused.stray > fusion.FEW * len(run.fused.fixes.time_s):
-        warn(
-            "SWM087",
-            f"{name}: {run.fused.stray} of {len(run.fused.fixes.time_s)} fixes of the other log lie beyond "
-            f"{aiding.GATE:g} deviations of the motion: the two logs contradict each other",
-        )
-    if run.fused is not None and run.fused.lasting > fusion.LASTING:
-        warn(
-            "SWM087",
-            f"{name}: many fixes of the other log on end are off by the same (as fused they scatter "
-            f"by {np.max(run.fused.fixes.position_sd[:2]):.3g} m): the logs contradict each other, or its "
-            f"scale or marker is wrong; every band is widened by {run.fused.lasting:.1f}",
-        )
-    if run.rest_score is not None and run.rest_score > REST_LIMIT:
-        warn(
-            "SWM084",
-            f"{name}: the motion between rests does not close within its band "
-            f"({run.rest_score:.1f} deviations rms): "
-            "one of them is no rest of the body, or the sensor is worse than stated",
-        )
-    if run.doubt:
-        warn("SWM033", f"{name}: {run.doubt}")
-    if run.stroke is not None and run.contradicted:
-        low, high = run.stroke.interval_hz
-        warn(
-            "SWM032",
-            f"{name}: the metadata says frequency_hz {run.stated_hz:g}, {run.stroke.channel} beats at "
-            f"{run.stroke.beat.frequency_hz:.4g} Hz (95 %: {low:.4g} ... {high:.4g})",
-        )
+    return plausible.reach(moved.time_s, moved.position, moved.position_sd, float(moving_from))

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal, stats
 
+from swimid.notices import warn
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -28,7 +30,7 @@ KNOWN = 0.8
 FALSE_ALARM = 0.01
 #: A beat explains at least this share of what moves faster than the drift; beside a harmonic larger than
 #: itself at least the lower one.
-SHARE, FAINTEST = 0.1, 0.02
+MIN_SHARE, FAINTEST = 0.1, 0.02
 #: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
 TOGETHER = 0.03
 #: Peaks of the spectrum that are looked at.
@@ -52,7 +54,6 @@ class Beat:
         Part of the variance about the drift that the fundamental explains.
     cycles : float
         How many the record holds.
-    amplitude_stderr : float
     """
 
     frequency_hz: float
@@ -60,7 +61,6 @@ class Beat:
     amplitude: float
     share: float
     cycles: float = np.inf
-    amplitude_stderr: float = 0.0
 
     @property
     def interval_hz(self) -> tuple[float, float]:
@@ -84,6 +84,29 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
     ratio = found.frequency_hz / stated_hz
     whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""
     return f"beats at {found.frequency_hz:.3f} ± {found.stderr_hz:.3f} Hz{whole}"
+
+
+def stated_against_found(
+    trial: str, stated_hz: float, beat: Beat | None, *, used: str
+) -> dict[str, float | str | None]:
+    """Stated and found frequency of a trial, Hz; warns where they contradict each other.
+
+    Parameters
+    ----------
+    beat : Beat or None
+        As found in the heading.
+    used : {"measured", "stated"}
+        Which of the two the work goes on with, for the warning.
+    """
+    if beat is None:
+        return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
+    against = contradiction(beat, stated_hz)
+    if against is not None:
+        last = (
+            "correct it if it is wrong: it is used" if used == "stated" else "the measured frequency is used"
+        )
+        warn("SWM032", f"{trial}: the heading {against}, the trials file says {stated_hz:g} Hz; {last}")
+    return {"stated_hz": stated_hz, "found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
 
 
 def find_beat(
@@ -134,19 +157,11 @@ def find_beats(
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return []
-    found = []
-    for candidate in (_examined(t, x, f) for f in _peaks(t, x, low, high, duration)):
-        if candidate is None or candidate.chance >= FALSE_ALARM or candidate.share < FAINTEST:
-            continue
-        beat = _beat(candidate, duration)
-        # Phases that turn round over the record are those of another frequency, leaking; and a frequency is
-        # known where the number of cycles in the record is, to one.
-        resolved = beat.interval_hz[1] - beat.frequency_hz < 1.0 / duration
-        if resolved and abs(beat.frequency_hz - candidate.frequency_hz) < 1.0 / duration:
-            found.append((candidate.chance, beat))
+    examined = (_examined(t, x, frequency, duration) for frequency in _peaks(t, x, low, high, duration))
+    found = [beat for beat in examined if beat is not None]
     limit = FALSE_ALARM / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in found if chance < limit]
-    large = [beat for beat in sure if beat.share >= SHARE]
+    large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)
@@ -157,7 +172,13 @@ def find_beats(
         if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
     ]
     first = max(below, key=lambda beat: beat.amplitude, default=largest)
-    others = [beat for beat in sure if _apart(beat, first) and not multiple(beat, first, 1.0 / duration)]
+    # windows of two cycles of a beat that lies near the first see that as well
+    others = [
+        beat
+        for beat in sure
+        if abs(beat.frequency_hz - first.frequency_hz) > beat.frequency_hz / WINDOW
+        and not multiple(beat, first, 1.0 / duration)
+    ]
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
 
 
@@ -167,22 +188,6 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
     error = 3.0 * float(np.hypot(beat.stderr_hz, order * of.stderr_hz))
     off = abs(beat.frequency_hz - order * of.frequency_hz)
     return order if off <= max(TOGETHER * of.frequency_hz, error, resolution_hz) else 0
-
-
-def _apart(beat: Beat, other: Beat) -> bool:
-    """Whether windows of two cycles of a beat do not see the other as well."""
-    return abs(beat.frequency_hz - other.frequency_hz) > beat.frequency_hz / WINDOW
-
-
-@dataclass(frozen=True)
-class _Candidate:
-    """Amplitudes of a frequency in windows, and the chance that noise makes them as coherent."""
-
-    frequency_hz: float
-    time_s: Array
-    amplitude: Complex
-    chance: float
-    share: float
 
 
 def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
@@ -203,8 +208,11 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
     return chosen
 
 
-def _examined(t: Array, x: Array, frequency: float) -> _Candidate | None:
-    """Fit a sine beside a polynomial in windows of two cycles."""
+def _examined(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
+    """The beat at a frequency, fitted as a sine beside a polynomial in windows of two cycles.
+
+    With the chance that noise makes the windows as coherent; None where there is no beat.
+    """
     # coarser sampling needs longer windows
     step = float(np.median(np.diff(t)))
     hop = max(1.0, np.ceil(SAMPLES * step * frequency / WINDOW)) / frequency
@@ -224,7 +232,16 @@ def _examined(t: Array, x: Array, frequency: float) -> _Candidate | None:
     time = starts[enough] + 0.5 * width
     amplitude, share = _fitted(t, x, ends[enough], time, width, frequency)
     chance = min(2.0 * _incoherent(time, amplitude, width, hop), 2.0 * _no_line(t, x, frequency), 1.0)
-    return _Candidate(frequency, time, amplitude, chance, share)
+    if chance >= FALSE_ALARM or share < FAINTEST:
+        return None
+    size = np.abs(amplitude)
+    slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
+    found = frequency + slope / (2 * np.pi)
+    beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
+    # Phases that turn round over the record are those of another frequency, leaking; and a frequency is
+    # known where the number of cycles in the record is, to one.
+    resolved = beat.interval_hz[1] - found < 1.0 / duration
+    return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
@@ -301,24 +318,6 @@ def _fitted(
     return amplitude, (float(np.sum(right[..., 0] * weights)) - drifted) / max(whole, 1e-300)
 
 
-def _beat(found: _Candidate, duration: float) -> Beat:
-    """Frequency and amplitude with their errors from the amplitudes in windows."""
-    time, amplitude, frequency = found.time_s, found.amplitude, found.frequency_hz
-    turned = np.unwrap(np.angle(amplitude))
-    slope, stderr = _slope(time, turned, np.abs(amplitude))
-    size = np.abs(amplitude)
-    spread = float(np.std(size, ddof=1)) * np.sqrt(1.5 / len(size))
-    cycles = (frequency + slope / (2 * np.pi)) * duration
-    return Beat(
-        frequency + slope / (2 * np.pi),
-        stderr / (2 * np.pi),
-        float(np.mean(size)),
-        found.share,
-        cycles,
-        spread,
-    )
-
-
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     """Slope of phases over time and its standard error, by restricted maximum likelihood.
 
@@ -327,15 +326,14 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     """
     n = len(time)
     hop = float(np.min(np.diff(time)))
-    apart = np.abs(time[:, None] - time[None, :]) / hop
-    noise = np.clip(1.0 - apart / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
-    walk = np.minimum.outer(time, time) - time[0]
-    walk = walk / hop
+    hops = np.abs(time[:, None] - time[None, :]) / hop
+    noise = np.clip(1.0 - hops / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
+    walk = (np.minimum.outer(time, time) - time[0]) / hop
     # in coordinates where both covariances are diagonal
     shares, axes = linalg.eigh(walk, noise + 1e-9 * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
-    found = []
+    fits = []
     for ratio in (0.0, *np.logspace(-4, 4, 25)):
         cover = 1.0 + ratio * np.maximum(shares, 0.0)
         scaled = design / cover[:, None]
@@ -344,8 +342,8 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
         weights = np.linalg.solve(inner, scaled.T @ turned)
         variance = float(np.sum((turned - design @ weights) ** 2 / cover)) / max(n - 2, 1)
         misfit = (n - 2) * np.log(max(variance, 1e-300)) + float(np.sum(np.log(cover))) + np.log(determinant)
-        found.append((misfit, float(weights[1]), float(np.sqrt(max(variance, 0.0) * a / determinant))))
-    return min(found)[1:]
+        fits.append((misfit, float(weights[1]), float(np.sqrt(max(variance, 0.0) * a / determinant))))
+    return min(fits)[1:]
 
 
 def _power(t: Array, x: Array, grid: Array) -> Array:

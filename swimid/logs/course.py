@@ -17,7 +17,7 @@ from scipy.special import i0e
 Array = NDArray[np.float64]
 
 #: Fewest windows from which anything is said.
-FEWEST = 8
+MIN_WINDOWS = 8
 #: Log of the Bayes factor from which evidence is "very strong" (Kass and Raftery 1995, JASA 90).
 VERY_STRONG = math.log(150.0)
 #: Drift angles of hulls in the tightest turns stay below this, rad: a course that differs from the heading by
@@ -38,13 +38,11 @@ class Course:
         Circular standard deviation of it.
     mirrored : bool
         Whether the courses follow the headings turned the other way round, and not the headings.
-    windows : int
     """
 
     slip_rad: float
     spread_rad: float
     mirrored: bool
-    windows: int
 
 
 def of_tracks(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
@@ -63,14 +61,14 @@ def of_tracks(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: flo
         None where too few windows advance farther than they sway.
     """
     pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
-    if len(pairs) < FEWEST:
+    if len(pairs) < MIN_WINDOWS:
         return None
     course, heading = np.array(pairs).T
     along, against = np.mean(course * heading.conj()), np.mean(course * heading)
     spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
     evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
     mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
-    return Course(float(np.angle(along)), spread, mirrored, len(pairs))
+    return Course(float(np.angle(along)), spread, mirrored)
 
 
 def _windows(
@@ -81,19 +79,18 @@ def _windows(
     if there.sum() < 3:
         return []
     time, path, heading = time[there], (x + 1j * y)[there], heading[there]
-    number = ((time - time[0]) // window_s).astype(int)
-    found = []
-    for k in np.unique(number):
-        mine = number == k
-        span = np.ptp(time[mine])
-        if mine.sum() < 3 or span < 0.5 * window_s:
+    numbers = (time - time[0]) // window_s
+    pairs = []
+    for window in (numbers == number for number in np.unique(numbers)):
+        t, place, span = time[window], path[window], np.ptp(time[window])
+        if len(t) < 3 or span < 0.5 * window_s:
             continue
-        slope, level = np.polyfit(time[mine], path[mine], 1)
-        sway = np.sqrt(np.mean(np.abs(path[mine] - slope * time[mine] - level) ** 2))
-        mean = np.mean(np.exp(1j * heading[mine]))
+        slope, level = np.polyfit(t, place, 1)
+        sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
+        mean = np.mean(np.exp(1j * heading[window]))
         if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
-            found.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
-    return found
+            pairs.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
+    return pairs
 
 
 def _likelihood(length: float, count: int) -> float:

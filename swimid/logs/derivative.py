@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 #: Samples a window needs for a cubic and something left over.
-FEWEST = 6
+MIN_SAMPLES = 6
 
 
 def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
@@ -37,17 +37,17 @@ def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
     """
     there = np.flatnonzero(np.isfinite(values))
     t, x = time_s[there], values[there]
-    found = np.full(len(time_s), np.nan)
-    if len(t) < FEWEST:
-        return found
-    half = max(half_width_s, 0.5 * FEWEST * float(np.median(np.diff(t))))
+    rates = np.full(len(time_s), np.nan)
+    if len(t) < MIN_SAMPLES:
+        return rates
+    half = max(half_width_s, 0.5 * MIN_SAMPLES * float(np.median(np.diff(t))))
     first = np.searchsorted(t, time_s - half * (1 + 1e-9))
     last = np.searchsorted(t, time_s + half * (1 + 1e-9), side="right")
     inside = (time_s >= t[0] + half * (1 - 1e-9)) & (time_s <= t[-1] - half * (1 - 1e-9))
-    for i in np.flatnonzero(inside & (last - first >= FEWEST)):
+    for i in np.flatnonzero(inside & (last - first >= MIN_SAMPLES)):
         near = (t[first[i] : last[i]] - time_s[i]) / half
         if near[0] > -0.3 or near[-1] < 0.3:
             continue
         weights = np.linalg.lstsq(np.vander(near, 4, increasing=True), x[first[i] : last[i]], rcond=None)[0]
-        found[i] = weights[1] / half
-    return found
+        rates[i] = weights[1] / half
+    return rates

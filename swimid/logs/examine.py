@@ -25,9 +25,9 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 METRES = ("x_m", "y_m", "z_m")
 PIXELS = ("x_px", "y_px", "z_px")
-#: Columns that follow from a pose, beside those that begin with its coordinates.
-_POSE_SPEEDS = ("u", "v", "w", "vx", "vy", "vz")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
+#: What columns of a pose begin with, and those that follow from it.
+_POSE, _POSE_SPEEDS = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
 #: An angle of a body or a joint that swings farther to either side goes through itself.
 HALF_TURN = np.pi
 
@@ -95,71 +95,95 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     InputError
         No sample has a time, or the clock starts again within the log.
     NoTrustworthyResult
-        Fewer samples of a cleaned track than :data:`swimid.logs.track_speed.FEWEST` stay of many.
+        Fewer samples of a cleaned track than :data:`swimid.logs.track_speed.MIN_SAMPLES` stay of many.
     """
-    columns = source.columns
-    time = columns[log.TIME]
-    order = time_order.in_order(time, {name: v for name, v in columns.items() if name != log.TIME})
-    _check_order(order, source)
+    name, columns = source.path.name, source.columns
+    order = _in_order(source)
+    for note in source.notes:
+        warn("SWM057", f"{name}: {note}")
     if order.changed:
-        for name in list(columns):
-            columns[name] = columns[name][order.index]
-    notes = list(source.notes)
-    for note in notes:
-        warn("SWM057", f"{source.path.name}: {note}")
-    _warn_order(order, source.path.name)
-    cut(columns, options, source)
-    to_metres(columns, options, source)
+        _keep(columns, order.index)
+        warn("SWM057", f"{name}: rows {order.summary}")
+    _cut(columns, options, source)
+    _to_metres(columns, options, source)
+    metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
+    coordinates, known = _track(columns), _measured(columns)
     own = log.written_by(source.metadata, "swimid track")
-    clean = options.clean
-    cleaning, speed, cleaned = _track(columns, not own if clean is None else clean, clean)
-    metadata = dict(source.metadata) | {"source": source.path.name, "imported_by": "swimid import"}
-    if cleaning is not None and cleaned:
-        _take_out(columns, cleaning, source.path.name, metadata)
-    unit = "px" if any(n in columns for n in PIXELS) and not any(n in columns for n in METRES) else "m"
-    telling = {n: v for n, v in measured(columns).items() if n != log.TIME}
+    cleaned = (
+        len(coordinates) > 1 and not own if options.clean is None else options.clean and bool(coordinates)
+    )
+    cleaning = speed = None
+    if len(coordinates) > 1 or cleaned:
+        track = [known[column] for column in coordinates]
+        angles = [known[column] for column in ANGLES if column in columns]
+        cleaning = track_cleaning.clean(columns[log.TIME], track, angles)
+        speed = track_speed.speed(columns[log.TIME], track, cleaning)
+        if cleaned:
+            _take_out(columns, cleaning, name, metadata)
+    telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
     stated = _stated(metadata)
     stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
-    unknown = "" if stroke is not None else rhythm.unknown(columns[log.TIME], telling)
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
-        warn("SWM002", f"{source.path.name}, '{doubt.column}': {doubt.text}")
-    against = _contradiction(stroke, stated, source.path.name)
+        warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
+    against = None if stroke is None or stated is None else contradiction(stroke.beat, stated)
+    if stroke is not None and against is not None:
+        against = f"{stroke.channel} {against}; the metadata say {stated:g} Hz"
+        warn("SWM032", f"{name}: {against}")
     if stroke is not None and stroke.doubt:
-        warn("SWM033", f"{source.path.name}: {stroke.doubt}")
-    line = along(columns, options, source)
+        warn("SWM033", f"{name}: {stroke.doubt}")
+    line = _along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
     return Examined(
-        source.path,
-        notes,
-        metadata,
-        columns,
-        order,
-        cleaning,
-        cleaned,
-        speed,
-        stroke,
-        against,
-        unknown,
-        doubts,
-        line,
-        unit,
+        path=source.path,
+        notes=source.notes,
+        metadata=metadata,
+        columns=columns,
+        order=order,
+        cleaning=cleaning,
+        cleaned=cleaned,
+        speed=speed,
+        stroke=stroke,
+        against=against,
+        unknown="" if stroke is not None else rhythm.unknown(columns[log.TIME], telling),
+        doubts=doubts,
+        projection=line,
+        unit=_unit(coordinates),
     )
 
 
-def _track(
-    columns: dict[str, Array], clean: bool, asked: bool | None
-) -> tuple[Cleaning | None, TrackSpeed | None, bool]:
-    """What was found in the track as it was measured, its speed, and whether to take jumps out."""
-    known = measured(columns)
-    names = [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
-    cleaned = clean and (len(names) > 1 or bool(asked and names))
-    if len(names) < 2 and not cleaned:
-        return None, None, False
-    track = [known[name] for name in names]
-    found = track_cleaning.clean(columns[log.TIME], track, [known[n] for n in ANGLES if n in columns])
-    return found, track_speed.speed(columns[log.TIME], track, found), cleaned
+def _in_order(source: MappedLog) -> Order:
+    """How the rows get strictly increasing times; an error where they cannot."""
+    channels = {name: values for name, values in source.columns.items() if name != log.TIME}
+    order = time_order.in_order(source.time_s, channels)
+    if len(order.index) == 0:
+        raise InputError("no sample has a time", file=source.path, column=log.TIME)
+    if order.reset_row is not None:
+        raise InputError(
+            f"the clock starts again: {source.time_s[order.reset_row]:g} s after "
+            f"{np.nanmax(source.time_s[: order.reset_row]):g} s",
+            file=source.path,
+            line=int(source.rows[order.reset_row]),
+            column=log.TIME,
+            hint="split the file there, and import the parts one by one",
+        )
+    return order
+
+
+def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
+    """Leave only these rows, in place."""
+    for name in columns:
+        columns[name] = columns[name][rows]
+
+
+def _track(columns: dict[str, Array]) -> list[str]:
+    """The columns of the track, in metres where both are there."""
+    return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
+
+
+def _unit(coordinates: list[str]) -> str:
+    return "px" if coordinates and coordinates[0] in PIXELS else "m"
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
@@ -172,72 +196,35 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
     ]
 
 
-def _check_order(order: Order, source: MappedLog) -> None:
-    if len(order.index) == 0:
-        raise InputError("no sample has a time", file=source.path, column=log.TIME)
-    if order.reset_row is not None:
-        raise InputError(
-            f"the clock starts again: {source.time_s[order.reset_row]:g} s after "
-            f"{np.nanmax(source.time_s[: order.reset_row]):g} s",
-            file=source.path,
-            line=int(source.rows[order.reset_row]),
-            column=log.TIME,
-            hint="split the file there, and import the parts one by one",
-        )
-
-
-def _warn_order(order: Order, name: str) -> None:
-    parts = [
-        f"{count} {what}"
-        for count, what in (
-            (order.untimed, "without a time left out"),
-            (order.repeated, "repeated left out"),
-            (order.clashing, "with the time of the row before but other values left out"),
-            (order.late, "that came late put in their place"),
-        )
-        if count
-    ]
-    if parts:
-        warn("SWM057", f"{name}: rows {'; '.join(parts)}")
-
-
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
     """Empty the pose cells of repeats and jumps; rows that hold nothing else go."""
-    metadata["track_cleaned"] = {
-        "repeats": int(cleaning.repeated.sum()),
-        "jumps": cleaning.jumps,
-        "samples_jumped": int(cleaning.jumped.sum()),
-        "gaps": len(cleaning.gaps),
-    }
-    out = cleaning.repeated | cleaning.jumped
-    if cleaning.offset_rows:
-        at = ", ".join(f"{columns[log.TIME][row]:.6g} s" for row in cleaning.offset_rows[:5])
+    done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
+    elsewhere = [float(columns[log.TIME][row]) for row in cleaning.offset_rows]
+    if elsewhere:
+        at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
         warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
-        metadata["track_cleaned"]["elsewhere_s"] = [
-            float(columns[log.TIME][row]) for row in cleaning.offset_rows
-        ]
+        done["elsewhere_s"] = elsewhere
+    out = cleaning.repeated | cleaning.jumped
     if not out.any():
         return
-    if len(out) >= 2 * track_speed.FEWEST and cleaning.good.sum() < track_speed.FEWEST:
+    good = int(cleaning.good.sum())
+    if len(out) >= 2 * track_speed.MIN_SAMPLES and good < track_speed.MIN_SAMPLES:
         raise NoTrustworthyResult(
-            f"{name}: of {len(out)} samples {int(cleaning.good.sum())} are no repeats or jumps: no track",
+            f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track",
             hint="--raw keeps them all; is this a track of positions in metres?",
         )
     warn(
         "SWM058",
-        f"{name}: {int(cleaning.repeated.sum())} repeated samples and {int(cleaning.jumped.sum())} samples "
-        f"of {cleaning.jumps} jumps left out of the track",
+        f"{name}: {done['repeats']} repeated samples and {done['samples_jumped']} samples "
+        f"of {done['jumps']} jumps left out of the track",
     )
-    blank = [n for n in (*METRES, *PIXELS, *ANGLES) if n in columns]
-    for column in blank:
-        columns[column] = np.where(out, np.nan, columns[column])
     empty = out.copy()
     for column, values in columns.items():
-        if column != log.TIME and column not in blank:
+        if column in (*METRES, *PIXELS, *ANGLES):
+            columns[column] = np.where(out, np.nan, values)
+        elif column != log.TIME:
             empty &= np.isnan(values)
-    if empty.any():
-        for column in list(columns):
-            columns[column] = columns[column][~empty]
+    _keep(columns, ~empty)
 
 
 def _stated(metadata: dict[str, Any]) -> float | None:
@@ -248,24 +235,8 @@ def _stated(metadata: dict[str, Any]) -> float | None:
     return float(stated)
 
 
-def _contradiction(stroke: Rhythm | None, stated_hz: float | None, name: str) -> str | None:
-    if stroke is None or stated_hz is None:
-        return None
-    against = contradiction(stroke.beat, stated_hz)
-    if against is not None:
-        against = f"{stroke.channel} {against}; the metadata say {stated_hz:g} Hz"
-        warn("SWM032", f"{name}: {against}")
-    return against
-
-
-def cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Keep the part of the log that was asked for.
-
-    Raises
-    ------
-    InputError
-        No two samples lie in it.
-    """
+def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
+    """Keep the part of the log that was asked for, in place."""
     if options.start_s is None and options.end_s is None:
         return
     time = columns[log.TIME]
@@ -278,11 +249,10 @@ def cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) ->
             f"to {time[-1]:g} s",
             file=source.path,
         )
-    for name in list(columns):
-        columns[name] = columns[name][kept]
+    _keep(columns, kept)
 
 
-def measured(columns: dict[str, Array]) -> dict[str, Array]:
+def _measured(columns: dict[str, Array]) -> dict[str, Array]:
     """The columns as they were measured: of a track of swimid the positions before smoothing.
 
     What was bridged there, and is no measurement, is NaN.
@@ -297,14 +267,8 @@ def measured(columns: dict[str, Array]) -> dict[str, Array]:
     }
 
 
-def to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Convert the pose of a track in pixels, in place.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+def _to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
+    """Convert the pose of a track in pixels, in place."""
     if options.scale is None:
         return
     if not any(name in columns for name in PIXELS):
@@ -316,51 +280,38 @@ def to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedL
         columns[name.replace("_px", "_m")] = columns.pop(name) * options.scale
 
 
-def along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
-    """Put the distance along a line in the place of the pose, in place.
-
-    Raises
-    ------
-    InputError
-        There is no track, or it does not move.
-    """
+def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
+    """Put the distance along a line in the place of the pose, in place."""
     if options.along is None:
         return None
-    unit = "m" if any(name in columns for name in METRES) else "px"
-    names = [name for name in (METRES if unit == "m" else PIXELS) if name in columns]
+    names = _track(columns)
     if not names:
         raise InputError("--along needs a track: x_m, y_m, z_m, or those in px", file=source.path)
     towards = projection.direction(options.along)
     if towards is not None:
-        axes = [METRES.index(name.replace("_px", "_m")) for name in names]
-        if not np.isclose(np.linalg.norm(towards[axes]), 1.0):
-            raise InputError(
-                f"--along {options.along} points out of the plane of {', '.join(names)}", file=source.path
-            )
-        towards = towards[axes]
+        towards = towards[["xyz".index(name[0]) for name in names]]
+        if not np.isclose(np.linalg.norm(towards), 1.0):
+            text = f"--along {options.along} points out of the plane of {', '.join(names)}"
+            raise InputError(text, file=source.path)
     try:
-        found = projection.project([measured(columns)[name] for name in names], towards)
+        line = projection.project([_measured(columns)[name] for name in names], towards)
     except ValueError as error:
         raise InputError(str(error), file=source.path) from error
-    for name in [name for name in columns if _of_pose(name)]:
-        del columns[name]
-    rest = dict(columns)
+    rest = {name: values for name, values in columns.items() if not _of_pose(name)}
     columns.clear()
-    columns[log.TIME] = rest.pop(log.TIME)
-    columns[f"x_{unit}"] = found.along
-    columns.update(rest)
-    return found
+    columns.update({log.TIME: rest.pop(log.TIME), f"x_{_unit(names)}": line.along} | rest)
+    return line
 
 
 def _raw(name: str) -> str:
     """Name of the column of a track before it was smoothed."""
     stem, _, unit = name.partition("_")
-    return f"{stem}_raw_{unit}" if stem in ("x", "y", "z", "yaw", "pitch", "roll") else ""
+    return f"{stem}_raw_{unit}" if stem in _POSE else ""
 
 
 def _of_pose(name: str) -> bool:
     """Whether a column is a pose or follows from it."""
     stem, _, rest = name.partition("_")
-    if stem in ("x", "y", "z", "yaw", "pitch", "roll"):
+    if stem in _POSE:
         return bool(rest)
     return stem in _POSE_SPEEDS and rest.replace("sd_", "") in ("m_s", "px_s", "m_s2", "px_s2")

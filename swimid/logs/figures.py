@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from swimid.logs import rhythm
 from swimid.logs.log import TIME, Log, runs
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import longest_even, usual_step
+from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import warn
-from swimid.results import numbers
+from swimid.results import blocks, numbers
 from swimid.results.evidence import MAX_POINTS, Figure, Mark, Panel, Span, Trace, thinned
 
 Array = NDArray[np.float64]
@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 MAX_PANELS = 12
 #: More gaps than this are drawn by the longest of them.
 MAX_SPANS = 60
-#: A pause longer than this many sample times is a gap.
-PAUSE = 6.0
 #: Heading arrows along a track.
 ARROWS = 24
 #: Channels whose spectra are drawn, and how far beyond the stroke.
@@ -40,153 +38,103 @@ def figures(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]
     found : Rhythm, optional
         The stroke of a single log, where the caller knows it already.
     """
-    result = [channels(logs)] if len(logs) == 1 else [together(logs)]
-    result += [figure for figure in (track(logs),) if figure is not None]
+    drawn = [channels(logs), track(logs)]
     for record in logs:
         stroke = found if found is not None else rhythm.find(record.time_s, _signals(record))
-        drawn = spectra(record, stroke)
-        if drawn is not None:
-            result.append(drawn)
-    return [figure for figure in result if figure.panels]
+        drawn.append(_spectra(record, stroke))
+    return [figure for figure in drawn if figure is not None and figure.panels]
 
 
 def _signals(record: Log) -> dict[str, Array]:
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
-def pauses(time: Array) -> NDArray[np.int64]:
-    """Samples after which nothing was logged for longer than :data:`PAUSE` sample times."""
-    return (
-        np.flatnonzero(np.diff(time) > PAUSE * usual_step(time)) if len(time) > 3 else np.empty(0, dtype=int)
-    )
-
-
-def missing(time: Array, values: Array) -> list[tuple[float, float]]:
-    """Stretches between two samples that lack what lies between them, s."""
+def missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
+    """Stretches between two samples that lack what lies between them, s; pauses are ``after`` samples."""
     empty = np.isnan(values)
-    quiet = [(float(time[k]), float(time[k + 1])) for k in pauses(time)]
-    if not empty.any():
-        return quiet
-    last = len(time) - 1
-    blank = {(float(time[max(first - 1, 0)]), float(time[min(end, last)])) for first, end in runs(empty)}
-    return sorted({*blank, *quiet})
+    blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
+    ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)
+    return sorted({(float(time[first]), float(time[last])) for first, last in ends})
 
 
-def _broken(time: Array, values: Array) -> tuple[Array, Array]:
+def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
     """The samples with an empty one in every pause, so that no line is drawn across it."""
-    after = pauses(time)
     if not len(after):
         return time, values
     middle = 0.5 * (time[after] + time[after + 1])
     return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
 
 
-def _line(time: Array, values: Array, label: str = "", *, few: bool = False) -> Trace:
-    x, y = thinned(*_broken(time, values))
-    return Trace(x=x, y=y, label=label, style="dashed" if few else "line")
-
-
 def channels(logs: Sequence[Log]) -> Figure:
-    """The channels of one log over time, gaps shaded."""
-    (record,) = logs
-    signals = _signals(record)
-    panels = []
-    for name in list(signals)[:MAX_PANELS]:
-        spans = sorted(missing(record.time_s, signals[name]), key=lambda gap: gap[0] - gap[1])[:MAX_SPANS]
-        panels.append(
-            Panel(
-                x_label="time (s)",
-                y_label=numbers.column_title(name),
-                traces=[_line(record.time_s, signals[name])],
-                spans=[Span(start=start, end=end, label="missing") for start, end in sorted(spans)],
-            )
-        )
-    remarks = [
-        "Each channel over time; shaded where samples are missing. Good: smooth curves without jumps, "
-        "and gaps that are few and short.",
-        *_reduced([record]),
-    ]
-    if len(signals) > MAX_PANELS:
-        remarks.append(f"{len(signals) - MAX_PANELS} further channels are in the table only.")
-    return Figure(id="channels", title="Channels over time", caption=" ".join(remarks), panels=panels)
-
-
-def _reduced(logs: Sequence[Log]) -> list[str]:
-    remarks = []
-    for record in logs:
-        if len(record) > MAX_POINTS:
-            text = f"{record.path.name}: {len(record)} samples drawn as their envelope of {MAX_POINTS} points"
-            warn("SWM051", text)
-            remarks.append(
-                f"{len(record)} samples are drawn as their envelope of at most {MAX_POINTS} points."
-            )
-    return remarks
-
-
-def together(logs: Sequence[Log]) -> Figure:
-    """The channels of several logs over each other; those that only one has, below."""
-    names = _names(logs)
-    by_channel: dict[str, list[tuple[str, Log, str]]] = {}
-    for name, record in zip(names, logs, strict=True):
-        for column in _signals(record):
-            by_channel.setdefault(SAME.get(column, column), []).append((name, record, column))
+    """The channels over time, those of several logs over each other, gaps shaded."""
+    names, several = _names(logs), len(logs) > 1
+    after = [pauses(record.time_s) for record in logs]
+    by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
+    for number, record in enumerate(logs):
+        for column, values in _signals(record).items():
+            channel = SAME.get(column, column) if several else column
+            by_channel.setdefault(channel, []).append((number, record, values))
+    # those that several have first
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:
-        traces = [
-            Trace(**{**_line(record.time_s, record[column], name).model_dump(), "group": names.index(name)})
-            for name, record, column in by_channel[channel]
-        ]
-        gaps = [
-            Span(start=start, end=end, label=f"missing in {name}")
-            for name, record, column in by_channel[channel]
-            for start, end in missing(record.time_s, record[column])
-        ]
+        traces, gaps = [], []
+        for number, record, values in by_channel[channel]:
+            x, y = thinned(*_broken(record.time_s, values, after[number]))
+            label, group = (names[number], number) if several else ("", None)
+            traces.append(Trace(x=x, y=y, label=label, group=group))
+            label = f"missing in {names[number]}" if several else "missing"
+            gaps += [
+                Span(start=a, end=b, label=label) for a, b in missing(record.time_s, values, after[number])
+            ]
         longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
-        panels.append(
-            Panel(
-                x_label="time (s)",
-                y_label=numbers.column_title(channel),
-                traces=traces,
-                spans=sorted(longest, key=lambda gap: gap.start),
-            )
-        )
-    shared = sum(len(found) > 1 for found in by_channel.values())
+        title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
+        panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
+    title, further = "Channels over time", len(order) - MAX_PANELS
     remarks = [
-        "The logs over each other, each on its own clock. Good: curves that lie on each other; a constant "
-        "shift along the axis is an offset between the clocks.",
-        f"{shared} channels are in more than one log." if shared else "The logs have no channel in common.",
-        *_reduced(logs),
+        "Each channel over time; shaded where samples are missing. Good: smooth curves without jumps, "
+        "and gaps that are few and short."
     ]
-    if len(order) > MAX_PANELS:
-        remarks.append(f"{len(order) - MAX_PANELS} further channels are not drawn.")
-    title = "Channels over each other" if shared else "Channels of each log"
+    if several:
+        shared = sum(len(found) > 1 for found in by_channel.values())
+        title = "Channels over each other" if shared else "Channels of each log"
+        remarks = [
+            "The logs over each other, each on its own clock. Good: curves that lie on each other; a "
+            "constant shift along the axis is an offset between the clocks.",
+            f"{shared} channels are in more than one log."
+            if shared
+            else "The logs have no channel in common.",
+        ]
+    for record in logs:
+        if len(record) > MAX_POINTS:
+            samples = f"{len(record)} samples"
+            warn("SWM051", f"{record.path.name}: {samples} drawn as their envelope of {MAX_POINTS} points")
+            remarks.append(f"{samples} are drawn as their envelope of at most {MAX_POINTS} points.")
+    if further > 0:
+        remarks.append(f"{further} further channels are {'not drawn' if several else 'in the table only'}.")
     return Figure(id="channels", title=title, caption=" ".join(remarks), panels=panels)
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
     """A short name for every log, its folder put before it where two are called the same."""
-    stems = [record.path.name for record in logs]
-    return [
-        stem if stems.count(stem) == 1 else f"{record.path.parent.name}/{stem}"
-        for stem, record in zip(stems, logs, strict=True)
-    ]
+    names = [record.path.name for record in logs]
+    folders = [record.path.parent.name for record in logs]
+    return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
 
 
 def track(logs: Sequence[Log]) -> Figure | None:
     """The path from above (or from the side), to scale, with arrows along the heading."""
     traces: list[Trace] = []
-    across = ""
+    across, several = "", len(logs) > 1
     for name, record in zip(_names(logs), logs, strict=True):
         up = next((column for column in ("y_m", "z_m") if column in record and "x_m" in record), None)
         if up is None or (across and up != across):
             continue
         across = up
         x, y = record["x_m"], record[up]
-        step = len(x) // MAX_POINTS + 1
-        broken_x, broken_y = _broken(record.time_s, x)[1], _broken(record.time_s, y)[1]
-        several = len(logs) > 1
-        traces.append(Trace(x=broken_x[::step], y=broken_y[::step], label=name if several else "path"))
+        step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
+        line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
+        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=name if several else "path"))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         if len(there) and not several:
             traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
@@ -195,45 +143,41 @@ def track(logs: Sequence[Log]) -> Figure | None:
             traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
     if not traces:
         return None
-    panel = Panel(x_label="x (m)", y_label=numbers.column_title(across), traces=traces, equal_aspect=True)
-    view = "from above" if across == "y_m" else "from the side"
-    return Figure(
-        id="path",
-        title=f"Path {view}",
-        caption="The path to scale, arrows along the heading. Good: one continuous line inside the pool, the "
-        "arrows along it; a constant angle between them is a heading offset or drift by a current.",
-        panels=[panel],
+    caption = (
+        "The path to scale, arrows along the heading. Good: one continuous line inside the pool, the "
+        "arrows along it; a constant angle between them is a heading offset or drift by a current."
     )
+    title = "Path from above" if across == "y_m" else "Path from the side"
+    y_label = numbers.column_title(across)
+    return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     """Arrows as one broken line: shaft and two barbs each."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
-    rows = good[np.linspace(0, len(good) - 1, min(ARROWS, len(good))).astype(int)] if len(good) else good
+    rows = good[np.linspace(0, len(good) - 1, min(ARROWS, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
-    across, up = [], []
-    for row in rows:
-        turn = np.array([0.0, np.pi - 0.45, np.pi + 0.45]) + angle[row]
-        tip = np.array([x[row] + size * np.cos(angle[row]), y[row] + size * np.sin(angle[row])])
-        barbs = [tip + 0.4 * size * np.array([np.cos(t), np.sin(t)]) for t in turn[1:]]
-        points = [np.array([x[row], y[row]]), tip, barbs[0], tip, barbs[1], np.array([np.nan, np.nan])]
-        across += [float(p[0]) for p in points]
-        up += [float(p[1]) for p in points]
-    return Trace(x=np.array(across), y=np.array(up), label=label, style="arrows")
+    sides = []
+    for values, way in ((x, np.cos), (y, np.sin)):
+        start, turn = values[rows], angle[rows]
+        tip = start + size * way(turn)
+        left, right = (tip + 0.4 * size * way(barb + turn) for barb in (np.pi - 0.45, np.pi + 0.45))
+        sides.append(np.column_stack([start, tip, left, tip, right, np.full(len(rows), np.nan)]).ravel())
+    return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
 
 
-def spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
+def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
     """Amplitude spectra of the channels that tell of the stroke, the stroke and its harmonics marked."""
-    signals = {
-        n: v
-        for n, v in _signals(record).items()
-        if rhythm.SIDEWAYS.fullmatch(n) or rhythm.PUSHED.fullmatch(n)
-    }
+    told = (rhythm.SIDEWAYS, rhythm.PUSHED)
+    signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
+    found = "No stroke was found."
     if stroke is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = rhythm.swing(record.columns)
         if stroke.channel in track:
             signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
+        frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+        found = f"The stroke found in {stroke.channel} is {frequency}."
     panels = []
     for name in list(signals)[:MAX_SPECTRA]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
@@ -241,28 +185,16 @@ def spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
             continue
         marks = []
         if stroke is not None:
-            marks.append(Mark(at=stroke.beat.frequency_hz, axis="x", label="stroke"))
-            last = float(drawn[0][-1])
-            marks += [
-                Mark(at=k * stroke.beat.frequency_hz, axis="x", label="2 ×, 3 ×")
-                for k in (2, 3)
-                if k * stroke.beat.frequency_hz <= last
+            beats = {k: k * stroke.beat.frequency_hz for k in (1, 2, 3)}
+            marks = [
+                Mark(at=beat, axis="x", label="stroke" if k == 1 else "2 ×, 3 ×")
+                for k, beat in beats.items()
+                if k == 1 or beat <= drawn[0][-1]
             ]
+        trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
         panels.append(
-            Panel(
-                x_label="frequency (Hz)",
-                y_label=f"amplitude of {numbers.column_title(name)}",
-                traces=[Trace(x=drawn[0], y=drawn[1])],
-                y_scale="log",
-                marks=marks,
-            )
+            Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
         )
-    if not panels:
-        return None
-    found = "No stroke was found."
-    if stroke is not None:
-        frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
-        found = f"The stroke found in {stroke.channel} is {frequency}."
     return Figure(
         id=f"spectra-{record.path.stem}",
         title=f"Spectra of {record.path.name}",

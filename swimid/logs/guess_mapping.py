@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from swimid.logs.log import LogLike
 from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
 
+Array = NDArray[np.float64]
 #: Samples looked at.
 SAMPLE = 20_000
 
@@ -77,16 +79,11 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
             headed = opened.layout.headed
             written = dict(zip(opened.layout.names, opened.layout.units, strict=False))
         guesses = guess(columns, written, headed=headed)
-        text = draft(path.name, opened, guesses, columns)
+        text = _draft(path.name, opened, guesses, columns)
     finally:
         opened.close()
-    data = {
-        "file": str(path),
-        "mapping": text,
-        "columns": [
-            {"source": g.source, "target": g.target, "unit": g.unit, "why": g.why or []} for g in guesses
-        ],
-    }
+    listed = [{"source": g.source, "target": g.target, "unit": g.unit, "why": g.why} for g in guesses]
+    data = {"file": str(path), "mapping": text, "columns": listed}
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
     mapped = sum(g.target is not None for g in guesses)
@@ -94,76 +91,43 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     return Draft("import", told, data, document=text).save(output)
 
 
-def _sample(source: Source) -> dict[str, NDArray[np.float64]]:
-    names = [column.name for column in source.columns if column.kind != "text"]
-    lengths = [column.rows for column in source.columns if column.rows is not None]
-    if lengths:
-        usual = max(set(lengths), key=lengths.count)
-        names = [c.name for c in source.columns if c.name in names and c.rows in (None, usual)]
+def _sample(source: Source) -> dict[str, Array]:
+    """The first samples of the columns of numbers and dates that are of the usual length."""
+    columns = [column for column in source.columns if column.kind != "text"]
+    lengths = [column.rows for column in columns if column.rows is not None]
+    usual = max(set(lengths), key=lengths.count) if lengths else None
+    names = [column.name for column in columns if column.rows in (None, usual)]
     if not names:
         return {}
     chunk = next(iter(source.chunks(names, lambda amount: None)), {name: np.empty(0) for name in names})
-    found = {}
-    for name, values in chunk.items():
-        part = values[:SAMPLE]
-        if part.dtype.kind == "M":
-            part = np.where(np.isnat(part), np.nan, part.astype("datetime64[ns]").astype(np.int64) * 1e-9)
-        found[name] = part.astype(float)
-    return found
+    return {name: mapping.epoch_seconds(values[:SAMPLE]).astype(float) for name, values in chunk.items()}
 
 
-def draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, NDArray[np.float64]]) -> str:
+def _draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, Array]) -> str:
     """The text of a mapping file with its reasons."""
+    reader: dict[str, Any] = {}
+    if isinstance(source, DelimitedSource):
+        found = source.layout
+        delimiter = {" ": "whitespace", "\t": "tab"}.get(found.delimiter, found.delimiter)
+        reader = {"delimiter": delimiter, "header": found.headed}
+        reader |= {"decimal": found.decimal} if found.decimal != "." else {}
+    elif "topic" in source.metadata:
+        reader = {"topic": source.metadata["topic"]}
+    time, assumed = _time(source, guesses)
     lines = [
         f"# Drafted from {name} by swimid import --guess. Look at every line: names and values are hints,",
         "# no proof. Axes may be swapped or flipped (factor: -1), and a unit may be another one.",
         f"format: {mapping.FORMAT}",
+        *([f"reader: {{{', '.join(f'{k}: {_scalar(v)}' for k, v in reader.items())}}}"] if reader else []),
+        time,
+        "columns:",
     ]
-    reader: dict[str, Any] = {}
-    assumed = False
-    if isinstance(source, DelimitedSource):
-        found = source.layout
-        reader = {
-            "delimiter": {" ": "whitespace", "\t": "tab"}.get(found.delimiter, found.delimiter),
-            "header": found.headed,
-        }
-        if found.decimal != ".":
-            reader["decimal"] = found.decimal
-    elif "topic" in source.metadata:
-        reader = {"topic": source.metadata["topic"]}
-    if reader:
-        lines.append(f"reader: {{{', '.join(f'{k}: {_scalar(v)}' for k, v in reader.items())}}}")
-    time = next((g for g in guesses if g.target == "t_s"), None)
-    kinds = {column.name: column.kind for column in source.columns}
-    if time is not None:
-        unit = "s" if kinds.get(time.source) == "time" else time.unit or "s"
-        origin = (
-            ", origin: first"
-            if kinds.get(time.source) == "time" or "counts from 1970" in (time.why or [])
-            else ""
-        )
-        lines.append(
-            f"time: {{source: {_source(time)}, unit: {unit}{origin}}}   # {'; '.join(time.why or [])}"
-        )
-    elif source.scalars:
-        likely = next(
-            (n for n in source.scalars if "rate" in n.lower() or "freq" in n.lower() or n.lower() == "fs"),
-            None,
-        )
-        rate = likely or next(iter(source.scalars))
-        lines.append(
-            f"time: {{rate_hz: {_scalar(rate)}}}   # no column is a time; {rate} = {source.scalars[rate]:g}"
-        )
-    else:
-        lines.append("time: {rate_hz: 100}   # no column grows like a time: PUT THE SAMPLE RATE HERE")
-        assumed = True
-    lines.append("columns:")
     known = [g for g in guesses if g.target not in (None, "t_s")]
     rest = [g for g in guesses if g.target is None]
     for g in known:
         unit = f", unit: {_scalar(g.unit)}" if g.unit else ""
         unit += f", factor: {g.factor:g}" if g.factor != 1 else ""
-        why = "; ".join([*(g.why or []), _range(columns[g.source])])
+        why = "; ".join([*g.why, _range(columns[g.source])])
         lines.append(f"  - {{source: {_source(g)}, target: {g.target}{unit}}}   # {why}")
     if not known and rest:
         first = rest.pop(0)
@@ -171,18 +135,34 @@ def draft(name: str, source: Source, guesses: list[Guess], columns: dict[str, ND
         about = _range(columns[first.source])
         lines.append(f"  - {{source: {_source(first)}, target: {target}}}   # not known; {about}")
     for g in rest:
-        why = "; ".join(["not known", *(g.why or []), _range(columns[g.source])])
+        why = "; ".join(["not known", *g.why, _range(columns[g.source])])
         lines.append(f"  # - {{source: {_source(g)}, target: ..., unit: ...}}   # {why}")
     for column in source.columns:
         if column.name not in columns:
             what = "text" if column.kind == "text" else "of another length"
             lines.append(f"  # {_scalar(column.name)} left out: {what}")
     # a rate that nobody gave must not look like one
-    known_of = "{sample_rate: assumed}" if assumed else "{}"
-    lines += [
-        f"metadata: {known_of}   # robot: ..., frequency_hz: ... (it is checked against the stroke found)"
-    ]
+    metadata = "{sample_rate: assumed}" if assumed else "{}"
+    lines.append(
+        f"metadata: {metadata}   # robot: ..., frequency_hz: ... (it is checked against the stroke found)"
+    )
     return "\n".join(line.replace("\r", " ") for line in lines) + "\n"
+
+
+def _time(source: Source, guesses: list[Guess]) -> tuple[str, bool]:
+    """The line of the time, and whether its rate is assumed."""
+    time = next((g for g in guesses if g.target == "t_s"), None)
+    if time is not None:
+        dates = next(c.kind for c in source.columns if c.name == time.source) == "time"
+        unit = "s" if dates else time.unit or "s"
+        origin = ", origin: first" if dates or "counts from 1970" in time.why else ""
+        return f"time: {{source: {_source(time)}, unit: {unit}{origin}}}   # {'; '.join(time.why)}", False
+    if source.scalars:
+        likely = [n for n in source.scalars if n.lower() == "fs" or re.search("rate|freq", n.lower())]
+        rate = (likely or list(source.scalars))[0]
+        known = f"no column is a time; {rate} = {source.scalars[rate]:g}"
+        return f"time: {{rate_hz: {_scalar(rate)}}}   # {known}", False
+    return "time: {rate_hz: 100}   # no column grows like a time: PUT THE SAMPLE RATE HERE", True
 
 
 def _scalar(value: Any) -> str:
@@ -194,7 +174,7 @@ def _source(found: Guess) -> str:
     return found.source if found.source.isdecimal() else _scalar(found.source)
 
 
-def _range(values: NDArray[np.float64]) -> str:
+def _range(values: Array) -> str:
     known = values[np.isfinite(values)]
     if not len(known):
         return "no number in the first samples"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,31 @@ _COUNT = re.compile(r"frame([ _.]?(number|no|index))?|index|sample|n|unnamed: 0|
 #: A point of a tracker of pictures, in pixels where the table tells how likely each one is.
 _POINT = re.compile(r"(?P<point>[A-Za-z]\w*)_(?P<what>x|y|likelihood)")
 _UNIT = re.compile(r"[\[(/]\s*(?P<unit>[^\])\d][^\])]*)\s*[\])]?\s*$")
-#: Correlation from which on a column is the rate of change of another.
-ALIKE = 0.8
+#: Units at the end of a name, as in ``x_mm``.
+_ENDINGS = {
+    "mm": "mm",
+    "cm": "cm",
+    "deg": "deg",
+    "ms": "ms",
+    "us": "us",
+    "ns": "ns",
+    "dps": "deg/s",
+    "deg_s": "deg/s",
+    "g": "g",
+    "mg": "mg",
+    "ut": "uT",
+}
+#: What the length of three columns tells: gravity, and the field of the earth, by unit.
+_GRAVITY = {"m/s2": 9.81, "g": 1.0, "mg": 1000.0}
+_FIELD = {"uT": 45.0, "G": 0.45, "mG": 450.0, "T": 4.5e-5}
+#: Up to which value a quantity is taken for one in SI, and its unit above.
+_SIZES = {
+    "angle": (7.0, "rad", "deg"),
+    "turn rate": (35.0, "rad/s", "deg/s"),
+    "length": (30.0, "m", "mm"),
+    "speed": (10.0, "m/s", "mm/s"),
+    "force": (1000.0, "N", "mN"),
+}
 #: Rates a logger may have, Hz: within these a unit of time is believed.
 SLOWEST_HZ, FASTEST_HZ = 0.2, 20_000.0
 
@@ -76,11 +99,7 @@ class Guess:
     target: str | None = None
     unit: str | None = None
     factor: float = 1.0
-    why: list[str] | None = None
-
-    def say(self, reason: str) -> None:
-        """Add a reason."""
-        self.why = [*(self.why or []), reason]
+    why: list[str] = field(default_factory=list)
 
 
 def guess(columns: Mapping[str, Array], written: Mapping[str, str], *, headed: bool) -> list[Guess]:
@@ -104,31 +123,34 @@ def guess(columns: Mapping[str, Array], written: Mapping[str, str], *, headed: b
     if time is not None:
         _time_unit(time, columns[time.source])
     if not headed or not any(g.target for g in guesses if g is not time):
-        _by_values(guesses, columns, time)
+        _by_values([g for g in guesses if g is not time and g.target is None], columns)
     _units_by_values(guesses, columns)
-    _unique(guesses)
+    seen: set[str] = set()
+    for g in guesses:
+        if g.target in seen:
+            g.why.append(f"{g.target} is another column already")
+            g.target = None
+        elif g.target is not None:
+            seen.add(g.target)
     return guesses
 
 
 def _points(guesses: Sequence[Guess]) -> None:
     """Points of a table of a picture tracker: each with its likelihood; the first is the track."""
-    parts = {g.source: _POINT.fullmatch(g.source.strip()) for g in guesses}
-    sure = [m["point"] for m in parts.values() if m is not None and m["what"] == "likelihood"]
-    for g in guesses:
-        match = parts[g.source]
-        if match is None or match["point"] not in sure:
-            continue
+    parts = [(g, match) for g in guesses if (match := _POINT.fullmatch(g.source.strip()))]
+    sure = [match["point"] for _, match in parts if match["what"] == "likelihood"]
+    for g, match in parts:
         point, what = match["point"], match["what"]
+        if point not in sure:
+            continue
         name = re.sub(r"[^A-Za-z0-9]+", "_", point)
-        g.unit = None
-        if what == "likelihood":
-            g.target, g.why = f"{name}_likelihood", ["its name"]
-        else:
+        g.unit, g.target, g.why = None, f"{name}_likelihood", ["its name"]
+        if what != "likelihood":
             g.target = f"{what}_px" if point == sure[0] else f"{name}_{what}_px"
             g.why = [f"{what} of the point {point}, with a likelihood: pixels"]
-            if what == "y":
-                g.factor = -1.0
-                g.say("rows count downwards")
+        if what == "y":
+            g.factor = -1.0
+            g.why.append("rows count downwards")
 
 
 def _by_name(found: Guess, written: str | None) -> None:
@@ -136,56 +158,40 @@ def _by_name(found: Guess, written: str | None) -> None:
     match = _UNIT.search(name)
     unit = written or (match["unit"] if match else None)
     bare = (name[: match.start()] if match else name).strip().lower()
-    quantity = units.measured(name)
-    if quantity is not None and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        found.target, found.unit = name, None
-        found.say("named as in the log format")
+    if units.measured(name) is not None and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        found.target, found.why = name, ["named as in the log format"]
         return
-    for ending, spelled in (
-        ("_mm", "mm"),
-        ("_cm", "cm"),
-        ("_deg", "deg"),
-        ("_ms", "ms"),
-        ("_us", "us"),
-        ("_ns", "ns"),
-        ("_dps", "deg/s"),
-        ("_deg_s", "deg/s"),
-        ("_g", "g"),
-        ("_mg", "mg"),
-        ("_ut", "uT"),
-    ):
-        if unit is None and bare.endswith(ending):
-            unit, bare = spelled, bare.removesuffix(ending)
-    if unit is not None and units.canonical(unit) in {u for table in units.UNITS.values() for u in table}:
+    for ending, spelled in _ENDINGS.items():
+        if unit is None and bare.endswith(f"_{ending}"):
+            unit, bare = spelled, bare.removesuffix(f"_{ending}")
+    if unit is not None and units.canonical(unit) in units.KNOWN:
         found.unit = units.canonical(unit)
-        found.say(f"unit {unit} in the {'line of units' if written else 'name'}")
-    if _TIME.fullmatch(bare):
-        found.target = "t_s"
-        found.say("its name")
-        return
-    for pattern, target in _NAMES:
-        hit = re.fullmatch(pattern, bare)
-        if hit is None:
-            continue
-        axis: str | None = hit.groupdict().get("axis")
-        letters = (
-            dict(zip("1234", "wxyz", strict=True))
-            if target == "q{axis}"
-            else dict(zip("123", "xyz", strict=True))
-        )
-        if axis is not None and target[:5] not in ("joint", "cmd{a"):
-            axis = letters.get(axis) or axis
-        wanted = target.format(axis=axis, number=hit.groupdict().get("number"))
-        if found.unit is not None and not _fits(found.unit, wanted):
-            continue
-        found.target = wanted
-        found.say("its name")
-        return
-    if found.unit is not None:
+        found.why.append(f"unit {unit} in the {'line of units' if written else 'name'}")
+    found.target = _target(bare, found.unit)
+    if found.target is not None:
+        found.why.append("its name")
+    elif found.unit is not None:
         suffix = next((s for s, q in units.SUFFIXES.items() if found.unit in units.UNITS[q]), None)
         word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
         if suffix is not None and re.match(r"[a-z]", word):
             found.target = f"{word}_{suffix}"
+
+
+def _target(bare: str, unit: str | None) -> str | None:
+    """The column of the log format that a name in small letters, without its unit, may mean."""
+    if _TIME.fullmatch(bare):
+        return "t_s"
+    for pattern, target in _NAMES:
+        hit = re.fullmatch(pattern, bare)
+        if hit is None:
+            continue
+        parts = hit.groupdict()
+        if target[:5] not in ("joint", "cmd{a") and parts.get("axis", "").isdecimal():
+            parts["axis"] = ("wxyz" if target == "q{axis}" else "xyz")[int(parts["axis"]) - 1]
+        wanted = target.format(**parts)
+        if unit is None or _fits(unit, wanted):
+            return wanted
+    return None
 
 
 def _fits(unit: str, target: str) -> bool:
@@ -196,205 +202,131 @@ def _fits(unit: str, target: str) -> bool:
     return True
 
 
+def _known(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
 def _find_time(guesses: list[Guess], columns: Mapping[str, Array]) -> Guess | None:
+    """The column of the times: one that grows, by its name or else the first."""
     named = [g for g in guesses if g.target == "t_s"]
-    growing = [
-        g
-        for g in guesses
-        if g.target in (None, "t_s") and _grows(columns[g.source]) and not _counts(g, columns[g.source])
-    ]
     # when it was measured before when it was recorded
-    named.sort(key=lambda g: "header" not in g.source)
-    chosen = next((g for g in named if g in growing), None)
-    if chosen is None and growing:
-        chosen = growing[0]
-        chosen.target, chosen.unit = "t_s", None
-        chosen.say("the first column that always grows")
+    ranked = sorted(named, key=lambda g: "header" not in g.source)
+    ranked += [g for g in guesses if g.target is None]
+    chosen = next((g for g in ranked if _grows(g, columns[g.source])), None)
     for other in named:
-        if other is not chosen:
-            other.target = None
+        other.target = None
+    if chosen in named:
+        chosen.target = "t_s"
+    elif chosen is not None:
+        chosen.target, chosen.unit = "t_s", None
+        chosen.why.append("the first column that always grows")
     return chosen
 
 
-def _counts(found: Guess, values: Array) -> bool:
-    """Whether a column numbers the samples."""
-    known = values[np.isfinite(values)]
-    return bool(
-        _COUNT.fullmatch(found.source.strip().lower()) and len(known) > 1 and np.all(np.diff(known) == 1)
-    )
-
-
-def _grows(values: Array) -> bool:
-    known = values[np.isfinite(values)]
+def _grows(found: Guess, values: Array) -> bool:
+    """Whether a column grows as a time does, and does not number the samples."""
+    known = _known(values)
     if len(known) < 3 or len(known) < 0.9 * len(values):
         return False
     steps = np.diff(known)
     usual = float(np.median(steps))
-    even = np.mean(np.abs(steps - usual) <= 0.5 * usual) if usual > 0 else 0.0
-    return bool(np.mean(steps >= 0) > 0.99 and usual > 0 and even > 0.5)
+    numbers = _COUNT.fullmatch(found.source.strip().lower()) and np.all(steps == 1)
+    even = usual > 0 and np.mean(np.abs(steps - usual) <= 0.5 * usual) > 0.5
+    return bool(even and np.mean(steps >= 0) > 0.99 and not numbers)
 
 
 def _time_unit(time: Guess, values: Array) -> None:
-    known = values[np.isfinite(values)]
+    known = _known(values)
     step = float(np.median(np.diff(known)))
-    if time.unit is None:
-        order = ["s", "ms", "us", "ns"]
-        rates = {unit: 1 / (step * units.factor(unit, "t_s")) for unit in order}
-        likely = [unit for unit, rate in rates.items() if SLOWEST_HZ <= rate <= FASTEST_HZ]
-        # a clock since 1970 tells its unit by its size alone
-        since = next((u for u in order if 9e8 < known[0] * units.factor(u, "t_s") < 4e9), None)
-        best = since or next((u for u in likely if rates[u] >= 5), (likely or order)[0])
-        time.unit = best
-        time.say(f"steps of {step:.6g} would be {rates[best]:.4g} Hz in {best}")
-        if since:
-            time.say("counts from 1970")
-    else:
-        time.say(f"steps of {step:.6g} {time.unit}")
+    if time.unit is not None:
+        time.why.append(f"steps of {step:.6g} {time.unit}")
+        return
+    factors = {unit: units.factor(unit, "t_s") for unit in ("s", "ms", "us", "ns")}
+    rates = {unit: 1 / (step * factor) for unit, factor in factors.items()}
+    likely = [unit for unit, rate in rates.items() if SLOWEST_HZ <= rate <= FASTEST_HZ]
+    # a clock since 1970 tells its unit by its size alone
+    since = next((unit for unit, factor in factors.items() if 9e8 < known[0] * factor < 4e9), None)
+    time.unit = since or next((u for u in likely if rates[u] >= 5), (likely or ["s"])[0])
+    time.why.append(f"steps of {step:.6g} would be {rates[time.unit]:.4g} Hz in {time.unit}")
+    if since:
+        time.why.append("counts from 1970")
 
 
-def _by_values(guesses: list[Guess], columns: Mapping[str, Array], time: Guess | None) -> None:
+def _by_values(unnamed: list[Guess], columns: Mapping[str, Array]) -> None:
     """Groups of neighbouring columns that measure what only one sensor measures."""
-    names = [g for g in guesses if g is not time and g.target is None]
-    at = 0
-    while at < len(names):
-        here = names[at : at + 4]
-        four = np.column_stack([columns[g.source] for g in here])
-        if len(here) == 4 and _steady(np.linalg.norm(four, axis=1), 1.0, 0.02) and np.ptp(four) > 0:
-            for g, axis in zip(here, "wxyz", strict=True):
-                g.target = f"q{axis}"
-                g.say(
-                    "four columns of length 1: a quaternion; whether its real part is first, they do not tell"
-                )
-            at += 4
+    rest, found_gravity = unnamed, False
+    while rest:
+        four = np.column_stack([columns[g.source] for g in rest[:4]])
+        if len(rest) >= 4 and _steady(np.linalg.norm(four, axis=1), 1.0, 0.02) and np.ptp(four) > 0:
+            why = "four columns of length 1: a quaternion; whether its real part is first, they do not tell"
+            _name_axes(rest[:4], "wxyz", "q{axis}", why)
+            rest = rest[4:]
             continue
-        norm = np.linalg.norm(four[:, :3], axis=1) if four.shape[1] >= 3 else np.empty(0)
-        gravity = next(
-            (
-                u
-                for u, g in (("m/s2", 9.81), ("g", 1.0), ("mg", 1000.0))
-                if len(norm) and _steady(norm, g, 0.06)
-            ),
-            None,
-        )
-        if gravity is not None and not any(g.target == "ax_m_s2" for g in guesses):
-            for g, axis in zip(here[:3], "xyz", strict=True):
-                g.target, g.unit = f"a{axis}_m_s2", gravity
-                g.say(f"three columns of length {np.nanmedian(norm):.4g}: gravity in {gravity}")
-            after = names[at + 3 : at + 6]
-            if len(after) == 3 and all(
-                abs(float(np.nanmedian(columns[g.source]))) < 0.2 * float(np.nanstd(columns[g.source])) + 0.1
-                for g in after
-            ):
-                for g, axis in zip(after, "xyz", strict=True):
-                    g.target = f"w{axis}_rad_s"
-                    g.say("three columns about zero after the acceleration: turn rates")
-                at += 3
-            at += 3
+        norm = np.linalg.norm(four[:, :3], axis=1) if len(rest) >= 3 else np.empty(0)
+        unit = next((unit for unit, size in _GRAVITY.items() if _steady(norm, size, 0.06)), None)
+        if unit is None or found_gravity:
+            rest = rest[1:]
             continue
-        at += 1
-    if time is not None and time.unit is not None:
-        _by_rates(guesses, columns, columns[time.source] * units.factor(time.unit, "t_s"))
+        found_gravity = True
+        why = f"three columns of length {np.nanmedian(norm):.4g}: gravity in {unit}"
+        _name_axes(rest[:3], "xyz", "a{axis}_m_s2", why, unit)
+        rest, after = rest[3:], [columns[g.source] for g in rest[3:6]]
+        if len(after) == 3 and all(abs(np.nanmedian(v)) < 0.2 * np.nanstd(v) + 0.1 for v in after):
+            _name_axes(
+                rest[:3],
+                "xyz",
+                "w{axis}_rad_s",
+                "three columns about zero after the acceleration: turn rates",
+            )
+            rest = rest[3:]
 
 
-def _by_rates(guesses: list[Guess], columns: Mapping[str, Array], time: Array) -> None:
-    """Columns that are the rate of change of another."""
-    open_ones = [g for g in guesses if g.target is None]
-    for rate in open_ones:
-        for base in open_ones:
-            if base is rate or rate.target is not None or base.target is not None:
-                continue
-            gain, r = _rate_of(time, columns[base.source], columns[rate.source])
-            if r > ALIKE:
-                rate.say(
-                    f"follows the rate of change of column {base.source} (r = {r:.3f}, factor {gain:.3g})"
-                )
-                base.say(f"its rate of change is column {rate.source}")
-
-
-def _rate_of(time: Array, base: Array, rate: Array) -> tuple[float, float]:
-    known = np.isfinite(time) & np.isfinite(base) & np.isfinite(rate)
-    t, x, y = time[known], base[known], rate[known]
-    if len(t) < 30 or np.any(np.diff(t) <= 0):
-        return 0.0, 0.0
-    slope = (x[2:] - x[:-2]) / (t[2:] - t[:-2])
-    y = y[1:-1]
-    if np.std(slope) == 0 or np.std(y) == 0:
-        return 0.0, 0.0
-    r = float(np.corrcoef(slope, y)[0, 1])
-    return float(np.std(y) / np.std(slope)), r
+def _name_axes(group: list[Guess], axes: str, target: str, why: str, unit: str | None = None) -> None:
+    for g, axis in zip(group, axes, strict=True):
+        g.target, g.unit = target.format(axis=axis), unit or g.unit
+        g.why.append(why)
 
 
 def _steady(norm: Array, wanted: float, share: float) -> bool:
-    known = norm[np.isfinite(norm)]
+    relative = _known(norm) / wanted - 1
     return bool(
-        len(known) > 3
-        and abs(np.median(known) / wanted - 1) < share
-        and np.mean(np.abs(known / wanted - 1) < 2 * share) > 0.5
+        len(relative) > 3 and abs(np.median(relative)) < share and np.mean(np.abs(relative) < 2 * share) > 0.5
     )
 
 
 def _units_by_values(guesses: list[Guess], columns: Mapping[str, Array]) -> None:
     """Units of what has a target and no unit yet."""
-    by_target = {g.target: g for g in guesses if g.target}
-    for axes, table in (
-        (("ax_m_s2", "ay_m_s2", "az_m_s2"), (("m/s2", 9.81), ("g", 1.0), ("mg", 1000.0))),
-        (("mx_T", "my_T", "mz_T"), (("uT", 45.0), ("G", 0.45), ("mG", 450.0), ("T", 4.5e-5))),
+    for target, sizes, what in (
+        ("a{}_m_s2", _GRAVITY, "gravity"),
+        ("m{}_T", _FIELD, "the field of the earth"),
     ):
-        group = [by_target[a] for a in axes if a in by_target]
+        group = [g for g in guesses if g.target in [target.format(axis) for axis in "xyz"]]
         if len(group) < 3 or all(g.unit for g in group):
             continue
-        size = float(
-            np.nanmedian(np.linalg.norm(np.column_stack([columns[g.source] for g in group]), axis=1))
-        )
-        what = "gravity" if axes[0] == "ax_m_s2" else "the field of the earth"
-        unit = next((u for u, known in table if 0.6 < size / known < 1.6), None)
+        lengths = np.linalg.norm(np.column_stack([columns[g.source] for g in group]), axis=1)
+        size = float(np.nanmedian(lengths))
+        unit = next((u for u, known in sizes.items() if 0.6 < size / known < 1.6), None)
         for g in group:
             if unit is None:
-                g.say(f"length {size:.4g} is {what} in no unit known: give a factor")
+                g.why.append(f"length {size:.4g} is {what} in no unit known: give a factor")
             elif not g.unit:
                 g.unit = unit
-                g.say(f"length {size:.4g} is {what} in {unit}")
-    lengths = [g for g in guesses if g.target and units.measured(g.target) == "length"]
-    pattern = next((g for g in lengths if g.unit), None)
-    spread = max((_extent(columns[g.source]) for g in lengths), default=0.0)
+                g.why.append(f"length {size:.4g} is {what} in {unit}")
+    quantities = {g.source: units.measured(g.target) for g in guesses if g.target not in (None, "t_s")}
+    lengths_of = [g for g in guesses if quantities.get(g.source) == "length"]
+    pattern = next((g for g in lengths_of if g.unit), None)
+    extents = [float(np.ptp(known)) for g in lengths_of if len(known := _known(columns[g.source]))]
     for g in guesses:
-        if g.target is None or g.unit is not None or g.target == "t_s" or "named as" in str(g.why):
+        quantity = quantities.get(g.source)
+        if quantity is None or g.unit is not None or "named as in the log format" in g.why:
             continue
-        if g in lengths and pattern is not None:
+        if quantity == "length" and pattern is not None:
             g.unit = pattern.unit
-            g.say(f"in the unit of {pattern.source}")
-        else:
-            known = columns[g.source][np.isfinite(columns[g.source])]
-            largest = spread if g in lengths else float(np.max(np.abs(known), initial=0.0))
-            _unit_by_size(g, units.measured(g.target), largest)
-
-
-def _extent(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.ptp(known)) if len(known) else 0.0
-
-
-def _unit_by_size(found: Guess, quantity: str | None, largest: float) -> None:
-    rules: dict[str, tuple[float, str, str]] = {
-        "angle": (7.0, "deg", "rad"),
-        "turn rate": (35.0, "deg/s", "rad/s"),
-        "length": (30.0, "mm", "m"),
-        "speed": (10.0, "mm/s", "m/s"),
-        "force": (1000.0, "mN", "N"),
-    }
-    if quantity not in rules:
-        return
-    limit, above, below = rules[quantity]
-    found.unit = above if largest > limit else below
-    what = "they extend over" if quantity == "length" else "values up to"
-    found.say(f"{what} {largest:.4g}: taken for {found.unit}")
-
-
-def _unique(guesses: Sequence[Guess]) -> None:
-    seen: set[str] = set()
-    for g in guesses:
-        if g.target in seen:
-            g.say(f"{g.target} is another column already")
-            g.target = None
-        elif g.target is not None:
-            seen.add(g.target)
+            g.why.append(f"in the unit of {pattern.source}")
+        elif quantity in _SIZES:
+            limit, below, above = _SIZES[quantity]
+            largest, what = float(np.max(np.abs(_known(columns[g.source])), initial=0.0)), "values up to"
+            if quantity == "length":
+                largest, what = max(extents, default=0.0), "they extend over"
+            g.unit = above if largest > limit else below
+            g.why.append(f"{what} {largest:.4g}: taken for {g.unit}")

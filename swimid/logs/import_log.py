@@ -91,7 +91,7 @@ def import_log(
         )
         name = f"{found.path.stem}.csv" if output is None else output.name
         result = imported.result(found, name, rules, origin, tuple(notices), progress)
-    return result if output is None else result.save(output)
+    return result.saved(output)
 
 
 @takes(ImportOptions)
@@ -147,14 +147,12 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
     UsageError
         Several logs and one file to write them to, or two that would have one name.
     """
-    single = len(paths) == 1 and not output.is_dir() and not str(output).endswith("/")
-    if single:
+    if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
         atomic.check_writable(output, inputs=tuple(paths))
         return [output]
     if output.exists() and not output.is_dir():
-        raise UsageError(
-            f"{len(paths)} logs cannot all go to the file {output}", hint="name a folder with -o"
-        )
+        text = f"{len(paths)} logs cannot all go to the file {output}"
+        raise UsageError(text, hint="name a folder with -o")
     atomic.check_writable(output.parent / "x")
     output.mkdir(exist_ok=True)
     stems = [path.stem for path in paths]

@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swimid.logs import bulk, log
 from swimid.logs import figures as log_figures
+from swimid.logs import log
 from swimid.logs.examine import Examined
-from swimid.logs.interval import Estimate
 from swimid.logs.log import Log
 from swimid.logs.logged import Logged
 from swimid.logs.mapping import Mapping
+from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import usual_step
 from swimid.notices import Notice, recorded
 from swimid.progress import Progress, silent
-from swimid.results import numbers
-from swimid.results.evidence import POSSIBLE, Check, Evidence, NoticeRecord, Table, check, judged
+from swimid.results import blocks, numbers
+from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, check, judged
 
+Array = NDArray[np.float64]
 #: Samples a stroke needs for the path to be followed.
 RESOLVED = 6.0
 #: Beyond this share of its extent along a line the track does not keep to it.
 OFF_LINE = 0.1
 #: Of more jumps or missing samples than these shares a track is doubted.
 MANY = 0.2
+REFERENCES = [
+    "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
+    "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
+    "Craven, P., Wahba, G. (1979). Smoothing noisy data with spline functions. Numerische Mathematik 31, "
+    "377-403. doi:10.1007/BF01404567",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +76,7 @@ class Imported(Logged):
 
     def _write(self, path: Path) -> list[Path]:
         with self.progress(f"writing {path.name}", total=len(self.log)) as step:
-            bulk.write(path, self.log.columns, self.log.metadata, step=step)
+            log.write_numbers(path, self.log.columns, self.log.metadata, step=step)
         return [path]
 
 
@@ -83,11 +91,10 @@ def result(
     """The result of importing one log, to be called ``name``."""
     made = Log(Path(name), found.metadata, found.columns, None)
     proof = _evidence(made, found, rules, provenance, notices)
-    data = _facts(found, proof)
     return Imported(
         "import",
-        _summary(found, data),
-        data,
+        _summary(found, proof),
+        _facts(found, proof),
         evidence=proof,
         document=made,
         examined=found,
@@ -104,7 +111,7 @@ def _evidence(
     provenance: dict[str, Any],
     notices: Sequence[Notice],
 ) -> Evidence:
-    checks = _checks(found)
+    checks = [*_row_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
         figures = log_figures.figures([made], found=found.stroke)
     return Evidence(
@@ -114,186 +121,173 @@ def _evidence(
         checks=checks,
         tables=[_columns(found, rules), *_speeds(found), *_strokes(found)],
         figures=figures,
-        notices=[NoticeRecord(code=n.code, text=n.text) for n in [*notices, *drawn]],
+        notices=blocks.notices([*notices, *drawn]),
         methods=_methods(found),
-        references=_references(found),
+        references=[] if found.cleaning is None else REFERENCES,
         provenance=provenance,
     )
 
 
-def _checks(found: Examined) -> list[Check]:
-    order, n = found.order, len(found.time_s)
-    odd = order.untimed + order.repeated + order.clashing + order.late
+def _row_checks(found: Examined) -> list[Check]:
+    odd, n = sum(found.order.counts.values()), len(found.time_s)
     why = "; ".join(found.notes) or "rows without a time, repeated, late or of a taken time"
-    in_order = not odd and not found.notes
-    checks = [check("Rows in order", f"{odd} of {n + odd} odd", in_order, "none", why)]
+    checks = [check("Rows in order", f"{odd} of {n + odd} odd", not odd and not found.notes, "none", why)]
     if found.metadata.get("sample_rate") == "assumed":
         why = (
             "nothing in the file tells it: put it under 'time:' of the mapping and take "
             "'sample_rate: assumed' out; speeds and frequencies are as wrong as it is"
         )
         checks.append(check("Sample rate", "assumed", False, "known", why))
-    checks.append(
-        Check(
-            name=POSSIBLE,
-            value=f"{len({doubt.column for doubt in found.doubts})} columns beyond",
-            limit="none",
-            verdict="fail" if found.doubts else "pass",
-            text="; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts),
-        )
-    )
-    line = found.projection
+    beyond = f"{len({doubt.column for doubt in found.doubts})} columns beyond"
+    why = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
+    return [*checks, blocks.check(POSSIBLE, beyond, "none", not found.doubts, otherwise="fail", text=why)]
+
+
+def _track_checks(found: Examined) -> list[Check]:
+    checks = []
+    line, cleaning = found.projection, found.cleaning
     if line is not None:
         across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
         keeps, limit = line.across <= OFF_LINE * line.extent, f"≤ {100 * OFF_LINE:g} % of the extent along it"
         why = "a track that leaves the line is shortened by projecting it"
         checks.append(check("Distance from the line", f"{across} rms over {extent}", keeps, limit, why))
-    checks += _track_checks(found)
+    if cleaning is None:
+        return checks
+    lost, repeats, done = cleaning.counts["samples_jumped"], cleaning.counts["repeats"], _done(found)
+    seen = int(cleaning.good.sum()) + repeats + lost
+    passed = None if found.cleaned or not repeats else False
+    why = "the same pose as the sample before: a camera read faster than it takes pictures"
+    checks.append(check("Repeated pictures", f"{repeats} of {seen} {done}", passed, text=why))
+    why = "away from the track before and after"
+    if cleaning.offset_rows:
+        why = f"the track goes on elsewhere {len(cleaning.offset_rows)} times"
+    too_many = lost > MANY * seen or not found.cleaned
+    value = f"{cleaning.jumps} ({lost} samples {done})"
+    checks.append(
+        blocks.check(
+            "Jumps", value, "few", not cleaning.jumps, otherwise="fail" if too_many else "warn", text=why
+        )
+    )
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
+    return [*checks, check("Gaps in the track", gaps, not cleaning.gaps, text="kept as gaps, never bridged")]
+
+
+def _stroke_checks(found: Examined) -> list[Check]:
     stroke = found.stroke
-    if stroke is not None and found.speed is not None and found.cleaning is not None:
+    if stroke is None:
+        return []
+    checks = []
+    if found.speed is not None and found.cleaning is not None:
         rate = float(found.cleaning.good.sum()) / found.speed.covered_s
         per_stroke = rate / stroke.beat.frequency_hz
         why = "with fewer the path between samples is not known, and its speed too low"
         value, limit = numbers.number(per_stroke, 3), f"≥ {RESOLVED:g}"
         checks.append(check("Samples a stroke", value, per_stroke >= RESOLVED, limit, why))
-    if stroke is not None:
-        beats = (f"{beat.frequency_hz:.4g} Hz" for beat in (stroke.beat, *stroke.rivals.values()))
-        why = stroke.doubt or "multiples of it counted in"
-        limit = "no channel beats at another"
-        checks.append(check("One stroke", " against ".join(beats), not stroke.doubt, limit, why))
-    if stroke is not None and "frequency_hz" in found.metadata:
-        stated, against = f"{found.metadata['frequency_hz']} Hz", found.against
-        name = "Stroke against the metadata"
-        checks.append(check(name, _frequency(found), not against, stated, against or ""))
+    beats = (f"{beat.frequency_hz:.4g} Hz" for beat in (stroke.beat, *stroke.rivals.values()))
+    why = stroke.doubt or "multiples of it counted in"
+    limit = "no channel beats at another"
+    checks.append(check("One stroke", " against ".join(beats), not stroke.doubt, limit, why))
+    if "frequency_hz" in found.metadata:
+        stated, name = f"{found.metadata['frequency_hz']} Hz", "Stroke against the metadata"
+        checks.append(check(name, _frequency(stroke), not found.against, stated, found.against or ""))
     return checks
 
 
-def _track_checks(found: Examined) -> list[Check]:
-    cleaning = found.cleaning
-    if cleaning is None:
-        return []
-    seen = int(cleaning.good.sum() + cleaning.repeated.sum() + cleaning.jumped.sum())
-    lost, repeats = int(cleaning.jumped.sum()), int(cleaning.repeated.sum())
-    done = "left out" if found.cleaned else "kept"
-    too_many = lost > MANY * seen or (cleaning.jumps and not found.cleaned)
-    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(_longest(cleaning.gaps), 3, 's')}"
-    why = "the same pose as the sample before: a camera read faster than it takes pictures"
-    return [
-        check(
-            "Repeated pictures",
-            f"{repeats} of {seen} {done}",
-            None if found.cleaned or not repeats else False,
-            text=why,
-        ),
-        Check(
-            name="Jumps",
-            value=f"{cleaning.jumps} ({lost} samples {done})",
-            limit="few",
-            verdict="pass" if not cleaning.jumps else "fail" if too_many else "warn",
-            text=f"the track goes on elsewhere {len(cleaning.offset_rows)} times"
-            if cleaning.offset_rows
-            else "away from the track before and after",
-        ),
-        check("Gaps in the track", gaps, not cleaning.gaps, text="kept as gaps, never bridged"),
-    ]
-
-
-def _longest(gaps: list[tuple[float, float]]) -> float:
-    return max((end - start for start, end in gaps), default=0.0)
+def _done(found: Examined) -> str:
+    return "left out" if found.cleaned else "kept"
 
 
 def _columns(found: Examined, rules: Mapping | None) -> Table:
-    sources: dict[str, list[str]] = {}
+    sources: dict[str, tuple[str, str, str]] = {}
     if rules is not None:
-        sources = {c.target: [str(c.source), f"{c.scale:.6g}", f"{c.offset:.6g}"] for c in rules.columns}
+        sources = {c.target: (str(c.source), f"{c.scale:.6g}", f"{c.offset:.6g}") for c in rules.columns}
         if rules.time is not None:
             origin = rules.time.source if rules.time.source is not None else f"rate {rules.time.rate_hz}"
-            sources[log.TIME] = [str(origin), rules.time.unit, str(rules.time.origin)]
-    rows: list[list[str | float | int | bool | None]] = []
-    for name, values in found.columns.items():
-        low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-        ends = [None, None] if np.isnan(low) else [low, high]
-        missing = int(np.count_nonzero(np.isnan(values)))
-        rows.append([name, *(sources.get(name, [name, "1", "0"])), *ends, missing])
+            sources[log.TIME] = str(origin), rules.time.unit, str(rules.time.origin)
     return Table(
         id="columns",
         title="Columns",
         columns=["column", "source", "factor or unit", "offset", "smallest", "largest", "missing"],
-        rows=rows,
+        rows=[
+            [
+                name,
+                *sources.get(name, (name, "1", "0")),
+                *_ends(values),
+                int(np.count_nonzero(np.isnan(values))),
+            ]
+            for name, values in found.columns.items()
+        ],
     )
+
+
+def _ends(values: Array) -> list[float | None]:
+    """The smallest and the largest value."""
+    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+    return [None, None] if np.isnan(low) else [low, high]
 
 
 def _speeds(found: Examined) -> list[Table]:
     speed = found.speed
     if speed is None:
         return []
-    rows: list[list[str | float | int | bool | None]] = [
+    rows = [
         ["along the path", speed.path.value, speed.path.low, speed.path.high],
         ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
         ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
     ]
-    return [
-        Table(
-            id="speed",
-            title="Mean speed",
-            columns=["speed", f"{found.unit}/s", "95 % from", "to"],
-            rows=rows,
-            caption=f"Over {speed.covered_s:.4g} s without the gaps; noise of a coordinate "
-            f"{numbers.number(speed.noise_m, 3, found.unit)}. The interval holds noise and unsteady "
-            "swimming. Jumps and noise lengthen the naive mean.",
-        )
-    ]
+    caption = (
+        f"Over {speed.covered_s:.4g} s without the gaps; noise of a coordinate "
+        f"{numbers.number(speed.noise_m, 3, found.unit)}. The interval holds noise and unsteady "
+        "swimming. Jumps and noise lengthen the naive mean."
+    )
+    columns = ["speed", f"{found.unit}/s", "95 % from", "to"]
+    return [Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption)]
 
 
 def _strokes(found: Examined) -> list[Table]:
     stroke = found.stroke
     if stroke is None:
         return []
-    rows: list[list[str | float | int | bool | None]] = [
-        [f"{h.order} ×", h.order * stroke.beat.frequency_hz, h.amplitude, h.stderr] for h in stroke.harmonics
-    ]
+    caption = f"Period {numbers.measured(*stroke.period_s, 's')}, over {stroke.beat.cycles:.3g} cycles."
+    if stroke.maybe_double:
+        caption += " It may be twice the stroke: no channel that swings sideways is there."
     tables = [
         Table(
             id="stroke",
             title=f"Stroke and harmonics in {stroke.channel}",
             columns=["harmonic", "frequency (Hz)", "amplitude", "standard error"],
-            rows=rows,
-            caption=f"Period {numbers.measured(*stroke.period_s, 's')}, over {stroke.beat.cycles:.3g} cycles."
-            + (
-                " It may be twice the stroke: no channel that swings sideways is there."
-                if stroke.maybe_double
-                else ""
-            ),
-        )
+            rows=[
+                [f"{h.order} ×", h.order * stroke.beat.frequency_hz, h.amplitude, h.stderr]
+                for h in stroke.harmonics
+            ],
+            caption=caption,
+        ),
+        Table(
+            id="stroke-channels",
+            title="Beat of every channel",
+            columns=[
+                "channel",
+                "frequency (Hz)",
+                "standard error (Hz)",
+                "amplitude",
+                "share of the variance",
+            ],
+            rows=[
+                [name, beat.frequency_hz, beat.stderr_hz, beat.amplitude, beat.share]
+                for name, beat in stroke.channels.items()
+            ],
+        ),
     ]
-    if len(stroke.channels) > 1:
-        tables.append(
-            Table(
-                id="stroke-channels",
-                title="Beat of every channel",
-                columns=[
-                    "channel",
-                    "frequency (Hz)",
-                    "standard error (Hz)",
-                    "amplitude",
-                    "share of the variance",
-                ],
-                rows=[
-                    [n, b.frequency_hz, b.stderr_hz, b.amplitude, b.share] for n, b in stroke.channels.items()
-                ],
-            )
-        )
-    return tables
+    return tables if len(stroke.channels) > 1 else tables[:1]
 
 
-def _frequency(found: Examined) -> str:
-    assert found.stroke is not None
-    return numbers.measured(found.stroke.beat.frequency_hz, found.stroke.beat.stderr_hz, "Hz")
+def _frequency(stroke: Rhythm) -> str:
+    return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
 
 
 def _methods(found: Examined) -> list[str]:
     sentences = []
-    if found.cleaned and found.cleaning is not None:
+    if found.cleaned:
         sentences.append(
             "Repeated samples of the camera were collapsed; jumps were told by a Hampel identifier on the "
             "steps of the track and left out; gaps were not bridged."
@@ -313,129 +307,108 @@ def _methods(found: Examined) -> list[str]:
     return sentences
 
 
-def _references(found: Examined) -> list[str]:
-    if found.cleaning is None:
-        return []
-    return [
-        "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
-        "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
-        "Craven, P., Wahba, G. (1979). Smoothing noisy data with spline functions. Numerische Mathematik 31, "
-        "377-403. doi:10.1007/BF01404567",
-    ]
-
-
-def _facts(found: Examined, record: Evidence) -> dict[str, Any]:
+def _facts(found: Examined, proof: Evidence) -> dict[str, Any]:
     """The result for machines."""
-    time = found.time_s
-    step = usual_step(time)
-    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
+    time, unit = found.time_s, found.unit
+    cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
+    track = speeds = way = None
+    if cleaning is not None:
+        track = {
+            "cleaned": found.cleaned,
+            **cleaning.counts,
+            "goes_on_elsewhere": len(cleaning.offset_rows),
+            "gaps_s": [list(gap) for gap in cleaning.gaps],
+        }
+    if speed is not None:
+        speeds = {
+            f"path_{unit}_s": speed.path.value,
+            "path_ci95": [speed.path.low, speed.path.high],
+            f"line_{unit}_s": speed.line.value,
+            "line_ci95": [speed.line.low, speed.line.high],
+            f"naive_{unit}_s": speed.naive_m_s,
+            f"noise_{unit}": speed.noise_m,
+            "covered_s": speed.covered_s,
+        }
+    if line is not None:
+        way = {"direction": line.direction.tolist(), "extent": line.extent, "across_rms": line.across}
     return {
         "file": str(found.path),
         "samples": len(time),
         "duration_s": float(time[-1] - time[0]),
-        "median_rate_hz": 1 / step if step > 0 else None,
+        "median_rate_hz": _rate(time),
         "columns": list(found.columns),
         "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
-        "rows": {k: getattr(found.order, k) for k in ("untimed", "repeated", "clashing", "late")},
+        "rows": found.order.counts,
         "notes": found.notes,
-        "track": None
-        if cleaning is None
-        else {
-            "cleaned": found.cleaned,
-            "repeats": int(cleaning.repeated.sum()),
-            "jumps": cleaning.jumps,
-            "samples_jumped": int(cleaning.jumped.sum()),
-            "goes_on_elsewhere": len(cleaning.offset_rows),
-            "gaps_s": [list(gap) for gap in cleaning.gaps],
-        },
-        "speed": None
-        if speed is None
-        else {
-            f"path_{found.unit}_s": speed.path.value,
-            "path_ci95": [speed.path.low, speed.path.high],
-            f"line_{found.unit}_s": speed.line.value,
-            "line_ci95": [speed.line.low, speed.line.high],
-            f"naive_{found.unit}_s": speed.naive_m_s,
-            f"noise_{found.unit}": speed.noise_m,
-            "covered_s": speed.covered_s,
-        },
-        "stroke": {"unknown": found.unknown}
-        if stroke is None
-        else {
-            "frequency_hz": stroke.beat.frequency_hz,
-            "stderr_hz": stroke.beat.stderr_hz,
-            "ci95_hz": list(stroke.interval_hz),
-            "period_s": stroke.period_s[0],
-            "cycles": stroke.beat.cycles,
-            "channel": stroke.channel,
-            "maybe_double": stroke.maybe_double,
-            "harmonics": [
-                {"order": h.order, "amplitude": h.amplitude, "stderr": h.stderr} for h in stroke.harmonics
-            ],
-            "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
-            "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
-            "contradiction": found.against,
-        },
-        "line": None
-        if found.projection is None
-        else {
-            "direction": [float(part) for part in found.projection.direction],
-            "extent": found.projection.extent,
-            "across_rms": found.projection.across,
-        },
-        "verdict": record.verdict.model_dump(),
-        "checks": [check.model_dump() for check in record.checks],
+        "track": track,
+        "speed": speeds,
+        "stroke": {"unknown": found.unknown} if stroke is None else _stroke_facts(stroke, found.against),
+        "line": way,
+        "verdict": proof.verdict.model_dump(),
+        "checks": [check.model_dump() for check in proof.checks],
     }
 
 
-def _summary(found: Examined, machine: dict[str, Any]) -> str:
+def _rate(time_s: Array) -> float | None:
+    step = usual_step(time_s)
+    return 1 / step if step > 0 else None
+
+
+def _stroke_facts(stroke: Rhythm, against: str | None) -> dict[str, Any]:
+    return {
+        "frequency_hz": stroke.beat.frequency_hz,
+        "stderr_hz": stroke.beat.stderr_hz,
+        "ci95_hz": list(stroke.beat.interval_hz),
+        "period_s": stroke.period_s[0],
+        "cycles": stroke.beat.cycles,
+        "channel": stroke.channel,
+        "maybe_double": stroke.maybe_double,
+        "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
+        "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+        "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
+        "contradiction": against,
+    }
+
+
+def _summary(found: Examined, proof: Evidence) -> str:
     """The result for the terminal."""
-    rate = machine["median_rate_hz"]
-    lines = [
-        f"{found.path.name}: {machine['samples']} samples over {machine['duration_s']:.4g} s"
-        + (f" at {rate:.4g} Hz" if rate else "")
-        + f": {', '.join(name for name in found.columns if name != log.TIME)}"
-    ]
-    track, speed = machine["track"], found.speed
-    if track is not None and found.cleaning is not None:
-        done = "left out" if found.cleaned else "kept"
+    time, unit, rate = found.time_s, found.unit, _rate(found.time_s)
+    at = f" at {rate:.4g} Hz" if rate else ""
+    channels = ", ".join(name for name in found.columns if name != log.TIME)
+    lines = [f"{found.path.name}: {len(time)} samples over {float(time[-1] - time[0]):.4g} s{at}: {channels}"]
+    cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
+    if cleaning is not None:
+        counts = cleaning.counts
         lines.append(
-            f"  track   {track['repeats']} repeats and {track['jumps']} jumps "
-            f"({track['samples_jumped']} samples) {done}; {len(track['gaps_s'])} gaps kept, "
-            f"longest {_longest(found.cleaning.gaps):.3g} s"
+            f"  track   {counts['repeats']} repeats and {counts['jumps']} jumps "
+            f"({counts['samples_jumped']} samples) {_done(found)}; {len(cleaning.gaps)} gaps kept, "
+            f"longest {cleaning.longest_gap_s:.3g} s"
         )
     if speed is not None:
-        lines.append(
-            f"  speed   path {_speed(speed.path, found.unit)}, line {_speed(speed.line, found.unit)}; "
-            f"naive mean of |dx/dt| {speed.naive_m_s:.4g} {found.unit}/s"
+        path, along = (
+            f"{mean.value:.4g} {unit}/s (95 %: {mean.low:.4g} … {mean.high:.4g})"
+            for mean in (speed.path, speed.line)
         )
-    stroke = found.stroke
-    if stroke is not None:
-        clear = [
-            f"{h.order} × {100 * h.amplitude / stroke.harmonics[0].amplitude:.2g} %"
-            for h in stroke.harmonics[1:]
-        ]
         lines.append(
-            f"  stroke  {_frequency(found)} in {stroke.channel}, "
+            f"  speed   path {path}, line {along}; naive mean of |dx/dt| {speed.naive_m_s:.4g} {unit}/s"
+        )
+    if stroke is None:
+        lines.append(f"  stroke  unknown: {found.unknown}")
+    else:
+        first, *others = stroke.harmonics
+        clear = ", ".join(f"{h.order} × {100 * h.amplitude / first.amplitude:.2g} %" for h in others)
+        lines.append(
+            f"  stroke  {_frequency(stroke)} in {stroke.channel}, "
             f"period {numbers.measured(*stroke.period_s, 's')}"
-            + (f"; harmonics {', '.join(clear)} of its amplitude" if clear else "; no harmonic stands clear")
+            + (f"; harmonics {clear} of its amplitude" if clear else "; no harmonic stands clear")
             + ("; may be twice the stroke" if stroke.maybe_double else "")
         )
-    else:
-        lines.append(f"  stroke  unknown: {found.unknown}")
-    if found.projection is not None:
-        way = ", ".join(f"{part:.4g}" for part in found.projection.direction)
+    if line is not None:
+        way = ", ".join(f"{part:.4g}" for part in line.direction)
+        extent, across = (numbers.number(length, 3, unit) for length in (line.extent, line.across))
         lines.append(
-            f"  line    x_{found.unit} is the way along ({way}), "
-            f"{numbers.number(found.projection.extent, 3, found.unit)} long; "
-            f"rms distance from it {numbers.number(found.projection.across, 3, found.unit)}"
+            f"  line    x_{unit} is the way along ({way}), {extent} long; rms distance from it {across}"
         )
-    for against in (found.against, stroke.doubt if stroke is not None else ""):
-        if against:
-            lines.append(f"  BEWARE  {against}")
-    level = machine["verdict"]["level"].upper()
-    return "\n".join([*lines, f"{level}: {machine['verdict']['text']}"])
-
-
-def _speed(speed: Estimate, unit: str) -> str:
-    return f"{speed.value:.4g} {unit}/s (95 %: {speed.low:.4g} … {speed.high:.4g})"
+    against = (found.against, stroke.doubt if stroke is not None else "")
+    lines += [f"  BEWARE  {text}" for text in against if text]
+    return "\n".join([*lines, f"{proof.verdict.level.upper()}: {proof.verdict.text}"])

@@ -7,8 +7,10 @@ before the header hold YAML ``key: value`` metadata. Columns carry their unit as
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
@@ -16,9 +18,17 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from swimid.errors import InputError
+from swimid.errors import InputError, first_line
 from swimid.files import atomic, yamlio
-from swimid.files.delimited import MISSING, column_names, head, missing_column, number, number_hint
+from swimid.files.delimited import (
+    MISSING,
+    column_names,
+    head,
+    missing_column,
+    number,
+    number_hint,
+    worked_ahead,
+)
 from swimid.logs import plausible
 from swimid.notices import warn
 
@@ -27,6 +37,8 @@ if TYPE_CHECKING:
 
 TIME = "t_s"
 PARQUET_ENDINGS = (".parquet", ".pq")
+#: Samples written at once, and pieces printed beside each other.
+ROWS, WORKERS = 100_000, min(os.cpu_count() or 1, 4)
 #: What a function that reads a log takes: its path, or the log itself.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -108,9 +120,7 @@ class Log:
             if numbers is not None:
                 columns[column] = numbers
         log = cls(path, dict(metadata or {}), columns, None)
-        _check(log, required, 2)
-        _warn_missing(log)
-        warn_units(log)
+        _check(log, required)
         return log
 
     @property
@@ -120,12 +130,9 @@ class Log:
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
         """The same log with the columns asked for, after the checks that :func:`read` makes."""
-        _check_columns(list(self.columns), required, self.path, None)
-        wanted = [n for n in self.columns if optional is None or n in {TIME, *required, *optional}]
+        wanted = _wanted(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
-        _check(log, required, 2)
-        _warn_missing(log)
-        warn_units(log)
+        _check(log, required)
         return log
 
     @property
@@ -135,14 +142,14 @@ class Log:
 
     def digest(self) -> str:
         """SHA-256 of the columns, their names and samples, as hexadecimal digits."""
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         for name, values in self.columns.items():
-            found.update(f"{name}\n".encode())
+            digest.update(f"{name}\n".encode())
             if values.dtype.kind == "f":  # one NaN is as good as another
                 values = np.where(np.isnan(values), np.nan, values)
             plain = values.dtype.kind in "biufM"
-            found.update(values.tobytes() if plain else "\n".join(map(str, values)).encode())
-        return found.hexdigest()
+            digest.update(values.tobytes() if plain else "\n".join(map(str, values)).encode())
+        return digest.hexdigest()
 
     @property
     def time_s(self) -> NDArray[np.float64]:
@@ -191,7 +198,7 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
         return read(given, required=required)
     if not isinstance(given, Log):
         return Log.from_frame(given, name=name, required=required)
-    _check_columns(list(given.columns), required, given.path, None)
+    _wanted(list(given.columns), required, None, given.path, None)
     return given
 
 
@@ -225,20 +232,20 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
     twice = frame.columns[frame.columns.duplicated()]
     if len(twice):
         raise InputError("two columns have this name", file=name, column=str(twice[0]))
-    found: dict[str, NDArray[Any]] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for column, values in frame.infer_objects().items():
         if types.is_timedelta64_dtype(values):
             values = values.dt.total_seconds()
-        if isinstance(values.dtype, np.dtype) and values.dtype.kind in "biuf":
-            found[str(column)] = values.to_numpy()
-        elif types.is_numeric_dtype(values):
-            found[str(column)] = values.to_numpy(dtype=float, na_value=np.nan)
-        elif types.is_datetime64_any_dtype(values):
+        if types.is_datetime64_any_dtype(values):
             clock = values.dt.tz_convert(None) if getattr(values.dt, "tz", None) is not None else values
-            found[str(column)] = clock.to_numpy(dtype="datetime64[ns]")
+            columns[str(column)] = clock.to_numpy(dtype="datetime64[ns]")
+        elif isinstance(values.dtype, np.dtype):
+            columns[str(column)] = values.to_numpy()
+        elif types.is_numeric_dtype(values):
+            columns[str(column)] = values.to_numpy(dtype=float, na_value=np.nan)
         else:
-            found[str(column)] = values.to_numpy(dtype=object)
-    return found
+            columns[str(column)] = values.to_numpy(dtype=object)
+    return columns
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
@@ -251,7 +258,6 @@ def read(
     *,
     required: Sequence[str] = (),
     optional: Sequence[str] | None = None,
-    min_rows: int = 2,
 ) -> Log:
     """Read a log and check it.
 
@@ -262,8 +268,6 @@ def read(
     optional : sequence of str, optional
         Further columns to take where they are there. Without it every column is taken
         that holds numbers, and columns of text are left out.
-    min_rows : int
-        Fewest samples accepted.
 
     Raises
     ------
@@ -275,38 +279,55 @@ def read(
     path = Path(path)
     reader = _read_parquet if path.suffix.lower() in PARQUET_ENDINGS else _read_csv
     try:
-        metadata, columns, first_line = reader(
-            path, list(required), None if optional is None else list(optional)
-        )
+        log = reader(path, required, optional)
     except OSError as error:
         hint = "check the path" if isinstance(error, FileNotFoundError) else None
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
-    log = Log(path, metadata, columns, first_line)
-    _check(log, required, min_rows)
-    _warn_missing(log)
-    warn_units(log)
+    _check(log, required)
     return log
+
+
+def _wanted(
+    names: list[str], required: Sequence[str], optional: Sequence[str] | None, path: Path, line: int | None
+) -> list[str]:
+    """The columns to take of those there are; an error where one is missing."""
+    for column in (TIME, *required):
+        if column not in names:
+            raise missing_column(column, names, path, line)
+    if names[0] != TIME:
+        raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
+    return [name for name in names if optional is None or name in {TIME, *required, *optional}]
 
 
 # ---------------------------------------------------------------- CSV
 
 
-def _read_csv(
-    path: Path, required: list[str], optional: list[str] | None
-) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
+def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     comments, header, header_line = head(path)
     metadata = metadata_of(comments, path)
     names = column_names(header, path, header_line)
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
-    _check_columns(names, required, path, header_line)
-    wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
+    wanted = _wanted(names, required, optional, path, header_line)
+    columns: dict[str, NDArray[np.float64]] = {}
     try:
         table = _parse(path, header_line, names, wanted, pa.float64())
         columns = {name: table.column(name).to_numpy().astype(float) for name in wanted}
     except pa.ArrowInvalid:
-        columns = _parse_with_care(path, header_line, names, wanted, {TIME, *required, *(optional or ())})
-    return metadata, columns, header_line + 1
+        # as text, to take what is numbers and to say which cell is none
+        try:
+            table = _parse(path, header_line, names, wanted, pa.string())
+        except pa.ArrowInvalid as error:
+            raise _ragged(path, header_line, len(names), error) from error
+        for name in wanted:
+            strict = name in {TIME, *required, *(optional or ())}
+            cells = table.column(name).to_pandas()
+            values = _numbers(
+                cells, strict, lambda row: {"line": _line_of(path, header_line, row)}, path, name
+            )
+            if values is not None:
+                columns[name] = values
+    return Log(path, metadata, columns, header_line + 1)
 
 
 def _parse(path: Path, header_line: int, names: list[str], wanted: list[str], kind: pa.DataType) -> pa.Table:
@@ -324,25 +345,6 @@ def _parse(path: Path, header_line: int, names: list[str], wanted: list[str], ki
     )
 
 
-def _parse_with_care(
-    path: Path, header_line: int, names: list[str], wanted: list[str], strict: set[str]
-) -> dict[str, NDArray[np.float64]]:
-    """Column by column as text, to take what is numbers and to say which cell is none."""
-    try:
-        table = _parse(path, header_line, names, wanted, pa.string())
-    except pa.ArrowInvalid as error:
-        raise _ragged(path, header_line, len(names), error) from error
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name in wanted:
-        texts = table.column(name).to_pandas()
-        numbers = _numbers(
-            texts, name in strict, lambda row: {"line": _line_of(path, header_line, row)}, path, name
-        )
-        if numbers is not None:
-            columns[name] = numbers
-    return columns
-
-
 def _numbers(
     cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str
 ) -> NDArray[np.float64] | None:
@@ -356,13 +358,9 @@ def _numbers(
         if not strict and bad.sum() > len(cells) // 2:
             return None
         row = int(np.argmax(bad))
-        raise InputError(
-            f"'{cells.iloc[row]}' is not a number",
-            file=path,
-            column=name,
-            hint=number_hint(str(cells.iloc[row])),
-            **place(row),
-        )
+        cell = str(cells.iloc[row])
+        text, hint = f"'{cell}' is not a number", number_hint(cell)
+        raise InputError(text, file=path, column=name, hint=hint, **place(row))
     return numbers.to_numpy(dtype=float, na_value=np.nan)
 
 
@@ -389,119 +387,98 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
     return metadata
 
 
-def _ragged(path: Path, header_line: int, expected: int, error: Exception) -> InputError:
+def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
+    """Number and text of every line under the header that is not blank."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
-        for number, line in enumerate(stream, start=1):
-            cells = line.count(",") + 1
-            if number > header_line and line.strip() and cells != expected:
-                return InputError(
-                    f"has {cells} cells where the header names {expected} columns", file=path, line=number
-                )
-    return InputError(f"cannot be parsed: {str(error).splitlines()[0]}", file=path)
+        lines = enumerate(stream, start=1)
+        yield from ((at, line) for at, line in lines if at > header_line and line.strip())
+
+
+def _ragged(path: Path, header_line: int, expected: int, error: Exception) -> InputError:
+    for at, line in _samples(path, header_line):
+        cells = line.count(",") + 1
+        if cells != expected:
+            text = f"has {cells} cells where the header names {expected} columns"
+            return InputError(text, file=path, line=at)
+    return InputError(f"cannot be parsed: {first_line(error)}", file=path)
 
 
 def _line_of(path: Path, header_line: int, row: int) -> int:
     """Line of a sample, blank lines counted."""
-    with path.open("r", encoding="utf-8", errors="replace") as stream:
-        samples = -1
-        for number, line in enumerate(stream, start=1):
-            if number > header_line and line.strip():
-                samples += 1
-                if samples == row:
-                    return number
-    return header_line + 1 + row
+    samples = islice(_samples(path, header_line), row, None)
+    return next((at for at, _ in samples), header_line + 1 + row)
 
 
 # ---------------------------------------------------------------- Parquet
 
 
-def _read_parquet(
-    path: Path, required: list[str], optional: list[str] | None
-) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]], int]:
+def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     import pyarrow.parquet as pq
 
-    if not path.exists():
-        raise FileNotFoundError(2, "No such file or directory")
+    path.stat()  # what is not there is not damaged
     try:
         file = pq.ParquetFile(path)
-        names = list(file.schema_arrow.names)
-        _check_columns(names, required, path, None)
-        wanted = names if optional is None else [n for n in names if n in {TIME, *required, *optional}]
+        wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
         table = file.read(columns=wanted)
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, PermissionError):
             raise
-        first = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"is no readable Parquet file: {first}", file=path) from error
+        raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
     metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
-    strict = {TIME, *required, *(optional or ())}
     columns = {}
     for name in wanted:
         kind = table.schema.field(name).type
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
-            values = table.column(name).to_pandas()
-            columns[name] = values.to_numpy(dtype=float, na_value=np.nan)
-        elif name in strict:
+            columns[name] = table.column(name).to_pandas().to_numpy(dtype=float, na_value=np.nan)
+        elif name in {TIME, *required, *(optional or ())}:
             raise InputError(f"holds {kind}, not numbers", file=path, column=name)
-    return metadata, columns, 0
+    return Log(path, metadata, columns)
 
 
 # ---------------------------------------------------------------- checks
 
 
-def _check_columns(names: list[str], required: Sequence[str], path: Path, line: int | None) -> None:
-    for column in (TIME, *required):
-        if column in names:
-            continue
-        raise missing_column(column, names, path, line)
-    if names[0] != TIME:
-        raise InputError(f"the first column must be {TIME}", file=path, line=line, column=names[0])
-
-
-def _check(log: Log, required: Sequence[str], min_rows: int) -> None:
+def _check(log: Log, required: Sequence[str]) -> None:
+    """What a log must be; warnings of samples that are missing, and of values no swimmer reaches."""
     time = log.time_s
-    if len(time) < min_rows:
-        count = "no samples" if len(time) == 0 else f"{len(time)} samples"
-        raise InputError(f"has {count}; at least {min_rows} are needed", file=log.path)
-    if np.isnan(time).any():
-        row = int(np.argmax(np.isnan(time)))
-        raise InputError("has no value", file=log.path, column=TIME, **log.place(row))
+    if len(time) < 2:
+        raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
+    _refuse(np.isnan(time), "has no value", log, TIME)
     for name, values in log.columns.items():
-        if np.isinf(values).any():
-            row = int(np.argmax(np.isinf(values)))
-            raise InputError("is infinite", file=log.path, column=name, **log.place(row))
-    backwards = np.diff(time) <= 0
+        _refuse(np.isinf(values), "is infinite", log, name)
+    backwards = np.append(False, np.diff(time) <= 0)
     if backwards.any():
-        row = int(np.argmax(backwards)) + 1
-        what = "repeats" if time[row] == time[row - 1] else "goes back"
-        raise InputError(
-            f"time {what}: {time[row]!r} after {time[row - 1]!r}".replace("np.float64(", "").replace(")", ""),
-            file=log.path,
-            column=TIME,
-            hint="sort the rows and drop repeated ones",
-            **log.place(row),
-        )
+        before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
+        text = f"time {'repeats' if after == before else 'goes back'}: {after!r} after {before!r}"
+        _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:
         if np.isnan(log[name]).all():
             raise InputError("every sample is missing", file=log.path, column=name)
+    _warn_missing(log)
+    warn_units(log)
+
+
+def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
+    """Raise at the first bad sample, if there is one."""
+    if bad.any():
+        raise InputError(text, file=log.path, column=column, hint=hint, **log.place(int(np.argmax(bad))))
 
 
 def _warn_missing(log: Log) -> None:
     """One warning per log; columns with the same gaps are named together."""
-    found: dict[tuple[int, int], list[str]] = {}
+    gaps: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
         missing = np.isnan(values)
         if missing.any() and not missing.all():
-            found.setdefault((int(missing.sum()), longest_run(missing)), []).append(name)
-    if found:
-        parts = [
-            f"{count} of {len(log)} (longest run {run}) in {', '.join(names)}"
-            for (count, run), names in sorted(found.items())
-        ]
-        warn(
-            "SWM001", f"{log.path.name}: samples are missing, {'; '.join(parts)}; they are masked, not filled"
-        )
+            gaps.setdefault((int(missing.sum()), longest_run(missing)), []).append(name)
+    parts = [
+        f"{count} of {len(log)} (longest run {run}) in {', '.join(names)}"
+        for (count, run), names in sorted(gaps.items())
+    ]
+    if parts:
+        text = f"samples are missing, {'; '.join(parts)}; they are masked, not filled"
+        warn("SWM001", f"{log.path.name}: {text}")
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -543,9 +520,8 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     """
     import pandas as pd
 
-    path = Path(path)
+    path, lines = Path(path), _metadata_lines(metadata or {})
     frame = pd.DataFrame(dict(columns))
-    lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
     with atomic.replacing(path) as temporary:
         if path.suffix.lower() in PARQUET_ENDINGS:
             import pyarrow.parquet as pq
@@ -557,3 +533,61 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
             with open(temporary, "w", encoding="utf-8", newline="\n") as stream:
                 stream.writelines(f"# {line}\n" for line in lines)
                 frame.to_csv(stream, index=False, lineterminator="\n")
+
+
+def write_numbers(
+    path: str | Path,
+    columns: Mapping[str, NDArray[np.float64]],
+    metadata: Mapping[str, Any],
+    *,
+    step: Callable[[int], None] = lambda amount: None,
+) -> None:
+    """Write a log of numbers piece by piece, whole or not at all; what :func:`write` is for few samples.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        ``t_s`` first. NaN becomes an empty cell, every other number keeps its last bit.
+    step : callable
+        Called with the number of samples of each piece.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    from pyarrow import csv
+    from pyarrow import parquet as pq
+
+    path, lines = Path(path), _metadata_lines(metadata)
+    stored = {b"swimid": "\n".join(lines).encode()} if path.suffix.lower() in PARQUET_ENDINGS else None
+    schema = pa.schema([(name, pa.float64()) for name in columns], metadata=stored)
+
+    def piece(start: int) -> pa.Table:
+        rows = slice(start, start + ROWS)
+        return pa.Table.from_arrays(
+            [pa.array(v[rows], from_pandas=True) for v in columns.values()], schema=schema
+        )
+
+    def printed(table: pa.Table) -> tuple[int, pa.Buffer]:
+        sink = pa.BufferOutputStream()
+        csv.write_csv(table, sink, csv.WriteOptions(include_header=False))
+        return len(table), sink.getvalue()
+
+    tables = map(piece, range(0, len(columns[TIME]), ROWS))
+    with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
+        if stored is not None:
+            # Measured numbers hardly ever repeat: a dictionary of them only costs time.
+            with pq.ParquetWriter(stream, schema, use_dictionary=False, write_statistics=False) as writer:
+                for table in tables:
+                    writer.write_table(table)
+                    step(len(table))
+            return
+        stream.writelines(f"# {line}\n".encode() for line in lines)
+        stream.write((",".join(columns) + "\n").encode())
+        # Printing numbers is the slow part, and runs beside itself; the pieces stay in order.
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for count, text in worked_ahead(pool, printed, tables, WORKERS):
+                stream.write(text)
+                step(count)
+
+
+def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
+    return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]

@@ -25,7 +25,7 @@ from swimid.logs.foreign import Options, Source, open_source
 from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.progress import Progress, silent
 
-FORMAT = "swimid-mapping/1"
+FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 #: A column by its name in the file, or by its number from 1.
@@ -150,28 +150,17 @@ def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
     Raises
     ------
     InputError
-        With the key of what is wrong in it.
+        With line and key of what is wrong in it.
     """
     if isinstance(given, Mapping):
         return given
     if isinstance(given, dict):
         return yamlio.validate({"format": FORMAT} | given, Mapping, "mapping")
-    return read(given)
-
-
-def read(path: str | Path) -> Mapping:
-    """Read a mapping file.
-
-    Raises
-    ------
-    InputError
-        With line and key of what is wrong in it.
-    """
-    return yamlio.validated(path, Mapping)
+    return yamlio.validated(given, Mapping)
 
 
 def apply(mapping: Mapping | None, given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
-    """Read a foreign log through a mapping; without one as :func:`identity` does.
+    """Read a foreign log through a mapping; without one its columns must have the names of the log format.
 
     Parameters
     ----------
@@ -187,47 +176,34 @@ def apply(mapping: Mapping | None, given: str | Path | Log, *, progress: Progres
         The file cannot be read, has no such column, or holds what is no number; names file,
         line and column.
     """
-    if mapping is None:
-        return identity(given, progress=progress)
-    source = open_source(given, mapping.reader)
-    try:
-        return _mapped(mapping, path_of(given), source, progress)
-    finally:
-        source.close()
-
-
-def identity(given: str | Path | Log, *, progress: Progress = silent) -> MappedLog:
-    """Read a log whose columns have the names of the log format already, without checking its times.
-
-    Raises
-    ------
-    InputError
-        As :func:`apply`; also where there is no column ``t_s``.
-    """
     path = path_of(given)
-    source = open_source(given)
+    source = open_source(given, None if mapping is None else mapping.reader)
     try:
-        names = [column.name for column in source.columns]
-        if TIME not in names:
-            raise InputError(
-                "this column is missing",
-                file=path,
-                column=TIME,
-                hint=f"a mapping says which column is which (swimid import --guess writes one); "
-                f"the file has: {', '.join(names[:20])}",
-            )
-        text = [column.name for column in source.columns if column.kind != "number"]
-        wanted = [TIME, *(n for n in names if n != TIME and n not in text and _NAME.fullmatch(n))]
-        if wanted == [TIME]:
-            raise InputError("holds no column of numbers beside the time", file=path)
-        columns = [Column(source=name, target=name) for name in wanted]
-        read_as = Mapping(format="swimid-mapping/1", columns=columns)
-        found = _mapped(read_as, path, source, progress)
+        mapped = _mapped(_identity(source, path) if mapping is None else mapping, path, source, progress)
     finally:
         source.close()
-    if text and not written_by(found.metadata, "swimid"):
-        found.notes.append(f"columns of text left out: {', '.join(text)}")
-    return found
+    text = [column.name for column in source.columns if column.kind != "number"]
+    if mapping is None and text and not written_by(mapped.metadata, "swimid"):
+        mapped.notes.append(f"columns of text left out: {', '.join(text)}")
+    return mapped
+
+
+def _identity(source: Source, path: Path) -> Mapping:
+    """The mapping of a log whose columns have the names of the log format already."""
+    names = [column.name for column in source.columns]
+    if TIME not in names:
+        raise InputError(
+            "this column is missing",
+            file=path,
+            column=TIME,
+            hint=f"a mapping says which column is which (swimid import --guess writes one); "
+            f"the file has: {', '.join(names[:20])}",
+        )
+    numbers = [column.name for column in source.columns if column.kind == "number"]
+    wanted = [TIME, *(name for name in numbers if name != TIME and _NAME.fullmatch(name))]
+    if wanted == [TIME]:
+        raise InputError("holds no column of numbers beside the time", file=path)
+    return Mapping(format=FORMAT, columns=[Column(source=name, target=name) for name in wanted])
 
 
 def _mapped(mapping: Mapping, path: Path, source: Source, progress: Progress) -> MappedLog:
@@ -235,7 +211,7 @@ def _mapped(mapping: Mapping, path: Path, source: Source, progress: Progress) ->
     sources = {column.target: _resolve(column.source, source, path) for column in mapping.columns}
     if time is not None and time.source is not None:
         sources = {TIME: _resolve(time.source, source, path), **sources}
-    rate = _rate(time, source, path) if time is not None and time.rate_hz is not None else None
+    rate = _rate(time.rate_hz, source, path) if time is not None and time.rate_hz is not None else None
     _same_length(sources, source, path)
     pieces: dict[str, list[NDArray[Any]]] = {target: [] for target in sources}
     with progress(f"reading {path.name}", total=source.steps) as step:
@@ -251,27 +227,19 @@ def _mapped(mapping: Mapping, path: Path, source: Source, progress: Progress) ->
     columns: dict[str, NDArray[np.float64]] = {}
     if rate is not None:
         columns[TIME] = np.arange(count) / rate
-    notes = list(source.notes)
+    elif time is not None:
+        columns[TIME] = _seconds(np.concatenate(pieces.pop(TIME)), time, metadata)
     by_target = {column.target: column for column in mapping.columns}
-    for target in [TIME, *(name for name in sources if name != TIME)]:
-        if target not in pieces:
-            continue
+    for target in sorted(pieces, key=lambda name: name != TIME):
         whole = np.concatenate(pieces.pop(target))
-        if target == TIME and time is not None:
-            columns[TIME] = _seconds(whole, time, metadata)
-            continue
-        if whole.dtype.kind == "M":
-            if target != TIME:
-                raise InputError("holds dates, not numbers", file=path, column=sources[target])
-            columns[TIME] = _epoch_seconds(whole)
-            continue
-        column = by_target[target]
-        columns[target] = _converted(whole, column.scale, column.offset)
+        if whole.dtype.kind == "M" and target != TIME:
+            raise InputError("holds dates, not numbers", file=path, column=sources[target])
+        dates = whole.dtype.kind == "M"
+        columns[target] = epoch_seconds(whole) if dates else _converted(whole, by_target[target])
     infinite = [name for name, values in columns.items() if _without_infinity(values)]
-    if infinite:
-        notes.append(f"infinite values taken as missing in {', '.join(infinite)}")
+    told = [f"infinite values taken as missing in {', '.join(infinite)}"] if infinite else []
     rows = np.arange(1, count + 1, dtype=np.int64) if lines is None else lines
-    return MappedLog(path, columns, rows, metadata, notes)
+    return MappedLog(path, columns, rows, metadata, [*source.notes, *told])
 
 
 def _short(value: Any) -> Any:
@@ -281,41 +249,35 @@ def _short(value: Any) -> Any:
 
 def _resolve(key: str | int, source: Source, path: Path) -> str:
     """The name of the column a mapping means."""
-    names = [column.name for column in source.columns]
-    if isinstance(key, str) and key in names:
-        found = key
+    kinds = {column.name: column.kind for column in source.columns}
+    names = list(kinds)
+    if isinstance(key, str) and key in kinds:
+        name = key
     elif isinstance(key, int) or key.isdecimal():
         if not 1 <= int(key) <= len(names):
             raise InputError(f"has {len(names)} columns, no column {key}", file=path)
-        found = names[int(key) - 1]
+        name = names[int(key) - 1]
     else:
         loose = [name for name in names if name.strip().lower() == key.strip().lower()]
         if len(loose) != 1:
             close = nearest(key, names)
-            raise InputError(
-                "there is no such column",
-                file=path,
-                column=key,
-                hint=f"did you mean '{close}'?" if close else f"the file has: {', '.join(names[:30])}",
-            )
-        found = loose[0]
-    if next(column.kind for column in source.columns if column.name == found) == "text":
-        raise InputError("holds text, not numbers", file=path, column=found)
-    return found
+            hint = f"did you mean '{close}'?" if close else f"the file has: {', '.join(names[:30])}"
+            raise InputError("there is no such column", file=path, column=key, hint=hint)
+        name = loose[0]
+    if kinds[name] == "text":
+        raise InputError("holds text, not numbers", file=path, column=name)
+    return name
 
 
-def _rate(time: Time, source: Source, path: Path) -> float:
-    if not isinstance(time.rate_hz, str):
-        assert time.rate_hz is not None
-        return time.rate_hz
-    if time.rate_hz not in source.scalars:
-        known = ", ".join(source.scalars) or "none"
-        raise InputError(
-            f"holds no number '{time.rate_hz}' for the rate", file=path, hint=f"single numbers in it: {known}"
-        )
-    rate = source.scalars[time.rate_hz]
+def _rate(given: float | str, source: Source, path: Path) -> float:
+    if not isinstance(given, str):
+        return given
+    if given not in source.scalars:
+        hint = f"single numbers in it: {', '.join(source.scalars) or 'none'}"
+        raise InputError(f"holds no number '{given}' for the rate", file=path, hint=hint)
+    rate = source.scalars[given]
     if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"its rate '{time.rate_hz}' is {rate:g} Hz", file=path)
+        raise InputError(f"its rate '{given}' is {rate:g} Hz", file=path)
     return rate
 
 
@@ -333,15 +295,13 @@ def _same_length(sources: dict[str, str], source: Source, path: Path) -> None:
 
 def _numbers(values: NDArray[Any], name: str, missing: Sequence[float | str], path: Path) -> NDArray[Any]:
     """Numbers or dates of one piece, markers of missing samples made NaN."""
-    if values.dtype.kind == "M":
-        return values
-    if values.dtype.kind not in "iufb":
+    if values.dtype.kind not in "iufbM":
         try:
             values = values.astype(float)
         except (TypeError, ValueError) as error:
             raise InputError(f"holds what is no number: {error}", file=path, column=name) from error
     marks = [mark for mark in missing if isinstance(mark, int | float)]
-    if marks:
+    if marks and values.dtype.kind != "M":
         values = np.where(np.isin(values, np.asarray(marks, dtype=values.dtype)), np.nan, values)
     return values
 
@@ -363,22 +323,21 @@ def _seconds(values: NDArray[Any], time: Time, metadata: dict[str, Any]) -> NDAr
     return seconds if known.all() else np.where(known, seconds, np.nan)
 
 
-def _epoch_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
-    return _seconds(values, Time(source=1), {})
+def epoch_seconds(values: NDArray[Any]) -> NDArray[Any]:
+    """Dates as seconds since 1970, NaN where missing; numbers as they are."""
+    return _seconds(values, Time(source=1), {}) if values.dtype.kind == "M" else values
 
 
-def _converted(values: NDArray[Any], scale: float, offset: float) -> NDArray[np.float64]:
+def _converted(values: NDArray[Any], column: Column) -> NDArray[np.float64]:
     numbers = values.astype(np.float64, copy=False)
-    if scale != 1.0:
-        numbers = np.multiply(numbers, scale, out=numbers if numbers.flags.writeable else None)
-    return numbers + offset if offset else numbers
+    if column.scale != 1.0:
+        numbers = np.multiply(numbers, column.scale, out=numbers if numbers.flags.writeable else None)
+    return numbers + column.offset if column.offset else numbers
 
 
 def _without_infinity(values: NDArray[np.float64]) -> bool:
     """Make infinite values missing, in place; whether there were any."""
-    ends = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-    if not np.isinf(ends).any():
+    if not np.isinf((np.fmin.reduce(values), np.fmax.reduce(values))).any():
         return False
-    infinite = np.isinf(values)
-    values[infinite] = np.nan
+    values[np.isinf(values)] = np.nan
     return True

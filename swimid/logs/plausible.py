@@ -20,7 +20,7 @@ WIDEST_M = 100.0
 #: Speeds and turn rates of a track are taken over at least this, so that noise and a jump do not make them.
 LAG_S = 0.1
 #: Share of the record below which they may lie above the limit: jumps of a tracker.
-SHARE = 0.05
+OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,11 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     columns : mapping of str to ndarray, each shape (n,)
         With or without ``t_s``; NaN where missing.
     """
-    found = []
+    texts: dict[str, str | None] = {}
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= 5 and np.ptp(time_s) >= 2000:
-        found.append(Doubt("t_s", "the steps look like milliseconds (a factor of 1000)"))
-    for name, values in columns.items():
-        text = None if name == "t_s" else _doubt(name, time_s, values)
-        if text is not None:
-            found.append(Doubt(name, text))
-    return found
+        texts["t_s"] = "the steps look like milliseconds (a factor of 1000)"
+    texts |= {name: _doubt(name, time_s, values) for name, values in columns.items() if name != "t_s"}
+    return [Doubt(name, text) for name, text in texts.items() if text is not None]
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
@@ -76,7 +73,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Rate of change that all but :data:`SHARE` of a record stays below; 0 of too short a one."""
+    """Rate of change that all but :data:`OUTLIER_SHARE` of a record stays below; 0 of too short a one."""
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
     if len(t) < 3 or not np.median(np.diff(t)) > 0:
@@ -87,7 +84,7 @@ def _usual_rate(time_s: Array, values: Array) -> float:
     steps = t[lag:] - t[:-lag]
     forward = steps > 0
     rates = np.abs(x[lag:] - x[:-lag])[forward] / steps[forward]
-    return float(np.quantile(rates, 1.0 - SHARE)) if len(rates) else 0.0
+    return float(np.quantile(rates, 1.0 - OUTLIER_SHARE)) if len(rates) else 0.0
 
 
 def _ends(values: Array) -> tuple[float, float]:

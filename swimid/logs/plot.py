@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Self
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
@@ -17,13 +17,10 @@ from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import page, sheet
-from swimid.results.evidence import Evidence, NoticeRecord, Verdict
+from swimid.results import blocks, page, sheet
+from swimid.results.evidence import Evidence, Verdict
 from swimid.results.result import Result
 from swimid.results.sections import Section
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 PAGES = (".html", ".htm")
 PICTURES = (".svg", ".png")
@@ -126,7 +123,10 @@ def plot(
     >>> plot(pd.DataFrame({"t_s": t, "yaw_rad": 0.2 * np.sin(9 * t)})).figure_names
     ['channels', 'spectra-log']
     """
-    given = _once(logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs])
+    listed = logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    given = [Path(one) if isinstance(one, str | Path) else one for one in listed]
+    # a path named twice is drawn once
+    given = list({one if isinstance(one, Path) else at: one for at, one in enumerate(given)}.values())
     if not given:
         raise UsageError("name at least one log to draw")
     if output is not None:
@@ -142,23 +142,13 @@ def plot(
         title=heading,
         verdict=_nothing_judged(records),
         figures=figures,
-        notices=[NoticeRecord(code=n.code, text=n.text) for n in notices],
+        notices=blocks.notices(notices),
     )
-    names = [str(provenance.path_of(one)) for one in inputs]
-    data = {"logs": names, "figures": [figure.id for figure in figures]}
+    paths = [str(provenance.path_of(one)) for one in inputs]
+    data = {"logs": paths, "figures": [figure.id for figure in figures]}
     text = f"{heading}: {', '.join(figure.title for figure in figures)}"
     drawn = Drawn("plot", text, data, evidence=proof, document=records, inputs=inputs, progress=progress)
-    return drawn if output is None else drawn.save(output)
-
-
-def _once(logs: Sequence[Any]) -> list[Path | Log | pd.DataFrame]:
-    """Each log once, paths as such."""
-    found: list[Any] = []
-    for one in logs:
-        path = Path(one) if isinstance(one, str | Path) else None
-        if path is None or path not in [p for p in found if isinstance(p, Path)]:
-            found.append(one if path is None else path)
-    return found
+    return drawn.saved(output)
 
 
 def _nothing_judged(records: Sequence[Log]) -> Verdict:

@@ -44,16 +44,15 @@ def direction(text: str) -> Array | None:
     """
     if text == "line":
         return None
-    sign, axis = (-1.0, text[1:]) if text[:1] in ("-", "+") and text[1:] in AXES else (1.0, text)
-    if axis in AXES:
-        return (sign if text.startswith("-") else 1.0) * np.array(AXES[axis])
+    if text[-1:] in AXES and text[:-1] in ("", "-", "+"):
+        return (-1.0 if text[0] == "-" else 1.0) * np.array(AXES[text[-1]])
     try:
-        found = np.array([float(part) for part in text.split(",")])
+        parts = np.array([float(part) for part in text.split(",")])
     except ValueError:
-        found = np.empty(0)
-    if len(found) not in (2, 3) or not np.isfinite(found).all() or not found.any():
+        parts = np.empty(0)
+    if len(parts) not in (2, 3) or not np.isfinite(parts).all() or not parts.any():
         raise ValueError(f"'{text}' is no direction: give line, x, -y, z or components as in 0.6,-0.8")
-    return np.pad(found, (0, 3 - len(found))) / np.linalg.norm(found)
+    return np.pad(parts, (0, 3 - len(parts))) / np.linalg.norm(parts)
 
 
 def project(positions: Sequence[Array], towards: Array | None) -> Projection:
@@ -84,10 +83,5 @@ def project(positions: Sequence[Array], towards: Array | None) -> Projection:
             towards = -towards
     along = centred @ towards
     across = centred[there] - np.outer(along[there], towards)
-    first = along[there][0]
-    return Projection(
-        along - first,
-        towards,
-        float(np.sqrt(np.mean(np.sum(across**2, axis=1)))),
-        float(np.ptp(along[there])),
-    )
+    rms = float(np.sqrt(np.mean(np.sum(across**2, axis=1))))
+    return Projection(along - along[there][0], towards, rms, float(np.ptp(along[there])))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from swimid.logs.beat import FEWEST_CYCLES, SHARE, TOLERANCE, Beat, find_beats, multiple
+from swimid.logs.beat import FEWEST_CYCLES, MIN_SHARE, TOLERANCE, Beat, find_beats, multiple
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -43,11 +43,11 @@ FASTEST_STROKE_HZ = 20.0
 #: Rate above which a channel is averaged before its beat is sought, Hz.
 FASTEST_HZ = 60.0
 #: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
-WHOLE, MOST = 0.8, 20_000
+WHOLE, MAX_SAMPLES = 0.8, 20_000
 #: Highest harmonic reported, and how many standard errors its amplitude must exceed: noise, whose amplitude
 #: is Rayleigh's, does so in one of a hundred records.
 HARMONICS = 5
-CLEAR = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
+HARMONIC_Z = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
 
 
 @dataclass(frozen=True)
@@ -106,11 +106,6 @@ class Rhythm:
         if self.beat.frequency_hz > FASTEST_STROKE_HZ:
             said.append(f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but tiny fish beat")
         return "; ".join(said)
-
-    @property
-    def interval_hz(self) -> tuple[float, float]:
-        """95 % interval of the stroke frequency, Hz."""
-        return self.beat.interval_hz
 
     @property
     def period_s(self) -> tuple[float, float]:
@@ -189,23 +184,33 @@ def find(
     averaged. What contradicts it is kept as :attr:`Rhythm.rivals`, but where the frequency is stated.
     """
     track = swing(columns)
-    once = {name: values for name, values in columns.items() if SIDEWAYS.fullmatch(name)}
-    once |= {name: values for name, values in track.items() if name == "sway"}
-    twice = {name: values for name, values in columns.items() if PUSHED.fullmatch(name)}
-    twice |= {name: values for name, values in track.items() if name != "sway"}
+    channels = {**columns, **track}
+    once = {name: values for name, values in channels.items() if SIDEWAYS.fullmatch(name)}
+    pushed_by = [name for name in channels if PUSHED.fullmatch(name) or name in track.keys() - {"sway"}]
+    twice = {name: channels[name] for name in pushed_by}
     ranges = [range_hz]
     if stated_hz is not None and range_hz is None:
         ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
     for within in ranges:
         pushed = _beats(time_s, twice, within)
         swung = _beats(time_s, once, within)
-        if not swung and not pushed:
+        beats = swung or pushed
+        if not beats:
             continue
-        seen = {**swung, **pushed}
-        chosen = _chosen(swung or pushed, seen)
+        chosen = _chosen(beats, swung | pushed)
         told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= TOLERANCE * stated_hz
-        rivals = {} if told else _rivals(chosen, seen)
-        return _rhythm(time_s, {**once, **twice}, chosen, swung or pushed, rivals, double=not swung)
+        # the channel at the stroke that tells it best
+        at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
+        best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
+        channel = min(best, key=lambda name: best[name].stderr_hz)
+        return Rhythm(
+            best[channel],
+            channel,
+            _harmonics(*_as_logged(time_s, _swing_of(channels, channel)), best[channel].frequency_hz),
+            {name: found[0] for name, found in beats.items()},
+            maybe_double=not swung,
+            rivals={} if told else _rivals(chosen, swung | pushed),
+        )
     return None
 
 
@@ -245,30 +250,11 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
             beat
             for beat in beats
             if not multiple(beat, chosen)
-            and (beat.amplitude**2 >= SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
+            and (beat.amplitude**2 >= MIN_SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
         ]
         if against:
             found[name] = max(against, key=lambda beat: beat.amplitude)
     return found
-
-
-def _rhythm(
-    time_s: Array,
-    columns: Mapping[str, Array],
-    chosen: Beat,
-    beats: Mapping[str, list[Beat]],
-    rivals: dict[str, Beat],
-    *,
-    double: bool,
-) -> Rhythm:
-    """The stroke as the channel shows it that tells it best."""
-    at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
-    best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
-    channel = min(best, key=lambda name: best[name].stderr_hz)
-    values = _unwrapped(columns[channel]) if channel.endswith("_rad") else columns[channel]
-    harmonics = _harmonics(*_as_logged(time_s, values), best[channel].frequency_hz)
-    first = {name: found[0] for name, found in beats.items()}
-    return Rhythm(best[channel], channel, harmonics, first, double, rivals)
 
 
 def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
@@ -285,29 +271,33 @@ def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
+    """The beats of the channels that beat at all."""
     low, high = within or (None, None)
     found = {}
-    for name, values in columns.items():
-        time, prepared = _prepared(time_s, _unwrapped(values) if name.endswith("_rad") else values)
-        beats = find_beats(time, prepared, lowest_hz=low, highest_hz=high) if len(time) else []
-        if beats:
-            found[name] = beats
-    return found
+    for name in columns:
+        time, prepared = _prepared(time_s, _swing_of(columns, name))
+        found[name] = find_beats(time, prepared, lowest_hz=low, highest_hz=high)
+    return {name: beats for name, beats in found.items() if beats}
 
 
-def _unwrapped(angle: Array) -> Array:
-    """An angle without its jumps by a turn."""
-    known = np.isfinite(angle)
-    smooth = angle.copy()
-    smooth[known] = np.unwrap(angle[known])
-    return smooth
+def _swing_of(columns: Mapping[str, Array], name: str) -> Array:
+    """A channel, an angle without its jumps by a turn."""
+    values = columns[name]
+    if name.endswith("_rad"):
+        known = np.isfinite(values)
+        values = values.copy()
+        values[known] = np.unwrap(values[known])
+    return values
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     """A channel not faster than a stroke needs: its longest stretch, evenly; or all of it, with its gaps."""
     time, even = longest_even(time_s, values, FASTEST_HZ)
     there = np.isfinite(values)
-    if len(time) < WHOLE * there.sum() <= MOST and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0:
+    if (
+        len(time) < WHOLE * there.sum() <= MAX_SAMPLES
+        and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0
+    ):
         time, even = time_s[there], values[there]
     known = np.isfinite(even)
     if known.sum() < 16 or np.ptp(even[known]) == 0:
@@ -329,17 +319,12 @@ def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
     t, x = time[known] - time[known].mean(), values[known]
     nyquist = 0.5 / float(np.median(np.diff(time)))
     orders = [k for k in range(1, HARMONICS + 1) if k * frequency < 0.9 * nyquist]
-    span = max(float(np.ptp(t)), 1e-300)
-    design = [(t / span) ** k for k in range(4)]
-    for k in orders:
-        design += [np.cos(2 * np.pi * k * frequency * t), np.sin(2 * np.pi * k * frequency * t)]
-    matrix = np.column_stack(design)
+    drift = [(t / max(float(np.ptp(t)), 1e-300)) ** k for k in range(4)]
+    waves = [wave(2 * np.pi * k * frequency * t) for k in orders for wave in (np.cos, np.sin)]
+    matrix = np.column_stack(drift + waves)
     weights = np.linalg.lstsq(matrix, x, rcond=None)[0]
     left = x - matrix @ weights
     stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))
-    found = []
-    for index, k in enumerate(orders):
-        amplitude = float(np.hypot(*weights[4 + 2 * index : 6 + 2 * index]))
-        if k == 1 or amplitude > CLEAR * stderr:
-            found.append(Harmonic(k, amplitude, stderr))
-    return found
+    amplitudes = np.hypot(weights[4::2], weights[5::2])
+    harmonics = [Harmonic(k, float(size), stderr) for k, size in zip(orders, amplitudes, strict=True)]
+    return [one for one in harmonics if one.order == 1 or one.amplitude > HARMONIC_Z * stderr]

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+#: A pause longer than this many sample times is a gap.
+PAUSE = 6.0
 #: A step within this share of a whole number of sample times lies on the grid.
 ON_GRID = 0.15
 #: Fewer steps on the grid than this share: the record is not uniformly sampled.
-ENOUGH = 0.8
+UNIFORM_SHARE = 0.8
 #: Root-mean-square jitter, in sample times, from which on it is worth a warning.
 NOTABLE_JITTER = 0.05
 #: Steps a record needs before its stamps may be explained by rounding.
@@ -51,7 +53,7 @@ class Rate:
     @property
     def uniform(self) -> bool:
         """Whether a constant rate describes the record at all."""
-        return self.on_grid >= ENOUGH
+        return self.on_grid >= UNIFORM_SHARE
 
 
 def usual_step(time_s: np.ndarray) -> float:
@@ -62,6 +64,12 @@ def usual_step(time_s: np.ndarray) -> float:
     """
     steps = np.diff(time_s[:LONGEST_SOUGHT])
     return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
+    """Samples after which there is none for longer than :data:`PAUSE` sample times."""
+    steps = np.diff(time_s) if len(time_s) > 2 else np.empty(0)
+    return np.flatnonzero(steps > PAUSE * (usual_step(time_s) if step_s is None else step_s))
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,7 @@ def _rounded_grid(time_s: np.ndarray, starts: Sequence[float]) -> tuple[float, n
             size = min(n, size + size // 2)
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
-        if np.mean(np.diff(number) == 1) < ENOUGH:
+        if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
             continue  # any rounded stamps lie on the grid of their unit, with many samples missing
         off = time_s - origin - step * number
         # The line is fitted: its own error comes on top of half a unit.
@@ -268,22 +276,16 @@ def longest_even(
         middle = slice(first, first + LONGEST_SOUGHT)
         time_s, values = time_s[middle], values[middle]
     known = np.flatnonzero(np.isfinite(values))
-    if len(known) < 2:
-        return np.empty(0), np.empty(0)
-    t = time_s[known]
-    step = float(np.median(np.diff(t)))
-    cuts = np.flatnonzero(np.diff(t) > 6 * step) + 1
-    t, x = max(
-        zip(np.split(t, cuts), np.split(values[known], cuts), strict=True), key=lambda part: len(part[0])
-    )
-    if len(t) < 2:
-        return np.empty(0), np.empty(0)
-    block = max(int(1 / (fastest_hz * step)), 1)
-    if block > 1:
-        count = min(len(t) // block, most)
-        t = t[: count * block].reshape(count, block).mean(axis=1)
-        x = x[: count * block].reshape(count, block).mean(axis=1)
-    t, x = t[:most], x[:most]
+    t, x = time_s[known], values[known]
+    if len(t) > 1:
+        step = usual_step(t)
+        block = max(int(1 / (fastest_hz * step)), 1)
+        cuts = pauses(t, step) + 1
+        t, x = max(zip(np.split(t, cuts), np.split(x, cuts), strict=True), key=lambda part: len(part[0]))
+        if block > 1 and len(t) > 1:
+            count = min(len(t) // block, most)
+            t, x = (part[: count * block].reshape(count, block).mean(axis=1) for part in (t, x))
+        t, x = t[:most], x[:most]
     if len(t) < 2:
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from swimid.logs import figures as log_figures
 from swimid.logs import log
 from swimid.logs.log import Log
+from swimid.logs.sampling import pauses
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader
@@ -19,6 +20,7 @@ from swimid.results.sections import LONG_TABLE, Block, Cell, Grid, Section, mapp
 @reader(endings=(".csv", ".parquet", ".pq"), read=log.read)
 def section(path: Path, record: Log, evidence: Evidence | None) -> Section:
     """The section of a log; without evidence its channels over time, gaps shaded."""
+    time = record.time_s
     channels = {name: values for name, values in record.columns.items() if name != log.TIME}
     blocks: list[Block] = [_summary(record, channels)]
     if evidence is None:
@@ -36,40 +38,29 @@ def section(path: Path, record: Log, evidence: Evidence | None) -> Section:
         kind="Log",
         title=f"Log {path.name}",
         verdict=verdict,
-        facts=_facts(record),
+        facts=[
+            ("Samples", str(len(record))),
+            ("Duration", numbers.number(float(time[-1] - time[0]), unit="s")),
+            ("Median rate", numbers.number(1.0 / float(np.median(np.diff(time))), unit="Hz")),
+        ],
         blocks=blocks,
         data={"metadata": record.metadata, "samples": len(record), "channels": list(channels)},
     )
 
 
-def _facts(record: Log) -> list[tuple[str, str]]:
-    time = record.time_s
-    return [
-        ("Samples", str(len(time))),
-        ("Duration", numbers.number(float(time[-1] - time[0]), unit="s")),
-        ("Median rate", numbers.number(1.0 / float(np.median(np.diff(time))), unit="Hz")),
-    ]
-
-
 def _summary(record: Log, channels: dict[str, NDArray[np.float64]]) -> Grid:
-    rows = []
+    rows, after = [], pauses(record.time_s)
     for name, values in channels.items():
         known = values[np.isfinite(values)]
-        ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
-        rows.append(
-            [
-                Cell(name, "code"),
-                Cell(numbers.unit_text(numbers.split_unit(name)[1])),
-                Cell(numbers.number(ends[0]), numeric=True),
-                Cell(numbers.number(ends[1]), numeric=True),
-                Cell(numbers.percent(1 - len(known) / len(values)), numeric=True),
-                Cell(numbers.number(_longest_gap(record.time_s, values), 3, "s"), numeric=True),
-            ]
+        gaps = log_figures.missing(record.time_s, values, after)
+        told = (
+            numbers.number(float(known.min()) if len(known) else None),
+            numbers.number(float(known.max()) if len(known) else None),
+            numbers.percent(1 - len(known) / len(values)),
+            numbers.number(max((end - start for start, end in gaps), default=0.0), 3, "s"),
         )
+        unit = numbers.unit_text(numbers.split_unit(name)[1])
+        rows.append([Cell(name, "code"), Cell(unit), *(Cell(text, numeric=True) for text in told)])
     columns = ["Channel", "Unit", "Smallest", "Largest", "Missing", "Longest gap"]
     caption = "Good: few samples missing, in gaps short against one stroke."
     return Grid("Channels", columns, rows, caption, folded=len(rows) > LONG_TABLE)
-
-
-def _longest_gap(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
-    return max((end - start for start, end in log_figures.missing(time, values)), default=0.0)

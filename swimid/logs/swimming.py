@@ -12,19 +12,19 @@ from scipy import stats
 
 from swimid.logs import rhythm, track_speed
 from swimid.logs.beat import Beat
-from swimid.logs.interval import Estimate, mean_of_blocks
 from swimid.logs.log import runs
 from swimid.logs.track_cleaning import Cleaning, gaps
+from swimid.logs.track_speed import Estimate, mean_of_blocks
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Blocks a track without a stroke is cut into, and the most of any track: of more strokes several make one.
-PLAIN, MOST = 20, 200
+PLAIN, MAX_BLOCKS = 20, 200
 #: Measured samples a window needs.
 SHORTEST = 12
 #: Blocks a steady part has at least, as many as tell a trend from their scatter.
-FEWEST = 5
+MIN_BLOCKS = 5
 #: A block slower than this share of the cruise (the 90th percentile) belongs to start, coasting or rest.
 CRUISE = 0.5
 #: A steady part changes its speed by no more than this share from its start to its end, or by chance;
@@ -36,7 +36,7 @@ START, STOP = 1 / 2, 1 / 3
 #: Strokes that tell one amplitude.
 STROKES = 2.0
 #: An amplitude stands clear where it is so many times its standard error, and the track's own error.
-CLEAR = 3.0
+AMPLITUDE_Z = 3.0
 #: A point that is never slower than this share of its mean speed has a course at all times.
 SLOWEST = 0.2
 #: A point whose course turns by more than this between blocks (rad) is no swimmer under way.
@@ -130,9 +130,6 @@ class _Blocks:
     velocity: Array
     speed: Array
 
-    def part(self, rows: slice) -> _Blocks:
-        return _Blocks(self.middle[rows], self.duration[rows], self.velocity[:, rows], self.speed[rows])
-
 
 def figures(track: Track, window_s: tuple[float | None, float | None] = (None, None)) -> Swimming:
     """Speeds, accelerations and stroke of a track.
@@ -149,7 +146,7 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke, each taken as an arc of a circle. The steady part is in the longest run of blocks that are not
     slower than half of the cruise. Its start and its end are cut off by the marginal standard error rule
     [1]_: as few blocks as leave the mean of the rest as sure as can be, within one standard error. What is
-    left must hold :data:`FEWEST` blocks, and its speed must not change but by chance or by :data:`LEVEL`.
+    left must hold :data:`MIN_BLOCKS` blocks, and its speed must not change but by chance or by :data:`LEVEL`.
 
     References
     ----------
@@ -168,20 +165,21 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
         end = end if window_s[1] is None else min(window_s[1], end)
     stroke, doubt = _stroke(track, begin, end)
     blocks = _blocks(track, begin, end, _period(stroke))
-    advance = change = along = across = None
-    if len(blocks.middle) >= 3:
-        advance = _positive(mean_of_blocks(blocks.speed, blocks.duration))
-        along = _slope(blocks.middle, blocks.speed)
-        across = (_slope(blocks.middle, blocks.velocity[0]), _slope(blocks.middle, blocks.velocity[1]))
-        change = _change(blocks)
-    frequency = None
-    amplitudes: dict[str, Estimate] = {}
-    if stroke is not None:
-        frequency = Estimate(stroke.frequency_hz, *stroke.interval_hz)
-        amplitudes = _amplitudes(track, begin, end, stroke.frequency_hz)
-    path = _path_speed(track, begin, end)
+    told = len(blocks.middle) >= 3
+    vx, vy = blocks.velocity
     return Swimming(
-        begin, end, kind, path, advance, change, along, across, stroke, frequency, amplitudes, doubt
+        begin_s=begin,
+        end_s=end,
+        window=kind,
+        path_speed=_path_speed(track, begin, end),
+        advance=_positive(mean_of_blocks(blocks.speed, blocks.duration)) if told else None,
+        change=_change(blocks.middle, blocks.speed) if told else None,
+        acceleration=_slope(blocks.middle, blocks.speed) if told else None,
+        acceleration_xy=(_slope(blocks.middle, vx), _slope(blocks.middle, vy)) if told else None,
+        stroke=stroke,
+        frequency_hz=None if stroke is None else Estimate(stroke.frequency_hz, *stroke.interval_hz),
+        amplitudes={} if stroke is None else _amplitudes(track, begin, end, stroke.frequency_hz),
+        doubt=doubt,
     )
 
 
@@ -262,7 +260,7 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
     if not known.any():
         return _Blocks(*(np.zeros(0),) * 2, np.zeros((2, 0)), np.zeros(0))
     begin, end = max(begin, float(time[known][0])), min(end, float(time[known][-1]))
-    length = period * max(math.ceil((end - begin) / period / MOST), 1)
+    length = period * max(math.ceil((end - begin) / period / MAX_BLOCKS), 1)
     edges = end - length * np.arange(int((end - begin) / length + 1e-6), -1, -1)
     place = np.array([np.interp(edges, time[known], row[known]) for row in path])
     step = float(np.median(np.diff(time)))
@@ -281,17 +279,17 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
 
 def _steady(blocks: _Blocks) -> tuple[float, float] | None:
     """Start and end of the steady part, s; None where there is none."""
-    if len(blocks.speed) < FEWEST:
+    if len(blocks.speed) < MIN_BLOCKS:
         return None
     under_way = blocks.speed >= CRUISE * float(np.percentile(blocks.speed, 90))
     first, end = max(runs(under_way).tolist(), key=lambda run: run[1] - run[0])
     first += _transient(blocks.speed[first:end], START)
     end -= _transient(blocks.speed[first:end][::-1], STOP)
-    part = blocks.part(slice(first, end))
-    if len(part.speed) < FEWEST or not _level(_change(part), float(part.speed.mean())):
+    middle, speed = blocks.middle[first:end], blocks.speed[first:end]
+    if len(speed) < MIN_BLOCKS or not _level(_change(middle, speed), float(speed.mean())):
         return None
-    half = 0.5 * float(part.duration[0])
-    return float(part.middle[0]) - half, float(part.middle[-1]) + half
+    half = 0.5 * float(blocks.duration[first])
+    return float(middle[0]) - half, float(middle[-1]) + half
 
 
 def _transient(speed: Array, most: float) -> int:
@@ -305,10 +303,9 @@ def _transient(speed: Array, most: float) -> int:
     return int(np.argmax(scores <= scores[best] * (1 + math.sqrt(2 / (counts[best] - 1)))))
 
 
-def _change(blocks: _Blocks) -> Estimate:
+def _change(middle: Array, speed: Array) -> Estimate:
     """How much the speed changes from the first to the last block."""
-    span = float(blocks.middle[-1] - blocks.middle[0])
-    slope = _slope(blocks.middle, blocks.speed)
+    span, slope = float(middle[-1] - middle[0]), _slope(middle, speed)
     return Estimate(span * slope.value, span * slope.low, span * slope.high)
 
 
@@ -328,7 +325,7 @@ def _slope(time: Array, values: Array) -> Estimate:
 def _path_speed(track: Track, begin: float, end: float) -> Estimate | None:
     rows = (track.time_s >= begin) & (track.time_s <= end)
     time, good = track.time_s[rows], track.measured[rows]
-    cleaning = Cleaning(good, ~good & False, ~good & False, 0, [], gaps(time, good), 0.0)
+    cleaning = Cleaning(good, ~good & False, ~good & False, 0, [], gaps(time, good))
     found = track_speed.speed(time, list(track.raw[:, rows]), cleaning)
     return None if found is None else _positive(found.path)
 
@@ -347,22 +344,21 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
     rows = (time >= begin) & (time <= end)
     mean = np.array([_averaged(time, row, 1 / frequency) for row in smooth])
     off = track.raw - mean
-    if track.angle is not None:
-        heading = _averaged(time, track.angle, 1 / frequency)
+    heading = None if track.angle is None else _averaged(time, track.angle, 1 / frequency)
+    if heading is not None:
         across = np.array([-np.sin(heading), np.cos(heading)])
     elif not _under_way(track.velocity[:, rows]) and _stays(track.raw[:, rows]):
         across = _farthest(track.raw[:, rows])[:, None]
     else:
         way = np.gradient(mean, time, axis=1)
         across = np.array([-way[1], way[0]]) / np.maximum(np.hypot(*way), 1e-300)
-    aside = np.sum(off * across, axis=0)
-    channels = {"sway": aside}
-    if track.raw_angle is not None and track.angle is not None:
-        channels["turn"] = track.raw_angle - _averaged(time, track.angle, 1 / frequency)
+    channels = {"sway": np.sum(off * across, axis=0)}
+    if track.raw_angle is not None and heading is not None:
+        channels["turn"] = track.raw_angle - heading
     found = {}
     for name, values in channels.items():
         amplitude = _amplitude(time, np.where(track.measured, values, np.nan), begin, end, frequency)
-        least = CLEAR * (track.error if name == "sway" else track.angle_error)
+        least = AMPLITUDE_Z * (track.error if name == "sway" else track.angle_error)
         if amplitude is not None and amplitude.value >= least:
             found[name] = amplitude
     return found
@@ -393,8 +389,7 @@ def _amplitude(time: Array, values: Array, begin: float, end: float, frequency: 
     length = strokes / frequency
     count = int((end - begin) / length * (1 + 1e-6))
     sizes, errors = [], []
-    for k in range(count):
-        start = begin + k * length
+    for start in begin + length * np.arange(count):
         rows = inside & (time >= start) & (time < start + length)
         if rows.sum() < 8:
             continue
@@ -407,10 +402,10 @@ def _amplitude(time: Array, values: Array, begin: float, end: float, frequency: 
         errors.append(math.sqrt(2 * float(left @ left) / max(len(t) - 4, 1) / len(t)))
     if not sizes:
         return None
-    error = math.sqrt(float(np.mean(np.square(errors))))
-    if float(np.mean(sizes)) < CLEAR * error:
+    mean, error = float(np.mean(sizes)), math.sqrt(float(np.mean(np.square(errors))))
+    if mean < AMPLITUDE_Z * error:
         return None
     if len(sizes) < 3:
         half = 1.96 * error / math.sqrt(len(sizes))
-        return Estimate(float(np.mean(sizes)), float(np.mean(sizes)) - half, float(np.mean(sizes)) + half)
+        return Estimate(mean, mean - half, mean + half)
     return mean_of_blocks(np.array(sizes), np.ones(len(sizes)))

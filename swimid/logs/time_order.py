@@ -13,6 +13,13 @@ from swimid.logs.log import longest_run
 Array = NDArray[np.float64]
 #: Of more samples than this share that come late, or of more in a row, the clock was reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
+#: What is done to rows that are not in order.
+ODD_ROWS = {
+    "untimed": "without a time left out",
+    "repeated": "repeated left out",
+    "clashing": "with the time of the row before but other values left out",
+    "late": "that came late put in their place",
+}
 
 
 @dataclass(frozen=True)
@@ -43,9 +50,19 @@ class Order:
     reset_row: int | None = None
 
     @property
+    def counts(self) -> dict[str, int]:
+        """How many rows were out of order, by what was wrong with them."""
+        return {name: getattr(self, name) for name in ODD_ROWS}
+
+    @property
     def changed(self) -> bool:
         """Whether the record was not in order."""
-        return bool(self.untimed or self.repeated or self.clashing or self.late)
+        return any(self.counts.values())
+
+    @property
+    def summary(self) -> str:
+        """What was done to how many rows, in words."""
+        return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 
 def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import quantum
+from swimid.logs.sampling import PAUSE, pauses, quantum
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -28,8 +29,6 @@ FASTER, ALIKE = 2.0, 5
 FEW, FEW_SHARE = 12, 0.05
 #: Pieces between jumps that are looked back upon for where the track goes on.
 LOOK_BACK = 100
-#: A pause longer than this many sample times is a gap.
-GAP = 6.0
 #: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
 #: after a frozen one the track goes on more than so many usual steps away.
 LONG_HOLD, NEAR = 5.0, 3.0
@@ -53,8 +52,6 @@ class Cleaning:
         Rows where it goes on elsewhere for good.
     gaps : list of (float, float)
         Start and end of the stretches without a good sample, s.
-    scale_m : float
-        Median deviation of a step from the expected one: what jumps are measured against.
     """
 
     good: Flags
@@ -63,7 +60,17 @@ class Cleaning:
     jumps: int
     offset_rows: list[int]
     gaps: list[tuple[float, float]]
-    scale_m: float
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of repeats, jumps and samples that jumped."""
+        repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
+        return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
+
+    @property
+    def longest_gap_s(self) -> float:
+        """The longest gap, s; 0 without one."""
+        return max((end - start for start, end in self.gaps), default=0.0)
 
 
 def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
@@ -98,38 +105,34 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     rows = np.flatnonzero(known & ~repeated)
     jumped = np.zeros(len(time_s), dtype=bool)
     offsets: list[int] = []
-    jumps, scale = 0, 0.0
+    jumps = 0
     if len(rows) > WINDOW:
-        stays, elsewhere, scale = _jumps(time_s[rows], place[rows])
+        stays, elsewhere = _jumps(time_s[rows], place[rows])
         jumped[rows[~stays]] = True
         offsets = [int(rows[k]) for k in elsewhere]
         jumps = len(runs(~stays)) + len(offsets)
     good = known & ~repeated & ~jumped
-    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), scale)
+    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good))
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Stretches without a good sample that are longer than :data:`GAP` sample times, s."""
+    """Pauses between good samples (:func:`swimid.logs.sampling.pauses`), s."""
     times = time_s[good]
-    if len(times) < 3:
-        return []
-    steps = np.diff(times)
-    return [(float(times[k]), float(times[k + 1])) for k in np.flatnonzero(steps > GAP * np.median(steps))]
+    return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
 def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
+    """Samples that are the same as the one before, but for a robot at rest."""
     rows = np.flatnonzero(known)
-    found = np.zeros(len(time_s), dtype=bool)
+    repeated = np.zeros(len(time_s), dtype=bool)
     if len(rows) < 3:
-        return found
+        return repeated
     before, after = pose[rows[:-1]], pose[rows[1:]]
     same = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    if not same.any():
-        return found
-    found[rows[1:]] = same
+    repeated[rows[1:]] = same
     distinct = rows[np.concatenate(([True], ~same))]
-    if len(distinct) < 3:
-        return found
+    if len(distinct) < 3 or not same.any():
+        return repeated
     # A robot at rest repeats itself as well; it goes on from where it was.
     usual_s = float(np.median(np.diff(time_s[rows])))
     usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
@@ -139,12 +142,12 @@ def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
             continue
         away = float(np.linalg.norm(place[rows[end + 1]] - place[rows[end]]))
         if away <= NEAR * usual_m:
-            found[rows[first + 1 : end + 1]] = False
-    return found
+            repeated[rows[first + 1 : end + 1]] = False
+    return repeated
 
 
-def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
-    """Samples that stay, samples at which the track goes on elsewhere, and the scale of a step."""
+def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
+    """Samples that stay, and samples at which the track goes on elsewhere."""
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
     usual_s = float(np.median(steps_s))
     velocity = steps / steps_s[:, None]
@@ -157,10 +160,10 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
     alike = ndimage.median_filter(velocity, size=(ALIKE, 1), mode="nearest")
     fastest = float(np.percentile(np.linalg.norm(alike, axis=1), 99))
     longer = np.maximum(steps_s / usual_s, 1.0)
-    limit = OUTLYING * local * np.minimum(longer, GAP)
+    limit = OUTLYING * local * np.minimum(longer, PAUSE)
     outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)
     if not outlying.any():
-        return np.ones(len(time), dtype=bool), [], scale
+        return np.ones(len(time), dtype=bool), []
     starts = np.concatenate(([0], np.flatnonzero(outlying) + 1))
     ends = np.concatenate((starts[1:], [len(time)]))
 
@@ -174,12 +177,11 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int], float]:
     for piece in chain:
         stays[starts[piece] : ends[piece]] = True
     elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
-    return stays, elsewhere, scale
+    return stays, elsewhere
 
 
-def _chain(sizes: NDArray[np.int64], goes_on: object, cost: float) -> list[int]:
+def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
     """The pieces that keep most samples, each break of the track paid for."""
-    assert callable(goes_on)
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):

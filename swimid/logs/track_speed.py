@@ -6,24 +6,36 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate
+from scipy import interpolate, stats
 
-from swimid.logs.interval import Estimate, mean_of_blocks
 from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
 #: Samples of a stretch without a gap that a speed needs.
-FEWEST = 12
+MIN_SAMPLES = 12
 #: Samples smoothed at once; a longer stretch is cut.
-LONGEST = 1500
+MAX_STRETCH = 1500
 #: Samples in all that are smoothed; of more only every so many are taken.
-MOST = 60_000
+MAX_SAMPLES = 60_000
 #: Smoothness tried, the weight of the squared curvature at one sample a unit of time.
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
 #: Samples that suffice to choose it.
-ENOUGH = 600
+TUNING_SAMPLES = 600
+
+
+#: Blocks whose means tell how sure the mean of all is.
+BLOCKS = 12
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its 95 % interval, in one unit; NaN ends where nothing tells how sure it is."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -38,23 +50,43 @@ class TrackSpeed:
         Mean of the velocity along the straight line from start to end; m/s.
     naive_m_s : float
         Mean of ``|dx/dt|`` over all samples as they stand in the file.
-    straightness : float
-        Line over path: 1 on a straight path without sway.
     noise_m : float
         Standard deviation of a coordinate about the smoothed path.
     covered_s : float
         Time without the gaps.
-    velocity : ndarray, shape (n, d)
-        Smoothed velocity at every sample, NaN where no good one is; m/s.
     """
 
     path: Estimate
     line: Estimate
     naive_m_s: float
-    straightness: float
     noise_m: float
     covered_s: float
-    velocity: Array
+
+
+def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
+    """Weighted mean with Student's interval over the means of :data:`BLOCKS` blocks of equal weight.
+
+    Parameters
+    ----------
+    values, weights : ndarray, shape (n,)
+        In the order of time; ``weights`` the time each value stands for, not all 0.
+    shift : float
+        A correction of the mean, as uncertain as it is large.
+    """
+    value = float(weights @ values / weights.sum())
+    block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
+    totals = np.bincount(block, weights, BLOCKS)
+    held = totals > 0
+    means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
+    half = 0.0  # of the block means; what noise adds is as uncertain as it is large
+    if len(means) > 1:
+        # neighbouring blocks are not independent: their correlation widens the interval
+        off = means - means.mean()
+        together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
+        widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
+        half = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+    half = float(np.hypot(half, shift))
+    return Estimate(value + shift, value + shift - half, value + shift + half)
 
 
 def naive(time_s: Array, positions: list[Array]) -> float:
@@ -83,7 +115,7 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     Every stretch between gaps is smoothed by a cubic spline; how smooth, cross-validation on the
     longest tells [1]_. Noise lengthens a path: the smoothed path with its own noise put
     on is smoothed again, and what that adds is taken off (parametric bootstrap [2]_). The interval is
-    that of :func:`swimid.logs.interval.mean_of_blocks`: it holds noise and the
+    that of :func:`mean_of_blocks`: it holds noise and the
     unsteadiness of the swimming.
 
     References
@@ -93,21 +125,20 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     .. [2] Efron, B., Tibshirani, R. J. (1993). An Introduction to the Bootstrap. Chapman & Hall.
     """
     place = np.column_stack(positions)
-    velocity = np.full(place.shape, np.nan)
     rng = np.random.default_rng(0)
-    weights = np.zeros(len(time_s))
+    velocity, weights = np.full(place.shape, np.nan), np.zeros(len(time_s))
     squares, count, excess = 0.0, 0, 0.0
     stretches = _stretches(time_s, cleaning)
     if not stretches:
         return None
-    longest = max(stretches, key=len)[:ENOUGH]
+    longest = max(stretches, key=len)[:TUNING_SAMPLES]
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = _weights(t)
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # the time that each sample stands for
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -117,24 +148,20 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     along = np.linalg.norm(velocity[used], axis=1)
     mean = weights[used] @ velocity[used] / covered
     direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    path = mean_of_blocks(along, weights[used], -excess / covered)
-    line = mean_of_blocks(velocity[used] @ direction, weights[used], 0.0)
     return TrackSpeed(
-        path,
-        line,
+        mean_of_blocks(along, weights[used], -excess / covered),
+        mean_of_blocks(velocity[used] @ direction, weights[used]),
         naive(time_s, positions),
-        min(line.value / path.value, 1.0) if path.value > 0 else float("nan"),
         float(np.sqrt(squares / max(count, 1))),
         covered,
-        velocity,
     )
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     """Rows of the stretches without a gap or a jump, each long enough and not too long."""
     rows = np.flatnonzero(cleaning.good)
-    rows = rows[:: max(len(rows) // MOST, 1)]
-    if len(rows) < FEWEST:
+    rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
+    if len(rows) < MIN_SAMPLES:
         return []
     ends = {end for _, end in cleaning.gaps} | {float(time_s[row]) for row in cleaning.offset_rows}
     cuts = [
@@ -142,8 +169,8 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
     ]
     found = []
     for stretch in np.split(rows, cuts):
-        pieces = max(int(np.ceil(len(stretch) / LONGEST)), 1)
-        found += [part for part in np.array_split(stretch, pieces) if len(part) >= FEWEST]
+        pieces = max(int(np.ceil(len(stretch) / MAX_STRETCH)), 1)
+        found += [part for part in np.array_split(stretch, pieces) if len(part) >= MIN_SAMPLES]
     return found
 
 
@@ -171,9 +198,3 @@ def _strength(t: Array, x: Array) -> Array:
             spline = interpolate.make_smoothing_spline(unit[~out], x[~out], lam=lam)
             errors[k] += np.sum((spline(unit[out]) - x[out]) ** 2, axis=0)
     return STRENGTHS[np.argmin(errors, axis=0)]
-
-
-def _weights(t: Array) -> Array:
-    """Time that each sample stands for (trapezoidal rule)."""
-    steps = np.diff(t)
-    return 0.5 * (np.concatenate((steps, [0.0])) + np.concatenate(([0.0], steps)))

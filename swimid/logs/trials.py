@@ -9,11 +9,11 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
-from swimid.errors import InputError, UsageError, nearest
+from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.files import yamlio
 from swimid.logs.log import Log
 from swimid.notices import warn
@@ -181,16 +181,15 @@ class Arma(Trials):
 
 
 EXPERIMENTS: dict[str, type[Trials]] = {
-    "falling-weight": FallingWeight,
-    "towed": Towed,
-    "free-decay": FreeDecay,
-    "cruise": Cruise,
-    "free-swim": FreeSwim,
-    "multibody": Multibody,
-    "arma": Arma,
+    get_args(kind.model_fields["experiment"].annotation)[0]: kind
+    for kind in (FallingWeight, Towed, FreeDecay, Cruise, FreeSwim, Multibody, Arma)
 }
 T = TypeVar("T", bound=Trials)
-
+#: Any trials file, for the JSON Schema.
+AnyTrials = Annotated[
+    FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
+    Field(discriminator="experiment"),
+]
 
 #: Keys that every reader of trials uses; those of a trial and of its drive with their path.
 EVERYWHERE = frozenset(
@@ -267,34 +266,28 @@ class TrialSet:
             For an experiment there is none of.
         """
         if experiment not in EXPERIMENTS:
-            close = nearest(experiment, list(EXPERIMENTS))
-            hint = f"did you mean '{close}'?" if close else f"there are: {', '.join(EXPERIMENTS)}"
+            hint = suggestion(experiment, list(EXPERIMENTS))
             raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
-        path = Path(name)
         logs, plain = [], []
         for number, trial in enumerate(trials, start=1):
-            held = trial.get("log")
-            called = str(trial.get("id", f"trial {number}"))
-            if held is not None and not isinstance(held, Log | str | Path):
-                held = Log.from_frame(held, name=called)
-            logs.append(held if isinstance(held, Log) else None)
-            log = {} if held is None else {"log": called if isinstance(held, Log) else str(held)}
-            plain.append({"id": called, **trial, **log})
+            log, called = trial.get("log"), str(trial.get("id", f"trial {number}"))
+            file = log is None or isinstance(log, str | Path)
+            logs.append(None if file else log if isinstance(log, Log) else Log.from_frame(log, name=called))
+            name_of_log = {} if log is None else {"log": str(log) if file else called}
+            plain.append({"id": called, **trial, **name_of_log})
         given = {"format": FORMAT, "experiment": experiment, "robot": robot, **keys}
         if plain:
             given["trials"] = plain
         table = given.get("table")
-        if table is not None and not isinstance(table, str | Path):
-            given["table"] = "table"
-        elif table is not None:
-            given["table"], table = str(table), None
-        entries: Any = yamlio.validate(given, EXPERIMENTS[experiment], path)
+        if table is not None:
+            given["table"] = str(table) if isinstance(table, str | Path) else "table"
+        entries: Any = yamlio.validate(given, EXPERIMENTS[experiment], name)
         entries._in_memory = True
-        if experiment == "cruise":
+        if experiment == "cruise" and not isinstance(table, str | Path):
             entries._held = table
         for entry, held in zip(getattr(entries, "trials", []), logs, strict=False):
             entry._held = held
-        return cls(entries, path)
+        return cls(entries, Path(name))
 
     @classmethod
     def read(cls, path: str | Path) -> TrialSet:
@@ -333,40 +326,32 @@ def read(
         of a log that are both fitted and held out.
     """
     path = place(source)
-    if isinstance(source, TrialSet) and source.entries._in_memory:
-        data: Any = {"experiment": source.experiment}
-    else:
-        data = yamlio.of_format(path, FORMAT, "trials file")
+    held = source.entries if isinstance(source, TrialSet) and source.entries._in_memory else None
+    data: Any = (
+        yamlio.of_format(path, FORMAT, "trials file") if held is None else {"experiment": held.experiment}
+    )
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
     experiment = data.get("experiment")
     if experiment not in names:
-        line = _key_line(data, "experiment")
         close = nearest(str(experiment), names)
         what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
         raise InputError(
             f"{what}; here: {', '.join(names)}",
             file=path,
-            line=line,
+            line=_key_line(data, "experiment"),
             column="experiment",
             hint=f"did you mean '{close}'?" if close else None,
         )
-    if isinstance(source, TrialSet) and source.entries._in_memory:
-        return _checked(source.entries, path, uses, data)
-    trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path)  # type: ignore[assignment]
-    return _checked(trials, path, uses, data)
-
-
-def _checked(trials: T, path: Path, uses: Mapping[str, Collection[str]] | None, data: Any) -> T:
+    trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path) if held is None else held  # type: ignore[assignment]
     if uses is not None:
-        _refuse_unused(trials, path, uses[str(getattr(trials, "experiment", ""))], data)
+        _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])
-    seen: set[str] = set()
-    for index, trial in enumerate(listed):
-        if trial.id in seen:
+    ids = [trial.id for trial in listed]
+    for index, name in enumerate(ids):
+        if name in ids[:index]:
             raise InputError(
-                f"two trials have the id '{trial.id}'", file=path, line=_line(data, index), column="id"
+                f"two trials have the id '{name}'", file=path, line=_line(data, index), column="id"
             )
-        seen.add(trial.id)
     for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
         if same_recording(one, path.parent / one.log, other, path.parent / other.log):
             check_apart(one, other, path, _line(data, index))
@@ -447,11 +432,8 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
     high = min((t.end_s for t in (one, other) if t.end_s is not None), default=math.inf)
     if low >= high:
         return
-    rows = "its rows"
-    if math.isfinite(low) or math.isfinite(high):
-        ends = [f"{word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
-        rows = f"its rows {' '.join(ends)}"
-    text = f"the trials '{one.id}' and '{other.id}' are of the same log and share {rows}"
+    ends = [f" {word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
+    text = f"the trials '{one.id}' and '{other.id}' are of the same log and share its rows{''.join(ends)}"
     if one.role != other.role:
         raise InputError(
             f"{text}: what is held out must not be fitted",
@@ -466,10 +448,3 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
 def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
     """The robot a trials file names, by built-in name or path relative to the file."""
     return robot_format.read(trials.robot, path.parent)
-
-
-#: Any trials file, for the JSON Schema.
-AnyTrials = Annotated[
-    FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
-    Field(discriminator="experiment"),
-]

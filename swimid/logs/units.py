@@ -9,27 +9,7 @@ from swimid.errors import suggestion
 _G = 9.80665  # standard gravity, ISO 80000-3
 _RPM = 2 * math.pi / 60
 
-#: What each ending of a column's name measures, longest endings first when matched.
-SUFFIXES: dict[str, str] = {
-    "s": "time",
-    "m": "length",
-    "rad": "angle",
-    "m_s": "speed",
-    "m_s2": "acceleration",
-    "rad_s": "turn rate",
-    "rad_s2": "angular acceleration",
-    "N": "force",
-    "Nm": "torque",
-    "kg": "mass",
-    "T": "magnetic flux density",
-    "V": "voltage",
-    "A": "current",
-    "W": "power",
-    "Pa": "pressure",
-    "Hz": "frequency",
-    "degC": "temperature",
-}
-#: Factor to SI of every unit, by what it measures.
+#: Factor to SI of every unit, by what it measures; the unit of SI first.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
@@ -62,39 +42,28 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-_SPELLINGS = {
-    "sec": "s",
-    "secs": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "millis": "ms",
-    "milliseconds": "ms",
-    "micros": "us",
-    "usec": "us",
-    "nsec": "ns",
-    "nanoseconds": "ns",
-    "metre": "m",
-    "metres": "m",
-    "meter": "m",
-    "meters": "m",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "dps": "deg/s",
-    "rps": "rev/s",
-    "gs": "g",
-    "gee": "g",
-    "gauss": "G",
-    "knots": "kn",
-    "N m": "Nm",
-    "N·m": "Nm",
-    "N*m": "Nm",
-    "C": "degC",
-    "°C": "degC",
-    "celsius": "degC",
+#: What each ending of a column's name measures: ``m_s`` for m/s.
+SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
+#: Every unit, whatever it measures.
+KNOWN = frozenset(name for table in UNITS.values() for name in table)
+#: Other spellings of a unit.
+_SPELLED = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "millis", "milliseconds"),
+    "us": ("micros", "usec"),
+    "ns": ("nsec", "nanoseconds"),
+    "m": ("metre", "metres", "meter", "meters"),
+    "rad": ("radians",),
+    "deg": ("degree", "degrees", "°"),
+    "deg/s": ("dps",),
+    "rev/s": ("rps",),
+    "g": ("gs", "gee"),
+    "G": ("gauss",),
+    "kn": ("knots",),
+    "Nm": ("N m", "N·m", "N*m"),
+    "degC": ("C", "°C", "celsius"),
 }
+_SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
 
 def canonical(unit: str) -> str:
@@ -109,13 +78,12 @@ def canonical(unit: str) -> str:
     text = text.replace("meters per second", "m/s").replace("sec", "s") if "/" in text else text
     for power, over in ((" s-2", "/s2"), (" s-1", "/s"), ("*s-2", "/s2"), ("*s-1", "/s"), ("/s/s", "/s2")):
         text = text.replace(power, over)
-    known = {name for table in UNITS.values() for name in table}
     for spelled in (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower()):
-        if spelled in known:
+        if spelled in KNOWN:
             return spelled
     top, over, below = text.partition("/")
     joined = f"{_SPELLINGS.get(top.lower(), top)}/{below}" if over else text
-    return joined if joined in known else text
+    return joined if joined in KNOWN else text
 
 
 def measured(column: str) -> str | None:

@@ -12,9 +12,8 @@ from swimid.errors import InputError, nearest
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.inputs import CruiseInput, SurgeInput
 from swimid.fitting.model import Trial
-from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import TOLERANCE, find_beat
+from swimid.logs.beat import TOLERANCE, find_beat, stated_against_found
 from swimid.logs.log import Log
 from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
@@ -160,7 +159,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        beat_facts[entry.id] = beats.facts(entry, beat, used="measured")
+        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used="measured")
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue

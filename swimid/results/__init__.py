@@ -1,6 +1,6 @@
 """Results, the evidence they rest on, and the page they become. Nothing is computed again here.
 
-``result`` is the base of all results, ``fitted`` that of every fit, ``text`` one that is a text;
+``result`` is the base of all results, and one that is a text; ``fitted`` that of every fit;
 ``evidence`` holds verdict, checks, tables and figures as data, ``parameters`` the parameter file,
 ``numbers`` how numbers and units are written. ``reader`` finds the module ``section`` of each room, which
 turns a result file into the blocks of ``sections``; ``report`` (with ``options``) puts them together,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from datetime import datetime
@@ -11,7 +10,7 @@ from typing import Any
 import swimid
 from swimid.files import yamlio
 from swimid.results.evidence import Figure, Image, Verdict
-from swimid.results.page import CHECKS, overall, verdict_badge, warnings_by_code
+from swimid.results.page import CHECKS, overall, references, verdict_badge, warnings_by_code
 from swimid.results.sections import Block, Grid, Note, Section, leaves
 
 #: ``format`` of the JSON report.
@@ -46,11 +45,6 @@ def as_json(
     }
 
 
-def json_text(document: dict[str, Any]) -> str:
-    """The JSON text of a report."""
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
-
-
 def as_markdown(
     sections: Sequence[Section], *, title: str, created: datetime, digests: dict[str, str]
 ) -> str:
@@ -70,15 +64,14 @@ def as_markdown(
     if any(section.methods for section in sections):
         lines += ["", "## Methods"]
         lines += [line for s in sections if s.methods for line in ("", _text(" ".join(s.methods)))]
-    references = list(dict.fromkeys(text for section in sections for text in section.references))
-    if references:
-        lines += ["", "## References", ""]
-        lines += [f"{number}. {_text(text)}" for number, text in enumerate(references, start=1)]
+    cited = [f"{number}. {_text(text)}" for number, text in enumerate(references(sections), start=1)]
+    if cited:
+        lines += ["", "## References", "", *cited]
     lines += ["", "## Warnings", ""]
     entries = [
         f"- {_code(code)} {_text(meaning)} ({_code(file)}): {_text(text)}"
-        for code, meaning, found in warnings_by_code(sections)
-        for file, text in found
+        for code, meaning, texts in warnings_by_code(sections)
+        for file, text in texts
     ]
     lines += entries or ["None."]
     lines += ["", "## Provenance"]
@@ -97,16 +90,9 @@ def _badge(verdict: Verdict) -> str:
 
 def _checks(sections: Sequence[Section]) -> list[str]:
     rows = [
-        [
-            _text(section.title),
-            _text(check.name),
-            _text(check.value),
-            _text(check.limit),
-            " ".join(CHECKS[check.verdict][:2]),
-            _text(check.text),
-        ]
-        for section in sections
-        for check in section.checks
+        [*map(_text, (s.title, c.name, c.value, c.limit)), " ".join(CHECKS[c.verdict][:2]), _text(c.text)]
+        for s in sections
+        for c in s.checks
     ]
     return _table(["Result", "Check", "Value", "Limit", "Verdict", "Meaning"], rows) if rows else ["None."]
 

@@ -34,6 +34,8 @@ _FEW = 60
 #: From this many points on a trace is drawn as a cloud of dots.
 _CLOUD = 150
 
+Array = NDArray[np.float64]
+
 SETTINGS: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "swimid",
@@ -128,13 +130,12 @@ def _check(trace: Trace, place: str) -> None:
 
 def _reduced(panel: Panel) -> Panel:
     """The panel with over-long traces cut to their envelope."""
+    bare = {"y_error": None, "lower": None, "upper": None}
     traces = []
     for trace in panel.traces:
         if len(trace.x) > MAX_POINTS:
             x, y = thinned(_array(trace.x), _array(trace.y))
-            trace = trace.model_copy(
-                update={"x": x.tolist(), "y": y.tolist(), "y_error": None, "lower": None, "upper": None}
-            )
+            trace = trace.model_copy(update={"x": x.tolist(), "y": y.tolist(), **bare})
         traces.append(trace)
     return panel.model_copy(update={"traces": traces})
 
@@ -205,62 +206,49 @@ def frame(axes: Axes, size: Size) -> None:
 
 def _trace(axes: Axes, trace: Trace, look: Look, size: Size, place: tuple[int, int], *, marked: bool) -> None:
     x, y = _array(trace.x), _array(trace.y)
-    error = None if trace.y_error is None else _array(trace.y_error)
+    bars: dict[str, Any] = {"color": look.colour, "capsize": 2.5, "zorder": 2.1}
     if trace.lower is not None and trace.upper is not None:
         low, high = _array(trace.lower), _array(trace.upper)
         axes.fill_between(x, low, high, color=look.colour, alpha=0.2, linewidth=0, zorder=1.5)
     if trace.style == "bars":
-        _bars(axes, x, y, error, look, place)
-        return
-    if trace.style == "arrows":
+        x = _bars(axes, x, y, look, place)
+        bars = {"color": INK, "capsize": 3, "zorder": 2.4}
+    elif trace.style == "arrows":
         axes.plot(x, y, color=look.colour, linewidth=1.0, solid_capstyle="round", zorder=2.3)
         return
-    if trace.style == "stems":
+    elif trace.style == "stems":
         axes.vlines(x, 0, y, color=look.colour, linewidth=1.2)
     elif trace.style != "points":
-        shown = int(np.count_nonzero(np.isfinite(y)))
-        style = "steps-post" if trace.style == "step" else "default"
-        # More than two points a pixel of the width only make the file longer.
-        dense = len(x) > 4 * size.width and _increasing(x)
-        across, up = thinned(x, y, int(2 * size.width)) if dense else (x, y)
-        axes.plot(
-            across,
-            up,
-            color=look.colour,
-            linewidth=1.1 if not marked else 1.5 if shown < 600 else 1.2,
-            dashes=look.dash or (None, None),
-            drawstyle=style,
-            marker=look.marker if marked else "",
-            markersize=4.5,
-            markevery=(0.05, 0.16) if shown > 12 else None,
-            zorder=2.5 if look.dash else 2.0,
-        )
+        _line(axes, x, y, trace.style, look, size, marked=marked)
     if trace.style in ("points", "stems"):
         _points(axes, x, y, look)
-    if error is not None:
-        axes.errorbar(
-            x, y, yerr=error, fmt="none", color=look.colour, elinewidth=1.1, capsize=2.5, zorder=2.1
-        )
+    if trace.y_error is not None:
+        axes.errorbar(x, y, yerr=_array(trace.y_error), fmt="none", elinewidth=1.1, **bars)
 
 
-def _increasing(x: NDArray[np.float64]) -> bool:
-    return bool(np.all(np.diff(x) > 0))
+def _line(axes: Axes, x: Array, y: Array, style: str, look: Look, size: Size, *, marked: bool) -> None:
+    shown = int(np.count_nonzero(np.isfinite(y)))
+    # More than two points a pixel of the width only make the file longer.
+    dense = len(x) > 4 * size.width and bool(np.all(np.diff(x) > 0))
+    axes.plot(
+        *(thinned(x, y, int(2 * size.width)) if dense else (x, y)),
+        color=look.colour,
+        linewidth=1.1 if not marked else 1.5 if shown < 600 else 1.2,
+        dashes=look.dash or (None, None),
+        drawstyle="steps-post" if style == "step" else "default",
+        marker=look.marker if marked else "",
+        markersize=4.5,
+        markevery=(0.05, 0.16) if shown > 12 else None,
+        zorder=2.5 if look.dash else 2.0,
+    )
 
 
-def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Look) -> None:
+def _points(axes: Axes, x: Array, y: Array, look: Look) -> None:
     diameter = float(np.interp(len(x), [30, 150, 600, 2000], [6.5, 3.8, 2.6, 2.0]))
     if len(x) < _CLOUD:
-        axes.plot(
-            x,
-            y,
-            ls="",
-            marker=look.marker,
-            ms=diameter,
-            color=look.colour,
-            alpha=1.0 if len(x) <= _FEW else look.opacity,
-            mew=0,
-            zorder=2.2,
-        )
+        opacity = 1.0 if len(x) <= _FEW else look.opacity
+        style: dict[str, Any] = {"color": look.colour, "alpha": opacity, "mew": 0, "zorder": 2.2}
+        axes.plot(x, y, ls="", marker=look.marker, ms=diameter, **style)
         return
     # One path of dots (strokes of no length with wide ends) takes a tenth of the space of
     # as many markers; at this size their shape could not be told anyway.
@@ -277,30 +265,15 @@ def _points(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: Lo
     line.get_path().should_simplify = False
 
 
-def _bars(
-    axes: Axes,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    error: NDArray[np.float64] | None,
-    look: Look,
-    place: tuple[int, int],
-) -> None:
+def _bars(axes: Axes, x: Array, y: Array, look: Look, place: tuple[int, int]) -> Array:
+    """Bars of one of several traces side by side; their middles."""
     index, count = place
     pitch = float(np.min(np.diff(np.sort(x)))) if len(x) > 1 else 1.0
     width = 0.8 * pitch / count
-    centre = x + (index - (count - 1) / 2) * width
-    axes.bar(
-        centre,
-        y,
-        width=0.92 * width,
-        color=look.colour,
-        edgecolor=PAPER,
-        hatch=look.hatch,
-        linewidth=0.0,
-        zorder=2,
-    )
-    if error is not None:
-        axes.errorbar(centre, y, yerr=error, fmt="none", color=INK, elinewidth=1.1, capsize=3, zorder=2.4)
+    middle: Array = x + (index - (count - 1) / 2) * width
+    style: dict[str, Any] = {"color": look.colour, "edgecolor": PAPER, "hatch": look.hatch}
+    axes.bar(middle, y, width=0.92 * width, linewidth=0.0, zorder=2, **style)
+    return middle
 
 
 def _scales(axes: Axes, panel: Panel, size: Size) -> None:
@@ -324,12 +297,9 @@ def _scales(axes: Axes, panel: Panel, size: Size) -> None:
 
 
 def _categories(axes: Axes, names: list[str], size: Size) -> None:
-    shown = [name if len(name) <= 26 else name[:25] + "…" for name in names]
+    shown = [looks.shortened(name, 26) for name in names]
     fits = sum(len(name) + 2 for name in shown) * size.font * 0.6 < size.width * 0.85
-    axes.set_xticks(range(len(shown)))
-    axes.set_xticklabels(
-        shown, rotation=0 if fits else 35, ha="center" if fits else "right", rotation_mode="anchor"
-    )
+    looks.label_columns(axes, shown, level=fits)
     axes.tick_params(axis="x", length=0)
     axes.grid(False, axis="x")
     axes.set_xlim(-0.6, len(shown) - 0.4)
@@ -344,17 +314,9 @@ def _marks(axes: Axes, panel: Panel, size: Size) -> None:
     for span in panel.spans:
         axes.axvspan(span.start, span.end, facecolor=SHADE, edgecolor="none", zorder=0.5)
         if several and span.label:
-            axes.text(
-                (span.start + span.end) / 2,
-                0.985,
-                span.label,
-                transform=axes.get_xaxis_transform(),
-                ha="center",
-                va="top",
-                fontsize=size.font - 1.5,
-                color=INK,
-                clip_on=True,
-            )
+            middle, across = (span.start + span.end) / 2, axes.get_xaxis_transform()
+            style: dict[str, Any] = {"fontsize": size.font - 1.5, "color": INK, "clip_on": True}
+            axes.text(middle, 0.985, span.label, transform=across, ha="center", va="top", **style)
 
 
 def _tick_width(canvas: Canvas, axes: Axes) -> float:
@@ -410,16 +372,14 @@ class _Ticks(Formatter):
 
 
 def _log_label(value: float, pos: int | None = None) -> str:
-    return numbers.number(value, 2) if 1e-3 <= value < 1e5 else _power_label(value)
-
-
-def _power_label(value: float) -> str:
+    if 1e-3 <= value < 1e5:
+        return numbers.number(value, 2)
     exponent = math.floor(math.log10(value) + 1e-9)
     lead = round(value / 10.0**exponent)
     return numbers.power_of_ten(exponent) if lead == 1 else f"{lead}×{numbers.power_of_ten(exponent)}"
 
 
-def _array(values: list[float | None]) -> NDArray[np.float64]:
+def _array(values: list[float | None]) -> Array:
     return np.array([math.nan if v is None else v for v in values], dtype=float)
 
 

@@ -65,11 +65,11 @@ class Fitted(Result):
         """Correlations of the estimates; empty where fewer than two have an error."""
         import pandas as pd
 
-        found = self.file.correlation
+        correlation = self.file.correlation
         return pd.DataFrame(
-            found.matrix if found else [],
-            index=found.names if found else [],
-            columns=found.names if found else [],
+            correlation.matrix if correlation else [],
+            index=correlation.names if correlation else [],
+            columns=correlation.names if correlation else [],
         )
 
     @property
@@ -96,7 +96,7 @@ class Fitted(Result):
 
 def rows(file: ParameterFile) -> str:
     """The parameters as lines of plain text."""
-    found = []
+    lines = []
     for name, e in {**file.parameters, **file.derived}.items():
         if e.status == "unidentifiable":
             text = "not identifiable from these trials"
@@ -110,9 +110,9 @@ def rows(file: ParameterFile) -> str:
             ends = interval95(e)
             band = f"   95 %: {numbers.interval(ends[0], ends[1], e.stderr)}" if ends else ""
             text = f"{numbers.measured(e.value, e.stderr, e.unit)}{band}"
-        found.append((name, text))
-    width = max((len(name) for name, _ in found), default=0)
-    return "\n".join(f"  {name:<{width}}  {text}" for name, text in found)
+        lines.append((name, text))
+    width = max((len(name) for name, _ in lines), default=0)
+    return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
 def interval95(estimate: Estimate) -> tuple[float, float] | None:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from swimid.errors import InputError
-from swimid.results import numbers
+from swimid.results import looks, numbers
 from swimid.results.evidence import Heat
 from swimid.results.looks import INK, PAPER, SERIES
 
@@ -54,7 +54,7 @@ def draw(axes: Axes, heat: Heat, width: float, font: float) -> None:
     """
     known = [v for row in heat.values for v in row if v is not None]
     largest = max([*known, _LEAST_SPAN * heat.neutral])
-    labels = [_short(name) for name in heat.rows]
+    labels = [looks.shortened(name, _LETTERS) for name in heat.rows]
     left = _LETTER * font * max((len(name) for name in labels), default=0)
     pitch = (width - left - 20) / max(len(heat.columns), 1)
     # three digits and a point are the longest number
@@ -74,15 +74,9 @@ def draw(axes: Axes, heat: Heat, width: float, font: float) -> None:
         axes.axvline(k - 0.5, color=PAPER, linewidth=1.5, zorder=2)
     for k in range(1, len(heat.rows)):
         axes.axhline(k - 0.5, color=PAPER, linewidth=1.5, zorder=2)
-    columns = [_short(name) for name in heat.columns]
+    columns = [looks.shortened(name, _LETTERS) for name in heat.columns]
     level = max((len(name) for name in columns), default=0) * _LETTER * font < pitch
-    axes.set_xticks(
-        range(len(columns)),
-        columns,
-        rotation=0 if level else 35,
-        ha="center" if level else "right",
-        rotation_mode="anchor",
-    )
+    looks.label_columns(axes, columns, level=level)
     axes.set_yticks(range(len(labels)), labels)
     axes.tick_params(length=0)
     axes.grid(False)
@@ -102,7 +96,3 @@ def _shade(value: float, neutral: float, largest: float) -> float:
 def _evenly(value: float, smallest: float, largest: float) -> float:
     """Opacity of a cell, by the place of its value between two others."""
     return _DARKEST * (value - smallest) / (largest - smallest) if largest > smallest else 0.0
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "…"

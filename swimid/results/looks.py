@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+from matplotlib.axes import Axes
 
 from swimid.results.evidence import Figure, Panel, Trace
 
@@ -38,10 +40,20 @@ class Look:
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a legend: its text, and a small SVG that shows the look."""
+    """One line of a legend.
+
+    Attributes
+    ----------
+    label : str
+    traces : list of (str, bool, Look)
+        Those it stands for: style, whether with a band, look.
+    dash : tuple of float, optional
+        Of the reference line it stands for; without it and without traces that is shading.
+    """
 
     label: str
-    swatch: str
+    traces: list[tuple[str, bool, Look]] = field(default_factory=list)
+    dash: tuple[float, ...] | None = None
 
 
 def assigned(figure: Figure) -> list[list[Look]]:
@@ -86,24 +98,16 @@ def _look(trace: Trace, slot: int, repeat: int, rivals: list[int], lined: bool) 
 
 def legend(panel: Panel, looks: list[Look]) -> list[Entry]:
     """The legend of a panel: its labelled traces, reference lines and shading."""
-    traces = list(zip(panel.traces, looks, strict=True))
+    traces = [(t.label, (t.style, t.lower is not None, k)) for t, k in zip(panel.traces, looks, strict=True)]
     entries = []
-    for trace, look in traces:
-        if trace.label:
-            # A nameless trace of the same colour (the model of a measurement) shares the entry.
-            mates = [(t, k) for t, k in traces if k.slot == look.slot and not t.label]
-            parts = "".join(_swatch(t, k) for t, k in [*mates, (trace, look)])
-            entries.append(Entry(trace.label, _svg_swatch(parts)))
-    for label, dash in mark_dashes(panel).items():
+    for label, shown in traces:
         if label:
-            entries.append(
-                Entry(label, _svg_swatch(f'<path d="M1 6H29" {_stroke("currentColor", 1.2, dash)}/>'))
-            )
+            # A nameless trace of the same colour (the model of a measurement) shares the entry.
+            mates = [other for name, other in traces if other[2].slot == shown[2].slot and not name]
+            entries.append(Entry(label, [*mates, shown]))
+    entries += [Entry(label, dash=dash) for label, dash in mark_dashes(panel).items() if label]
     labels = list(dict.fromkeys(span.label for span in panel.spans if span.label))
-    if len(labels) == 1:
-        box = '<rect x="3" y="1" width="24" height="10" style="fill:var(--shade);stroke:var(--grid)"/>'
-        entries.append(Entry(labels[0], _svg_swatch(box)))
-    return entries
+    return [*entries, Entry(labels[0])] if len(labels) == 1 else entries
 
 
 def mark_dashes(panel: Panel) -> dict[str, tuple[float, ...]]:
@@ -112,40 +116,12 @@ def mark_dashes(panel: Panel) -> dict[str, tuple[float, ...]]:
     return {label: _MARK_DASHES[i % len(_MARK_DASHES)] for i, label in enumerate(labels)}
 
 
-def _stroke(colour: str, width: float, dash: tuple[float, ...] | None = None) -> str:
-    dashes = f";stroke-dasharray:{','.join(f'{d * width:g}' for d in dash)}" if dash else ""
-    return f'style="fill:none;stroke:{colour};stroke-width:{width:g}{dashes}"'
+def shortened(name: str, letters: int) -> str:
+    """A label of at most so many letters."""
+    return name if len(name) <= letters else name[: letters - 1] + "…"
 
 
-_SHAPES = {
-    "o": '<circle cx="15" cy="6" r="3.4"/>',
-    "s": '<path d="M12 3h6v6h-6z"/>',
-    "^": '<path d="M15 2l4 7.4h-8z"/>',
-    "D": '<path d="M15 1.6l4.4 4.4-4.4 4.4-4.4-4.4z"/>',
-    "v": '<path d="M15 10l4-7.4h-8z"/>',
-    "P": '<path d="M13.6 2h2.8v2.6h2.6v2.8h-2.6v2.6h-2.8V7.4H11V4.6h2.6z"/>',
-    "X": (
-        '<path d="M12.5 2L15 4.5 17.5 2 19 3.5 16.5 6 19 8.5 17.5 10 15 7.5 12.5 10 11 8.5 13.5 6 11 3.5z"/>'
-    ),
-}
-
-
-def _swatch(trace: Trace, look: Look) -> str:
-    colour = f"var(--s{look.slot % len(SERIES) + 1})"
-    parts = []
-    if trace.lower is not None and trace.upper is not None:
-        parts.append(f'<rect x="1" y="1" width="28" height="10" style="fill:{colour};opacity:.2"/>')
-    if trace.style == "bars":
-        lines = '<path d="M5 11L15 1M12 11L22 1M19 11L27 3" style="stroke:var(--paper);stroke-width:1.2"/>'
-        parts.append(
-            f'<rect x="3" y="1" width="24" height="10" style="fill:{colour}"/>{lines if look.hatch else ""}'
-        )
-    elif trace.style not in ("points", "stems"):
-        parts.append(f'<path d="M1 6H29" {_stroke(colour, 2, look.dash)}/>')
-    if look.marker:
-        parts.append(f'<g style="fill:{colour}">{_SHAPES[look.marker]}</g>')
-    return "".join(parts)
-
-
-def _svg_swatch(inside: str) -> str:
-    return f'<svg class="swatch" viewBox="0 0 30 12" width="30" height="12" aria-hidden="true">{inside}</svg>'
+def label_columns(axes: Axes, names: list[str], *, level: bool) -> None:
+    """Names in place of numbers on the horizontal axis, slanting where there is no room for them."""
+    angle, align = (0, "center") if level else (35, "right")
+    axes.set_xticks(range(len(names)), names, rotation=angle, ha=align, rotation_mode="anchor")

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import re
 from decimal import ROUND_HALF_EVEN, Decimal
+from typing import TypeGuard
 
 #: Two-sided 95 % quantile of the normal distribution.
 Z95 = 1.959963984540054
@@ -65,8 +66,13 @@ _SUFFIXES = {
 }
 
 
-def _is_number(value: float | None) -> bool:
+def _is_number(value: float | None) -> TypeGuard[float]:
     return value is not None and math.isfinite(value)
+
+
+def _is_error(stderr: float | None) -> TypeGuard[float]:
+    """Whether a standard error says how many digits are known."""
+    return _is_number(stderr) and stderr > 0
 
 
 def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
@@ -126,20 +132,6 @@ def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
     return scale, scale - last
 
 
-def _parts(value: float | None, stderr: float | None, digits: int) -> tuple[str, str]:
-    if not _is_number(value):
-        return NOTHING, NOTHING
-    assert value is not None
-    if not _is_number(stderr) or not stderr or stderr < 0:
-        return number(value, 6), NOTHING
-    scale, decimals = _layout(value, stderr, digits)
-    power = f" × {power_of_ten(scale)}" if scale else ""
-    return (
-        fixed(value / 10.0**scale, decimals) + power,
-        fixed(stderr / 10.0**scale, decimals) + power,
-    )
-
-
 def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
     """``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
 
@@ -157,8 +149,7 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
     """
     if not _is_number(value):
         return NOTHING
-    assert value is not None
-    if not _is_number(stderr) or not stderr or stderr < 0:
+    if not _is_error(stderr):
         return number(value, 6, unit)
     scale, decimals = _layout(value, stderr, digits)
     text = f"{fixed(value / 10.0**scale, decimals)} ± {fixed(stderr / 10.0**scale, decimals)}"
@@ -171,9 +162,7 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
     """``low … high``, both to the digits ``stderr`` supports (four digits without one)."""
     if not (_is_number(low) and _is_number(high)):
         return NOTHING
-    assert low is not None
-    assert high is not None
-    if not _is_number(stderr) or not stderr or stderr < 0:
+    if not _is_error(stderr):
         return _joined(f"{number(low)} … {number(high)}", unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
     text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
@@ -182,11 +171,7 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
 
 def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
     """Ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
-    if not (_is_number(value) and _is_number(stderr)):
-        return None
-    assert value is not None
-    assert stderr is not None
-    if stderr <= 0:
+    if not (_is_number(value) and _is_error(stderr)):
         return None
     return value - Z95 * stderr, value + Z95 * stderr
 
@@ -194,29 +179,16 @@ def confidence95(value: float | None, stderr: float | None) -> tuple[float, floa
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
     """The allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
     low, high = (None, None) if bounds is None else (bounds[0], bounds[1])
-    low = None if low is None or math.isinf(low) else low
-    high = None if high is None or math.isinf(high) else high
-    if low is None and high is None:
-        return "free"
-    if high is None:
-        return f"≥ {number(low)}"
-    if low is None:
-        return f"≤ {number(high)}"
-    return f"{number(low)} … {number(high)}"
+    ends = [number(end) for end in (low, high) if end is not None and not math.isinf(end)]
+    if len(ends) == 2:
+        return " … ".join(ends)
+    sign = "≤" if low is None or math.isinf(low) else "≥"
+    return f"{sign} {ends[0]}" if ends else "free"
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
     """A fraction as a percentage: 0.142 is ``14.2 %``."""
-    if not _is_number(fraction):
-        return NOTHING
-    assert fraction is not None
-    return f"{number(100.0 * fraction, digits)} %"
-
-
-def ordinal(count: int) -> str:
-    """``1st``, ``2nd``, ``3rd``, ``4th``, ``11th``."""
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(count % 10, "th") if count % 100 not in (11, 12, 13) else "th"
-    return f"{count}{ending}"
+    return f"{number(100.0 * fraction, digits)} %" if _is_number(fraction) else NOTHING
 
 
 def unit_text(unit: str) -> str:

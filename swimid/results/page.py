@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 import swimid
 from swimid.errors import InputError
 from swimid.notices import CODES
-from swimid.progress import Progress, silent
+from swimid.progress import Progress, Step, silent
 from swimid.results import evidence as evidence_format
 from swimid.results import figures
-from swimid.results.evidence import Figure, Image, Verdict
+from swimid.results.evidence import Figure, Verdict
 from swimid.results.figures import Drawing
-from swimid.results.sections import Block, Grid, Note, Section, leaves
+from swimid.results.sections import Block, Section, leaves
 
 #: Word and symbol of every verdict; colour only comes on top.
 LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
@@ -28,17 +27,6 @@ CHECKS = {
     "info": ("i", "info", "muted"),
 }
 _ORDER = ["good", "caution", "bad"]
-
-
-@dataclass(frozen=True)
-class Part:
-    """A block on its place in the page."""
-
-    anchor: str
-    kind: str
-    block: Block
-    drawings: list[Drawing]
-    shared_legend: bool
 
 
 def verdict_badge(verdict: Verdict) -> tuple[str, str]:
@@ -66,14 +54,19 @@ def overall(sections: Sequence[Section]) -> Verdict:
 
 def warnings_by_code(sections: Sequence[Section]) -> list[tuple[str, str, list[tuple[str, str]]]]:
     """Every warning: code, meaning, and (result, text) of each time it was given."""
-    found: dict[str, list[tuple[str, str]]] = {}
+    texts: dict[str, list[tuple[str, str]]] = {}
     for section in sections:
         for notice in section.notices:
             name = section.path.name
             entry = (name, notice.text.removeprefix(f"{name}, ").removeprefix(f"{name}: "))
-            if entry not in found.setdefault(notice.code, []):
-                found[notice.code].append(entry)
-    return [(code, CODES.get(code, "unknown code"), found[code]) for code in sorted(found)]
+            if entry not in texts.setdefault(notice.code, []):
+                texts[notice.code].append(entry)
+    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
+
+
+def references(sections: Sequence[Section]) -> list[str]:
+    """What the results cite, each once."""
+    return list(dict.fromkeys(text for section in sections for text in section.references))
 
 
 def render(
@@ -105,15 +98,11 @@ def render(
         When a figure of the evidence contradicts itself.
     """
     total = sum(isinstance(block, Figure) for section in sections for block in section.blocks)
-    parts = []
     with progress("drawing", total=total) as step:
-        for number, section in enumerate(sections, start=1):
-            row = []
-            for index, block in enumerate(section.blocks, start=1):
-                row.append(_part(section, block, f"r{number}-{index}"))
-                if isinstance(block, Figure):
-                    step()
-            parts.append(row)
+        parts = [
+            [_part(section, block, f"r{k}-{index}", step) for index, block in enumerate(section.blocks, 1)]
+            for k, section in enumerate(sections, 1)
+        ]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
         autoescape=True,
@@ -122,20 +111,20 @@ def render(
         lstrip_blocks=True,
     )
     environment.globals.update(levels=LEVELS, checks=CHECKS, leaves=leaves, verdict_badge=verdict_badge)
-    references = list(dict.fromkeys(text for section in sections for text in section.references))
     return environment.get_template("report.html").render(
         title=title,
         version=swimid.__version__,
         created=created,
         verdict=overall(sections),
         results=list(zip(sections, parts, strict=True)),
-        references=references,
+        references=references(sections),
         warnings=warnings_by_code(sections),
         digests=digests,
     )
 
 
-def _part(section: Section, block: Block, anchor: str) -> Part:
+def _part(section: Section, block: Block, anchor: str, step: Step) -> dict[str, Any]:
+    """A block on its place in the page."""
     drawings: list[Drawing] = []
     if isinstance(block, Figure):
         try:
@@ -143,18 +132,11 @@ def _part(section: Section, block: Block, anchor: str) -> Part:
         except InputError as error:
             file = evidence_format.sidecar(section.path)
             raise InputError(error.reason, file=file, column=error.column) from error
-    legends = [[(entry.label, entry.swatch) for entry in drawing.legend] for drawing in drawings]
-    shared = len(legends) > 1 and all(legend == legends[0] for legend in legends)
-    kinds: dict[type, str] = {Grid: "grid", Note: "note", Figure: "figure", Image: "image"}
-    return Part(anchor, kinds[type(block)], block, [_safe(drawing) for drawing in drawings], shared)
-
-
-def _safe(drawing: Drawing) -> Drawing:
-    """The drawing with its SVGs marked as markup: they are ours, and their texts are escaped."""
-    return Drawing(
-        drawing.title,
-        [figures.Entry(entry.label, Markup(entry.swatch)) for entry in drawing.legend],
-        None if drawing.wide is None else Markup(drawing.wide),
-        Markup(drawing.narrow),
-        drawing.reduced,
-    )
+        step()
+    return {
+        "anchor": anchor,
+        "kind": type(block).__name__.lower(),
+        "block": block,
+        "drawings": drawings,
+        "shared_legend": len(drawings) > 1 and all(d.legend == drawings[0].legend for d in drawings),
+    }

@@ -91,17 +91,12 @@ class ParameterFile(yamlio.Document):
 def write(path: str | Path, parameters: ParameterFile) -> None:
     """Write a parameter file, whole or not at all; every float keeps its last bit."""
     data = parameters.model_dump(mode="python", exclude_none=False)
-    for key in ("correlation", "delay", "sample_time_s", "poles", "stable", "fit", "robot"):
-        if data[key] is None:
-            del data[key]
-    for key in ("identifiability", "derived", "settings"):
-        if not data[key]:
-            del data[key]
-    for block in (data["parameters"], data.get("derived", {})):
-        for estimate in block.values():
-            if estimate["ci95"] is None:
-                del estimate["ci95"]
-    yamlio.write(path, data)
+    for estimate in (*data["parameters"].values(), *data["derived"].values()):
+        if estimate["ci95"] is None:
+            del estimate["ci95"]
+    optional = ("identifiability", "derived", "settings")
+    kept = {key: value for key, value in data.items() if value is not None and (value or key not in optional)}
+    yamlio.write(path, kept)
 
 
 class HasFile(Protocol):

@@ -130,13 +130,13 @@ def _reader_of(path: Path) -> Reader:
     if ending not in {".yaml", ".yml"}:
         allowed = ", ".join([".yaml", *sorted(_BY_ENDING)])
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
-    found = yamlio.load(path).get("format")
-    if found not in _BY_FORMAT:
-        what = "has no 'format'" if found is None else f"its format '{found}' is none a report can show"
-        close = nearest(str(found), sorted(_BY_FORMAT))
+    form = yamlio.load(path).get("format")
+    if form not in _BY_FORMAT:
+        what = "has no 'format'" if form is None else f"its format '{form}' is none a report can show"
+        close = nearest(str(form), sorted(_BY_FORMAT))
         hint = f"did you mean '{close}'?" if close else f"known: {', '.join(sorted(_BY_FORMAT))}"
         raise InputError(what, file=path, line=1, column="format", hint=hint)
-    return _BY_FORMAT[found]
+    return _BY_FORMAT[form]
 
 
 def _joined(section: Section, evidence: Evidence, notices: list[NoticeRecord]) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,8 +15,7 @@ from swimid.progress import Progress, silent
 from swimid.results import documents, page
 from swimid.results import reader as results
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.result import Result
-from swimid.results.text import Text
+from swimid.results.result import Result, Text
 
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
 
@@ -83,7 +83,7 @@ def report(
     elif kind == "md":
         text = documents.as_markdown(sections, title=heading, created=created, digests=digests)
     else:
-        text = documents.json_text(document)
+        text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
     if target is None:
         return Text("report", text.rstrip("\n"), document, document=text)
     atomic.write_text(target, text)

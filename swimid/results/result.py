@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.files import atomic
-from swimid.results.evidence import Check, Evidence, Table, sidecar, write_beside
+from swimid.results.evidence import Check, Evidence, sidecar, write_beside
 from swimid.results.evidence import read as read_evidence
 
 if TYPE_CHECKING:
@@ -89,24 +89,21 @@ class Result:
     @property
     def warnings(self) -> pd.DataFrame:
         """The warnings raised on the way: ``code``, ``text`` (``docs/warnings.md``)."""
-        notices = self.evidence.notices if self.evidence else []
-        return _frame(["code", "text"], [[n.code, n.text] for n in notices])
+        return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
         """Every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
-        found: Sequence[Check] = self.evidence.checks if self.evidence else []
         names = list(Check.model_fields)
-        return _frame(names, [[getattr(check, name) for name in names] for check in found])
+        return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """The tables of the report by their id."""
-        found: Sequence[Table] = self.evidence.tables if self.evidence else []
-        return {table.id: _frame(table.columns, table.rows) for table in found}
+        return {table.id: _frame(table.columns, table.rows) for table in self._shown("tables")}
 
     @property
     def figure_names(self) -> list[str]:
         """The ids of the figures :meth:`plot` draws."""
-        return [figure.id for figure in self.evidence.figures] if self.evidence else []
+        return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
         """Every figure of the report, drawn by matplotlib, by its id."""
@@ -208,8 +205,12 @@ class Result:
     def _write(self, path: Path) -> list[Path]:
         raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
 
+    def _shown(self, what: str) -> Sequence[Any]:
+        """Checks, tables, figures or notices of the evidence; none without it."""
+        return getattr(self.evidence, what) if self.evidence else []
+
     def _figure(self, name: str) -> Figure:
-        for figure in self.evidence.figures if self.evidence else []:
+        for figure in self._shown("figures"):
             if figure.id == name:
                 return figure
         known = ", ".join(self.figure_names) or "none"
@@ -230,6 +231,22 @@ class Result:
             table = self.checks().to_html(index=False, border=0)
             shown += f"<details><summary>checks</summary>{table}</details>"
         return f"<div>{shown}</div>"
+
+
+@dataclass(frozen=True, eq=False)
+class Text(Result):
+    """A text, as ``report`` and ``export`` give it; ``document`` is the text itself."""
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        return [path]
+
+    def _repr_html_(self) -> str:
+        text = str(self.document)
+        if text.startswith("<!DOCTYPE html>"):
+            frame = "width:100%;height:40em;border:0"
+            return f'<iframe srcdoc="{html.escape(text)}" style="{frame}"></iframe>'
+        return f"<pre>{html.escape(text)}</pre>"
 
 
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,19 +77,13 @@ def _facts(file: ParameterFile) -> list[tuple[str, str]]:
 
 
 def _blocks(file: ParameterFile) -> list[Block]:
-    blocks: list[Block] = [_estimates("Parameters", file.parameters)]
+    profiled = any(estimate.ci95 is not None for estimate in file.parameters.values())
+    end = ", or that of the profile likelihood where one was computed (marked *)." if profiled else "."
+    blocks: list[Block] = [_estimates("Parameters", file.parameters, _PARAMETER_CAPTION + end)]
     if file.derived:
-        grid = _estimates("Derived quantities", file.derived)
         # what is computed is not bounded
-        bounds = _COLUMNS.index("Allowed")
-        blocks.append(
-            replace(
-                grid,
-                columns=[c for i, c in enumerate(grid.columns) if i != bounds],
-                rows=[[c for i, c in enumerate(row) if i != bounds] for row in grid.rows],
-                caption="Computed from the parameters; their uncertainty is carried over.",
-            )
-        )
+        caption = "Computed from the parameters; their uncertainty is carried over."
+        blocks.append(_estimates("Derived quantities", file.derived, caption, without="Allowed"))
     if file.identifiability:
         blocks.append(Note(file.identifiability, title="Identifiability"))
     if file.correlation is not None and len(file.correlation.names) > 1:
@@ -105,23 +98,19 @@ def _blocks(file: ParameterFile) -> list[Block]:
 # ---------------------------------------------------------------- estimates
 
 
-def _estimates(title: str, estimates: dict[str, Estimate]) -> Grid:
-    rows = [_row(name, estimate) for name, estimate in estimates.items()]
-    profiled = any(estimate.ci95 is not None for estimate in estimates.values())
-    end = ", or that of the profile likelihood where one was computed (marked *)." if profiled else "."
-    return Grid(title, _COLUMNS, rows, _PARAMETER_CAPTION + end)
-
-
-def _row(name: str, estimate: Estimate) -> list[Cell]:
-    value, between = _shown(estimate)
-    return [
-        Cell(name, "code"),
-        value,
-        between,
-        Cell(numbers.unit_text(estimate.unit)),
-        Cell(numbers.bounds_text(estimate.bounds)),
-        status_cell(estimate.status),
-    ]
+def _estimates(title: str, estimates: dict[str, Estimate], caption: str, *, without: str = "") -> Grid:
+    rows = []
+    for name, estimate in estimates.items():
+        unit, bounds = numbers.unit_text(estimate.unit), numbers.bounds_text(estimate.bounds)
+        cells = [
+            Cell(name, "code"),
+            *_shown(estimate),
+            Cell(unit),
+            Cell(bounds),
+            status_cell(estimate.status),
+        ]
+        rows.append([cell for cell, column in zip(cells, _COLUMNS, strict=True) if column != without])
+    return Grid(title, [column for column in _COLUMNS if column != without], rows, caption)
 
 
 def _shown(estimate: Estimate) -> tuple[Cell, Cell]:
@@ -158,9 +147,9 @@ def _correlation(correlation: Correlation) -> Grid:
             if i > j and abs(value) >= STRONG:
                 strong.append(f"{name} and {names[j]} ({numbers.fixed(value, 2)})")
         rows.append(row)
-    found = f"Strong pairs, marked !: {'; '.join(strong)}." if strong else "No pair is strongly correlated."
+    pairs = f"Strong pairs, marked !: {'; '.join(strong)}." if strong else "No pair is strongly correlated."
     caption = (
-        f"{found} Good: below {STRONG} in size; above it the trials fix a combination of the two "
+        f"{pairs} Good: below {STRONG} in size; above it the trials fix a combination of the two "
         "better than either of them."
     )
     return Grid("Correlation of the estimates", ["", *names], rows, caption)
@@ -176,12 +165,8 @@ def _fit(fit: Fit) -> list[Block]:
     if fit.channels or validation:
         blocks.append(_channels(fit.channels, validation))
     other = {k: v for k, v in fit.validation.items() if k != "channels" and k not in validation}
-    details = {
-        **({"trials": fit.trials} if fit.trials else {}),
-        **({"validation": other} if other else {}),
-        **({"noise": fit.noise} if fit.noise else {}),
-        **(fit.model_extra or {}),
-    }
+    listed = {"trials": fit.trials, "validation": other, "noise": fit.noise}
+    details = {name: value for name, value in listed.items() if value} | (fit.model_extra or {})
     records = {name: value for name, value in details.items() if is_records(value)}
     details = {name: value for name, value in details.items() if name not in records}
     if details:
@@ -228,14 +213,11 @@ def _nested(key: str, *tables: dict[str, dict[str, Any]]) -> bool:
 
 
 def _poles(file: ParameterFile) -> Grid:
-    rows = [
-        [
-            Cell(numbers.fixed(pole.real, 4), numeric=True),
-            Cell(numbers.fixed(pole.imag, 4), numeric=True),
-            Cell(numbers.measured(pole.magnitude, pole.stderr_magnitude), numeric=True),
-            Cell("inside", "good") if pole.magnitude < 1 else Cell("on or outside", "bad"),
-        ]
-        for pole in file.poles or []
-    ]
+    rows = []
+    for pole in file.poles or []:
+        size = numbers.measured(pole.magnitude, pole.stderr_magnitude)
+        texts = [numbers.fixed(pole.real, 4), numbers.fixed(pole.imag, 4), size]
+        place = Cell("inside", "good") if pole.magnitude < 1 else Cell("on or outside", "bad")
+        rows.append([*(Cell(text, numeric=True) for text in texts), place])
     caption = "Good: every magnitude below 1, by more than its standard error. Outside, a free run grows."
     return Grid("Poles", ["Real", "Imaginary", "Magnitude", "Unit circle"], rows, caption)

@@ -67,25 +67,22 @@ def canvas(
         style: dict[str, Any] = {"color": INK, "ha": "left", "va": "top"}
         drawn.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
         top = height - MARGIN - top_room
-        for figure, heading, panels, size in rows:
+        for heading, panels, size in rows:
             if heading:
                 drawn.text(MARGIN / width, (top - 4) / height, heading, fontsize=13, weight="bold", **style)
             down = top - (HEADING if heading else 0.0)
             for index, (panel, look) in enumerate(panels):
                 left = MARGIN + index * (size.width + 20)
                 tall = drawing.height_of(panel, size)
-                box = (
-                    (left + 52) / width,
-                    (down - tall + 34) / height,
-                    (size.width - 62) / width,
-                    (tall - 60) / height,
-                )
+                corner = ((left + 52) / width, (down - tall + 34) / height)
+                box = (*corner, (size.width - 62) / width, (tall - 60) / height)
                 axes = drawn.add_axes(box, facecolor="none")
                 _panel(axes, panel, look, size)
-                label = "\n".join(textwrap.wrap(_y_label(panel), int(size.width / 7)))
+                label = f"{panel.title}: {panel.y_label}" if panel.title else panel.y_label
+                label = "\n".join(textwrap.wrap(label, int(size.width / 7)))
                 drawn.text(left / width, (down - 4) / height, label, fontsize=size.font, **style)
                 step(1)
-            top -= _height((figure, heading, panels, size))
+            top -= _height((heading, panels, size))
         _coloured(drawn.findobj())
     return drawn
 
@@ -109,43 +106,32 @@ def paint(figure: Figure, places: Sequence[Axes]) -> None:
             _coloured(axes.findobj())
 
 
-_Row = tuple[Figure, str, list[tuple[Panel, list[Look]]], Size]
+_Row = tuple[str, list[tuple[Panel, list[Look]]], Size]
 
 
 def _rows(figure: Figure) -> list[_Row]:
     panels = list(zip(figure.panels, looks.assigned(figure), strict=True))
     across, size = (2, NARROW) if figure.columns > 1 else (1, WIDE)
     parts = [panels[k : k + across] for k in range(0, len(panels), across)]
-    return [(figure, figure.title if k == 0 else "", part, size) for k, part in enumerate(parts)]
+    return [(figure.title if k == 0 else "", part, size) for k, part in enumerate(parts)]
 
 
 def _height(row: _Row) -> float:
-    _, heading, panels, size = row
-    return (
-        max(drawing.height_of(panel, size) for panel, _ in panels) + BETWEEN + (HEADING if heading else 0.0)
-    )
-
-
-def _y_label(panel: Panel) -> str:
-    return f"{panel.title}: {panel.y_label}" if panel.title else panel.y_label
+    heading, panels, size = row
+    tallest = max(drawing.height_of(panel, size) for panel, _ in panels)
+    return tallest + BETWEEN + (HEADING if heading else 0.0)
 
 
 def _panel(axes: Axes, panel: Panel, look: list[Look], size: Size) -> None:
     drawing.frame(axes, size)
     drawing.paint(axes, panel, look, size)
     axes.set_xlabel(panel.x_label, fontsize=size.font, color=INK)
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=k.colour,
-            marker=k.marker or "",
-            label=trace.label,
-            linestyle="" if trace.style in ("points", "stems") else (0, k.dash) if k.dash else "-",
-        )
-        for trace, k in zip(panel.traces, look, strict=True)
-        if trace.label
-    ]
+    handles = []
+    for trace, k in zip(panel.traces, look, strict=True):
+        dash = "" if trace.style in ("points", "stems") else (0, k.dash) if k.dash else "-"
+        style: dict[str, Any] = {"color": k.colour, "marker": k.marker or "", "linestyle": dash}
+        if trace.label:
+            handles.append(Line2D([], [], label=trace.label, **style))
     dashes = looks.mark_dashes(panel)
     handles += [Line2D([], [], color=INK, dashes=dashes[label], label=label) for label in dashes if label]
     spans = dict.fromkeys(span.label for span in panel.spans if span.label)

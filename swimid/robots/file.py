@@ -208,43 +208,42 @@ def _put(data: Any, place: str, value: Any, path: Path) -> None:
     """Set a dotted path; members of lists go by their name or their number."""
     *way, last = place.split(".")
     for part in way:
-        data = _member(data, part, place, path)
+        data = data[_key(data, part, place, path)]
     if isinstance(data, list):
-        data[data.index(_member(data, last, place, path))] = value
+        data[_key(data, last, place, path)] = value
     elif value is None:
         data.pop(last, None)
     else:
         data[last] = value
 
 
-def _member(data: Any, part: str, place: str, path: Path) -> Any:
+def _key(data: Any, part: str, place: str, path: Path) -> Any:
+    key = _member(data, part)
+    if key is None:
+        raise InputError(
+            f"a reading changes '{place}', but there is no '{part}'", file=path, column="readings"
+        )
+    return key
+
+
+def _member(data: Any, part: str) -> Any:
+    """Key or number of a member, of a list by its name or its number; None where there is no such member."""
     if isinstance(data, list):
-        named = [m for m in data if isinstance(m, dict) and m.get("name") == part]
-        if named:
-            return named[0]
-        if part.isdigit() and int(part) < len(data):
-            return data[int(part)]
-    elif isinstance(data, dict) and part in data:
-        return data[part]
-    raise InputError(f"a reading changes '{place}', but there is no '{part}'", file=path, column="readings")
+        named = [i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part]
+        index = named[0] if named else int(part) if part.isdigit() else len(data)
+        return index if index < len(data) else None
+    return part if isinstance(data, dict) and part in data else None
 
 
 def located(error: InputError, path: Path) -> InputError:
     """The same error with its file and line, from the dotted path in its ``column``."""
-    data: Any = yamlio.load(path)
-    line = None
+    whole = data = yamlio.load(path)
+    location: list[str | int] = []
     for part in (error.column or "").split("."):
-        positions = getattr(data, "lc", None)
-        if isinstance(data, list):
-            index = next(
-                (i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part), None
-            )
-            index = int(part) if index is None and part.isdigit() else index
-            if index is None or index >= len(data) or positions is None:
-                break
-            line, data = positions.item(index)[0] + 1, data[index]
-        elif isinstance(data, dict) and part in data and positions is not None:
-            line, data = positions.key(part)[0] + 1, data[part]
-        else:
+        key = _member(data, part)
+        if key is None:
             break
+        location.append(key)
+        data = data[key]
+    line = yamlio.line_of(whole, location)
     return InputError(error.reason, file=path, line=line, column=error.column, hint=error.hint)

@@ -140,8 +140,8 @@ class Driven(yamlio.Document):
     servo: Servo | None = None
 
 
-class Passive(yamlio.Document):
-    """A joint that yields: spring, damper, or wire and spring."""
+class Yielding(yamlio.Document):
+    """A hinge that yields: spring and damper."""
 
     stiffness_N_m_rad: Quantity = 0.0
     cubic_N_m_rad3: Quantity = 0.0
@@ -151,6 +151,11 @@ class Passive(yamlio.Document):
     friction_N_m: Quantity = 0.0
     friction_below_rad_s: PositiveFloat = 0.02
     rest_deg: float = 0.0
+
+
+class Passive(Yielding):
+    """A joint that yields: spring, damper, or wire and spring."""
+
     tendon: Tendon | None = None
 
 
@@ -176,13 +181,15 @@ class Joint(yamlio.Document):
         return self
 
 
-class _Element(yamlio.Document):
+class OnLink(yamlio.Document):
+    """What acts on a link."""
+
     link: str
     #: For readings to refer to.
     name: str = ""
 
 
-class AddedMass(_Element):
+class AddedMass(OnLink):
     """Added mass and inertia of a link, as if a body of that mass sat at a station."""
 
     kind: Literal["added-mass"]
@@ -193,7 +200,7 @@ class AddedMass(_Element):
     offset_m: Quantity = 0.0
 
 
-class Drag(_Element):
+class Drag(OnLink):
     """Morison drag, axial and normal, at one station or spread evenly along the link."""
 
     kind: Literal["drag"]
@@ -220,7 +227,7 @@ class Drag(_Element):
         return self
 
 
-class Damping(_Element):
+class Damping(OnLink):
     """Moment against a link's rotation."""
 
     kind: Literal["damping"]
@@ -236,7 +243,7 @@ class Section(yamlio.Document):
     perimeter_m: Annotated[float, Field(ge=0)]
 
 
-class SlenderBody(_Element):
+class SlenderBody(OnLink):
     """Strips over a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
 
     kind: Literal["slender-body"]
@@ -256,7 +263,7 @@ class SlenderBody(_Element):
         return self
 
 
-class Foil(_Element):
+class Foil(OnLink):
     """Lift and drag of a fin at one point (dolphin, Eq 9).
 
     Polar of a flat plate: C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)).
@@ -273,7 +280,7 @@ class Foil(_Element):
     drag_coefficient_1: Quantity = 0.0
 
 
-class TrailingEdge(_Element):
+class TrailingEdge(OnLink):
     """Momentum shed into the wake where a slender body or its caudal fin ends (Lighthill 1971).
 
     Belongs with lateral added mass of the links, whose impulse is the other part of Lighthill's force.
@@ -288,7 +295,7 @@ class TrailingEdge(_Element):
     offset_m: Quantity = 0.0
 
 
-class Hydrostatics(_Element):
+class Hydrostatics(OnLink):
     """Weight at the centre of mass and buoyancy of a volume, in the vertical plane."""
 
     kind: Literal["hydrostatics"]
@@ -297,7 +304,7 @@ class Hydrostatics(_Element):
     buoyancy_offset_m: Quantity = 0.0
 
 
-class Force(_Element):
+class Force(OnLink):
     """A constant force at a point, in the link's axes or the world's."""
 
     kind: Literal["force"]

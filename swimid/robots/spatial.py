@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import NAME, Coefficient, Driven, Quantity
+from swimid.robots.planar import NAME, Coefficient, Driven, OnLink, Quantity, Yielding
 
 #: Along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -44,19 +44,6 @@ class Body(yamlio.Document):
         return self
 
 
-class Yielding(yamlio.Document):
-    """A hinge that yields: spring and damper."""
-
-    stiffness_N_m_rad: Quantity = 0.0
-    cubic_N_m_rad3: Quantity = 0.0
-    damping_N_m_s_rad: Quantity = 0.0
-    quadratic_damping_N_m_s2_rad2: Quantity = 0.0
-    #: Dry friction, rounded off below ``friction_below_rad_s``.
-    friction_N_m: Quantity = 0.0
-    friction_below_rad_s: PositiveFloat = 0.02
-    rest_deg: float = 0.0
-
-
 class Hinge(yamlio.Document):
     """A hinge between two links; a positive angle turns the child right-handed about the axis."""
 
@@ -82,13 +69,7 @@ class Hinge(yamlio.Document):
         return self
 
 
-class _Element(yamlio.Document):
-    link: str
-    #: For readings to refer to.
-    name: str = ""
-
-
-class AddedMass(_Element):
+class AddedMass(OnLink):
     """Added mass along the link's axes at a point, and added inertia about them."""
 
     kind: Literal["added-mass"]
@@ -97,7 +78,7 @@ class AddedMass(_Element):
     at_m: Vector = ZERO
 
 
-class Spheroid(_Element):
+class Spheroid(OnLink):
     """Added mass of a prolate spheroid along x (Lamb; sea lion, Eqs 3 to 8)."""
 
     kind: Literal["spheroid"]
@@ -118,7 +99,7 @@ class Spheroid(_Element):
         return self
 
 
-class Plate(_Element):
+class Plate(OnLink):
     """Added mass of a rectangular flat plate across its plane (sea lion, Eq 9: pi rho k b c^2 / 4)."""
 
     kind: Literal["plate"]
@@ -135,7 +116,7 @@ class Plate(_Element):
         return self
 
 
-class Drag(_Element):
+class Drag(OnLink):
     """Drag ``-rho/2 C A |v| v`` along each axis of the link, at a point or on strips between two.
 
     Strips stand at the points of Gauss and Legendre with their weights: few are enough where the whole row is
@@ -160,7 +141,7 @@ class Drag(_Element):
         return self
 
 
-class Damping(_Element):
+class Damping(OnLink):
     """Moments against a link's rotation about its axes."""
 
     kind: Literal["damping"]
@@ -168,7 +149,7 @@ class Damping(_Element):
     quadratic_N_m_s2_rad2: Vector = ZERO
 
 
-class Foil(_Element):
+class Foil(OnLink):
     """Lift and drag of a fin at one point, with the polar of a flat plate; flow along its span does nothing.
 
     C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), a between the chord and the motion.
@@ -193,7 +174,7 @@ class Foil(_Element):
         return self
 
 
-class Hydrostatics(_Element):
+class Hydrostatics(OnLink):
     """Weight of a link at its centre of mass, and buoyancy of a volume."""
 
     kind: Literal["hydrostatics"]
@@ -203,7 +184,7 @@ class Hydrostatics(_Element):
     half_height_m: PositiveFloat | None = None
 
 
-class Water(_Element):
+class Water(OnLink):
     """Water inside the hull that moves with it."""
 
     kind: Literal["water"]
@@ -216,7 +197,7 @@ class Water(_Element):
     weighs: bool = False
 
 
-class Force(_Element):
+class Force(OnLink):
     """A constant force at a point, in the link's axes or the world's."""
 
     kind: Literal["force"]

@@ -12,6 +12,8 @@ import numpy as np
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting import drives
+from swimid.fitting.drives import Cycle
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
@@ -34,7 +36,6 @@ from swimid.simulation.run import Case, Quantities
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
-from swimid.swimmer.spatial.stroke import Cycle
 
 #: Length and rate of a run where nothing else says.
 DURATION_S, RATE_HZ = 15.0, 50.0
@@ -232,7 +233,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
 def drive_block(swim: SwimInput) -> dict[str, Any]:
     """A beat or a stroke as the ``drive`` of a trials file."""
     if swim.stroke is not None:
-        stroke: Cycle = swim.stroke
+        stroke = swim.stroke
         return {
             "stroke": stroke.name,
             "frequency_hz": stroke.frequency_hz,
@@ -240,7 +241,8 @@ def drive_block(swim: SwimInput) -> dict[str, Any]:
             "ramp_s": stroke.ramp_s,
             **({} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}),
         }
-    beat: drive.Beat = swim.beat
+    beat = swim.beat
+    assert beat is not None
     return {
         "waveform": beat.waveform,
         "frequency_hz": beat.frequency_hz,
@@ -268,7 +270,7 @@ def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
     )
 
 
-def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
+def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
     f, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
     rate = options.sample_rate_hz or RATE_HZ
     if f * options.dt >= 0.5:
@@ -288,7 +290,7 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drive.Beat:
             break
     if options.asymmetry and options.waveform != "a-cpg":
         warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {options.waveform} has none")
-    return drive.Beat(
+    return drives.Beat(
         options.waveform,
         f,
         math.radians(amplitude),

@@ -151,8 +151,16 @@ def fit_graybox(
             )  # fmt: skip
             keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
             found = front.search(profiles, options, checkpoint=keep, progress=progress)
-            result = _picked(model, experiment.trials, choices, found, options.jobs)
-            stages = {front.UNTUNED: _untuned(model, experiment.trials, choices, profiles, options.jobs)}
+
+            def at(point: Array) -> FitResult:
+                theta = profiles.theta(point)
+                return output_error.at(model, experiment.trials, theta, parameters=choices, jobs=options.jobs)
+
+            message = f"point {found.chosen} of the front; standard errors are local to it"
+            result = replace(at(found.point), message=message)
+            stages[front.UNTUNED] = None
+            with suppress(NoTrustworthyResult):
+                stages[front.UNTUNED] = start_states.with_held_out(at(profiles.start))
             stages[front.CHOSEN] = start_states.with_held_out(result)
             if options.method == "hybrid":
                 begins = found.begins(options.starts)
@@ -170,78 +178,85 @@ def fit_graybox(
             checks.append(fit_graybox_evidence.starts_check(ends))
         if found is not None:
             found.profiles.close()
-    tables = fit_graybox_evidence.tables(experiment, result, ends)
-    figures = [*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)]
-    methods = fit_graybox_evidence.methods(experiment, result, ends, left_out, options.method)
-    if found is not None:
-        tables = [front.stages_table(found, stages), front.choices_table(found), *tables]
-        figures = [*front.figures(found, stages), *figures]
-        methods = [*front.methods(found, options), *methods]
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=blocks.verdict(checks, fit_common.answer(file)),
         checks=checks,
-        tables=tables,
-        figures=figures,
+        tables=fit_graybox_evidence.tables(experiment, result, ends),
+        figures=[*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)],
         notices=blocks.notices(notices),
-        methods=methods,
+        methods=fit_graybox_evidence.methods(experiment, result, ends, left_out, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    outputs = fit_common.save(output, file, evidence)
-    if found is not None and output is not None:
-        outputs += front.save(output, found, options)
-        keep.done()
-    if result.interrupted or 0 < len(ends) < options.starts:
-        stopped = (
-            result.message
-            if result.interrupted
-            else f"interrupted after {len(ends)} of {options.starts} starts"
-        )
-        kept = f"the best point so far is in {output}" if output else "nothing was written"
-        raise Interrupted(
-            f"{stopped}; {kept}", hint=f"--start-from {output} goes on from there" if output else None
-        )
-    if not result.converged:
-        kept = f"; what it came to is in {output}, marked so" if output else ""
-        params = f" --params {output}" if output else ""
-        place = trials_format.place(trials)
-        raise NoTrustworthyResult(
-            f"the fit did not converge: {result.message}{kept}",
-            hint="the model may lack an effect, which its coefficients cannot stand in for: "
-            f"swimid diagnose {place}{params} -o gap.yaml; if not, check units and trial settings",
-        )
-    shared = [label for label in result.labels if "[" not in label]
-    if shared and all(result.status[label] == "unidentifiable" for label in shared) and not file.derived:
-        raise NoTrustworthyResult(
-            f"none of {', '.join(shared)} can be identified from these trials",
-            hint="use longer and more different trials, or fix what is known with --fix",
-        )
-    summary = "\n".join(
+    fronts: list[Path] = []
+    if found is not None:
+        evidence.tables[:0] = [front.stages_table(found, stages), front.choices_table(found)]
+        evidence.figures[:0] = front.figures(found, stages)
+        evidence.methods[:0] = front.methods(found, options)
+        fronts = front.save(output, found, options) if output else []
+    text = "\n".join(
         [
             f"{experiment.robot.name}: {len(result.trials)} trials, {result.samples} samples, "
             f"{', '.join(result.noise)}",
             rows(fit_common.brief(file)),
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
-            *(front.summary(found, options, outputs) if found is not None else []),
+            *(front.summary(found, fronts) if found is not None else []),
             f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
             *_next(checks, trials, output),
         ]
     )
-    return Fitted("fit-graybox", summary, file.model_dump(mode="json"), outputs, evidence, file)
+    fitted = fit_common.fitted("fit-graybox", text, file, evidence, output)
+    if found is not None and output is not None:
+        keep.done()
+    _insist(result, file, ends, options.starts, trials, output)
+    return replace(fitted, outputs=[*fitted.outputs, *fronts])
+
+
+def _insist(
+    result: FitResult,
+    file: ParameterFile,
+    ends: Sequence[multistart.Start],
+    starts: int,
+    source: str | Path | TrialSet,
+    output: Path | None,
+) -> None:
+    """Raise for a search that did not come to its end, and for one that came to nothing."""
+    if result.interrupted or 0 < len(ends) < starts:
+        done = f"interrupted after {len(ends)} of {starts} starts"
+        kept = f"the best point so far is in {output}" if output else "nothing was written"
+        raise Interrupted(
+            f"{result.message if result.interrupted else done}; {kept}",
+            hint=f"--start-from {output} goes on from there" if output else None,
+        )
+    if not result.converged:
+        kept = f"; what it came to is in {output}, marked so" if output else ""
+        raise NoTrustworthyResult(
+            f"the fit did not converge: {result.message}{kept}",
+            hint="the model may lack an effect, which its coefficients cannot stand in for: "
+            f"{_diagnose(source, output)} -o gap.yaml; if not, check units and trial settings",
+        )
+    unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
+    if unknown and unknown == result.shared and not file.derived:
+        raise NoTrustworthyResult(
+            f"none of {', '.join(unknown)} can be identified from these trials",
+            hint="use longer and more different trials, or fix what is known with --fix",
+        )
+
+
+def _diagnose(source: str | Path | TrialSet, output: Path | None) -> str:
+    """The command that looks for what the model lacks."""
+    return f"swimid diagnose {trials_format.place(source)}" + (f" --params {output}" if output else "")
 
 
 def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Path | None) -> list[str]:
     """What to do about residuals that are more than noise."""
-    if not any(
-        c.verdict == "warn" and c.name.startswith(("white", "trials agree", "inside")) for c in checks
-    ):
+    coloured = ("white", "trials agree", "inside")
+    if not any(c.verdict == "warn" and c.name.startswith(coloured) for c in checks):
         return []
-    params = f" --params {output}" if output else ""
-    listing = trials_format.place(source)
-    return [f"next: swimid diagnose {listing}{params} says whether the model lacks an effect, and which"]
+    return [f"next: {_diagnose(source, output)} says whether the model lacks an effect, and which"]
 
 
 def _least_squares(
@@ -267,32 +282,6 @@ def _least_squares(
         parameters=parameters, jobs=jobs, loss=loss, begin=begin, unfinished=True, progress=progress,
     )  # fmt: skip
     return found, []
-
-
-def _picked(
-    model: Model, trials: Sequence[Trial], parameters: tuple[Parameter, ...], found: Found, jobs: int | None
-) -> FitResult:
-    """The point chosen on the front, with the errors of the model made linear there."""
-    theta = found.profiles.theta(found.point)
-    result = output_error.at(model, trials, theta, parameters=parameters, jobs=jobs)
-    return replace(result, message=f"point {found.chosen} of the front; standard errors are local to it")
-
-
-def _untuned(
-    model: Model,
-    trials: Sequence[Trial],
-    parameters: tuple[Parameter, ...],
-    profiles: Profiles,
-    jobs: int | None,
-) -> FitResult | None:
-    """The start values, for comparison; None where they cannot be simulated."""
-    try:
-        begin = profiles.theta(profiles.start)
-        return start_states.with_held_out(
-            output_error.at(model, trials, begin, parameters=parameters, jobs=jobs)
-        )
-    except NoTrustworthyResult:
-        return None
 
 
 def _tied(model: Model, share: Sequence[str]) -> Model:
@@ -349,19 +338,17 @@ def _file(
     source: str | Path | TrialSet,
     options: FitGrayboxOptions,
 ) -> ParameterFile:
-    settings: dict[str, Any] = {}
-    if options.readings:
-        settings["readings"] = dict(options.readings)
     model = result.model
-    if model.groups:
-        settings["shared"] = {name: list(members) for name, members in model.groups.items()}
-    if left_out:
-        settings["fixed_as_unidentifiable"] = left_out
+    settings = {
+        "readings": dict(options.readings),
+        "shared": {name: list(members) for name, members in model.groups.items()},
+        "fixed_as_unidentifiable": left_out,
+    }
     file = fit_common.parameter_file(
         result,
         robot=_robot_reference(experiment, source, output),
         provenance=origin,
-        settings=settings,
+        settings={name: value for name, value in settings.items() if value},
         method="point of a Pareto front"
         if options.method == "nsga2"
         else f"output error, {result.loss} loss",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swimid.fitting import identifiability, metrics, multistart
+from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
 from swimid.logs.beat import find_beat
@@ -16,8 +17,6 @@ from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.planar.drive import Beat as Drive
-from swimid.swimmer.planar.model import PLANES
 
 #: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
 BEAT_HARMONICS = 3.5
@@ -32,10 +31,11 @@ def body_of(robot: Robot) -> Multilink | Multibody:
 
 def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """The paths in the plane of motion, where the pose was fitted; in space from above and from the side."""
-    body = body_of(experiment.robot)
+    swimmer, body = result.model.swimmer, body_of(experiment.robot)
+    assert swimmer is not None
     if isinstance(body, Multilink):
-        across, along = PLANES[body.plane].pose[:2]
-        return _path(result, across, along, "from above" if body.plane == "horizontal" else "from the side")
+        view = "from above" if body.plane == "horizontal" else "from the side"
+        return _path(result, swimmer.pose[0], swimmer.pose[1], view)
     return [*_path(result, "x_m", "z_m", "from the side"), *_path(result, "x_m", "y_m", "from above")]
 
 
@@ -81,50 +81,30 @@ def starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
 def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
     """Errors of every trial, what is known best, the starts, and how the source was read."""
     tables = [_metrics_table(result)]
-    ranking = identifiability.ranked(result)
+    ranking: list[dict[str, blocks.Cell]] = [
+        {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
+        for label, share in identifiability.ranked(result)
+    ]
     if len(ranking) > 1:
-        tables.append(
-            blocks.table(
-                "ranking",
-                "What the trials know best",
-                [
-                    {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
-                    for label, share in ranking
-                ],
-                "From the best to the least identifiable parameter. The share is the part of the trials' "
-                "sensitivity to it that those above it, and the start states, cannot imitate.",
-            )
+        caption = (
+            "From the best to the least identifiable parameter. The share is the part of the trials' "
+            "sensitivity to it that those above it, and the start states, cannot imitate."
         )
-    if ends:
-        tables.append(
-            blocks.table(
-                "starts",
-                "Starts",
-                [
-                    {"start": k, "converged": end.converged, "cost": float(end.cost)}
-                    for k, end in enumerate(ends, start=1)
-                ],
-                "The cost is the mean squared residual, averaged geometrically over the channels.",
-            )
-        )
-    readings = experiment.robot.readings
+        tables.append(blocks.table("ranking", "What the trials know best", ranking, caption))
+    starts = [
+        {"start": k, "converged": end.converged, "cost": float(end.cost)}
+        for k, end in enumerate(ends, start=1)
+    ]
+    if starts:
+        caption = "The cost is the mean squared residual, averaged geometrically over the channels."
+        tables.append(blocks.table("starts", "Starts", starts, caption))
+    readings = [
+        {"reading": k, "question": r.question, "chosen": r.chosen, "meaning": r.options[r.chosen].says}
+        for k, r in experiment.robot.readings.items()
+    ]
     if readings:
-        tables.append(
-            blocks.table(
-                "readings",
-                "How the source was read",
-                [
-                    {
-                        "reading": k,
-                        "question": r.question,
-                        "chosen": r.chosen,
-                        "meaning": r.options[r.chosen].says,
-                    }
-                    for k, r in readings.items()
-                ],
-                "Other readings are options of the robot file (--reading NAME=OPTION).",
-            )
-        )
+        caption = "Other readings are options of the robot file (--reading NAME=OPTION)."
+        tables.append(blocks.table("readings", "How the source was read", readings, caption))
     return tables
 
 
@@ -135,6 +115,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
     for s in result.series:
         score = metrics.score(s.measured, s.simulated)
         _, relative = metrics.peak_error(s.measured, s.simulated)
+        warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         rows.append(
             {
                 "trial": s.trial,
@@ -144,7 +125,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
                 "NRMSE": numbers.percent(score.nrmse),
                 "VAF": numbers.number(100 * score.vaf, 4, "%"),
                 "peak error": numbers.number(100 * relative, 3, "%"),
-                "DTW distance": numbers.number(_dtw(s), 3, units[s.channel]),
+                "DTW distance": numbers.number(warped, 3, units[s.channel]),
                 "phase error": _phase(s, drives[s.trial]),
             }
         )
@@ -158,11 +139,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
     )
 
 
-def _dtw(s: Series) -> float:
-    return float(metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20)))
-
-
-def _phase(s: Series, drive: Drive | None) -> str:
+def _phase(s: Series, drive: Beat | None) -> str:
     there = np.isfinite(s.measured)
     highest = None
     if drive is not None and there.sum() > 1:
@@ -184,15 +161,14 @@ def methods(
 ) -> list[str]:
     """How it was done, in sentences."""
     fitted = [t for t in result.trials if t.role == "fit"]
-    names = [label for label in result.labels if "[" not in label]
     body = body_of(experiment.robot)
     kind = "planar model" if isinstance(body, Multilink) else "model in space"
     swimmer = result.model.swimmer
     assert swimmer is not None
     by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
     said = [
-        f"{', '.join(names)} were estimated from {len(fitted)} {experiment.name} trials ({result.samples} "
-        f"samples of {', '.join(result.noise)}) by {by} with a {kind} of "
+        f"{', '.join(result.shared)} were estimated from {len(fitted)} {experiment.name} trials "
+        f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
         f"{1e3 * swimmer.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",
@@ -224,10 +200,8 @@ def scores(file: ParameterFile) -> list[str]:
     lines = []
     for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
         for channel, score in block.items():
-            rmse, nrmse = (
-                numbers.number(score["rmse"], 3, score["unit"]),
-                numbers.percent(score["nrmse"]),
-            )
+            rmse = numbers.number(score["rmse"], 3, score["unit"])
+            nrmse = numbers.percent(score["nrmse"])
             vaf = numbers.number(100 * score["vaf"], 4)
             lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse}, VAF {vaf} %")
     return lines

@@ -1,18 +1,24 @@
-"""``fit-graybox --method nsga2`` and ``hybrid``: the search for a front, the choice on it, what it shows."""
+"""``fit-graybox --method nsga2`` and ``hybrid``: the search for a front, the choice on it, what it shows.
+
+The points of a front are a CSV: ``index``, ``profile``, coefficients, objectives. An objective's column is
+called ``KIND[PROFILE]``; nothing else in the header has brackets.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
+from swimid.files import atomic
 from swimid.files import checkpoint as checkpoint_format
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common, genetic, warping
+from swimid.fitting import fit_common, genetic
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.genetic import Front
 from swimid.fitting.model import Array
@@ -20,10 +26,8 @@ from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.swimmer import front_table as front_format
-from swimid.swimmer.front_table import FrontFile
 from swimid.swimmer.options import FitGrayboxOptions
-from swimid.swimmer.profiles import Profiles
+from swimid.swimmer.profiles import SCALES, UNITS, Profiles
 
 #: How a point of the front is chosen, and what the rule is called.
 RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
@@ -35,38 +39,38 @@ OVERALL = "all trials"
 
 @dataclass(frozen=True)
 class Found:
-    """A front and the point chosen on it.
-
-    Attributes
-    ----------
-    profiles : Profiles
-    file : FrontFile
-        All points, each with its objectives in every profile.
-    searches : dict of profile to Front
-        Empty where the front was read from a file.
-    chosen : int
-    rules : dict of str to int
-        What every rule would choose; the knee of a single profile's objectives as well.
-    """
+    """A front and the point chosen on it."""
 
     profiles: Profiles
-    file: FrontFile
+    #: All points, each with the profile on whose front it lies and its objectives in every profile.
+    table: pd.DataFrame
+    #: Dict of profile to Front: empty where the front was read from a file.
     searches: dict[str, Front]
     chosen: int
+    #: What every rule would choose; the knee of a single profile's objectives as well.
     rules: dict[str, int]
+
+    @property
+    def points(self) -> Array:
+        """The coefficients of all points, shape (n, d)."""
+        return np.asarray(self.table[self.profiles.labels], dtype=float)
+
+    @property
+    def values(self) -> Array:
+        """Their objectives, shape (n, m)."""
+        return np.asarray(self.table[self.profiles.columns], dtype=float)
 
     @property
     def point(self) -> Array:
         """The coefficients chosen, shape (d,)."""
-        return np.asarray(self.file.points[self.chosen])
+        return self.points[self.chosen]
 
     def begins(self, count: int) -> list[Array]:
         """Where least squares starts: at the chosen point, those of the other rules, then along the front."""
-        order = [self.chosen, *self.rules.values()]
-        order += [int(k) for k in np.linspace(0, len(self.file.points) - 1, max(count, 1))]
-        distinct = list(dict.fromkeys(order))
-        wanted = max(count, len(dict.fromkeys([self.chosen, *self.rules.values()])))
-        return [self.profiles.theta(self.file.points[k]) for k in distinct[:wanted]]
+        ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
+        along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
+        distinct = list(dict.fromkeys([*ruled, *along]))
+        return [self.profiles.theta(self.points[k]) for k in distinct[: max(count, len(ruled))]]
 
 
 def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, str]:
@@ -75,13 +79,7 @@ def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, 
 
 
 def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Checkpoint:
-    """What an earlier search left beside the output.
-
-    Raises
-    ------
-    UsageError
-        When there is nothing to go on with although the user insists.
-    """
+    """What an earlier search left beside the output; raises where there is none although the user insists."""
     if options.resume and output is None:
         raise UsageError("--resume needs -o: an unfinished search is kept beside the output")
     if options.resume is False and output is not None:
@@ -105,24 +103,22 @@ def search(
 
     Raises
     ------
-    InputError
-        For a front file that does not belong to these trials.
-    UsageError
-        For a choice the front does not have.
+    InputError, UsageError
+        For a front file that does not belong to these trials, a choice the front does not have.
     NoTrustworthyResult
         When it is interrupted, or every simulation breaks down.
     """
     if options.front is not None:
-        file, searches = _read(options.front, profiles), {}
+        table, searches = _read(options.front, profiles), {}
     else:
         searches = _searched(profiles, options, checkpoint, progress)
-        file = _joined(profiles, searches)
-    rules = {name: rule(file.values) for name, rule in RULES.items()}
+        table = _joined(profiles, searches)
+    found = Found(profiles, table, searches, 0, {})
+    rules = {name: rule(found.values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
         for name in profiles.names:
-            own = [j for j, (profile, _) in enumerate(profiles.objectives) if profile == name]
-            rules[f"knee of {name}"] = genetic.knee(file.values[:, own])
-    return Found(profiles, file, searches, _chosen(options.pick, rules, len(file.points)), rules)
+            rules[f"knee of {name}"] = genetic.knee(found.values[:, profiles.of(name)])
+    return replace(found, chosen=_chosen(options.pick, rules, len(table)), rules=rules)
 
 
 def _searched(
@@ -145,7 +141,7 @@ def _searched(
                     lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
                     profiles.lower,
                     profiles.upper,
-                    objectives=sum(profile == name for profile, _ in profiles.objectives),
+                    objectives=len(profiles.of(name)),
                     population=options.population,
                     generations=options.generations,
                     crossover=options.crossover,
@@ -164,12 +160,12 @@ def _searched(
     return searches
 
 
-def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> FrontFile:
+def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """The points of all fronts with their objectives in every profile; those that break down left out."""
     points = np.concatenate([f.points for f in searches.values()])
     owners = [name for name, f in searches.items() for _ in f.points]
-    values = np.nan_to_num(profiles.evaluate(points), nan=genetic.BROKEN)
-    sound = np.asarray((values < genetic.BROKEN).all(axis=1))
+    values = np.nan_to_num(profiles.evaluate(points), nan=genetic.BROKEN_OBJECTIVE)
+    sound = np.asarray((values < genetic.BROKEN_OBJECTIVE).all(axis=1))
     if not sound.any():
         raise NoTrustworthyResult(
             "the simulation breaks down at every point of the front",
@@ -177,39 +173,34 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> FrontFile:
         )
     if not sound.all():
         warn("SWM027", f"{int((~sound).sum())} points of the front break down in another motion profile")
-    return FrontFile(
-        profiles.labels,
-        profiles.objectives,
-        [o for o, good in zip(owners, sound, strict=True) if good],
-        points[sound],
-        values[sound],
-    )
+    table = pd.DataFrame(np.hstack([points, values]), columns=[*profiles.labels, *profiles.columns])
+    table.insert(0, "profile", owners)
+    return _numbered(table[sound])
 
 
-def _read(path: Path, profiles: Profiles) -> FrontFile:
-    file = front_format.read(path)
-    if sorted(file.coefficients) != sorted(profiles.labels):
+def _numbered(table: pd.DataFrame) -> pd.DataFrame:
+    """Points with their index as the first column."""
+    return table.assign(index=np.arange(len(table)))[["index", *table.columns.drop("index", errors="ignore")]]
+
+
+def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
+    """A front file's points, where they belong to these trials."""
+    table = read(path)
+    scored = [name for name in table.columns[2:] if name.endswith("]")]
+    coefficients = [name for name in table.columns[2:] if name not in scored]
+    if sorted(coefficients) != sorted(profiles.labels):
         raise InputError(
-            f"is a front of {', '.join(file.coefficients)}, and these are estimated: "
-            f"{', '.join(profiles.labels)}",
+            f"is a front of {', '.join(coefficients)}, and these are estimated: {', '.join(profiles.labels)}",
             file=path,
             hint="give the same --fix, --free and --share as when it was made",
         )
-    if sorted(file.objectives) != sorted(profiles.objectives):
+    if sorted(scored) != sorted(profiles.columns):
         raise InputError(
             "is a front of other motion profiles or channels than these trials have",
             file=path,
             hint="give the trials file and --channels it was made with",
         )
-    column = [file.coefficients.index(label) for label in profiles.labels]
-    scored = [file.objectives.index(o) for o in profiles.objectives]
-    return FrontFile(
-        profiles.labels,
-        profiles.objectives,
-        file.profiles,
-        file.points[:, column],
-        file.values[:, scored],
-    )
+    return _numbered(table[["profile", *profiles.labels, *profiles.columns]])
 
 
 def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
@@ -226,11 +217,42 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
 
 def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
     """Write the front beside the parameter file, unless it was read from there."""
-    path = front_format.beside(output)
+    path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
-    front_format.write(path, found.file)
+    atomic.write_text(path, found.table.to_csv(index=False))
     return [path]
+
+
+def read(path: Path) -> pd.DataFrame:
+    """Read the points of a front: their index, profile, coefficients and objectives.
+
+    Raises
+    ------
+    InputError
+        For a file that is none.
+    """
+    try:
+        table = pd.read_csv(path, dtype={"profile": str})
+    except FileNotFoundError as error:
+        raise InputError("there is no such file", file=path) from error
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"is no table: {error}", file=path) from error
+    names = [str(c) for c in table.columns]
+    scored = [n for n in names if n.endswith("]") and "[" in n]
+    points = [n for n in names[2:] if n not in scored]
+    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
+        raise InputError(
+            "holds no front: its columns are index, profile, coefficients, and objectives such as "
+            "position[characteristic]",
+            file=path,
+            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+        )
+    for column in [*points, *scored]:
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
+        if len(bad):
+            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
+    return table
 
 
 # ---------------------------------------------------------------- what it shows
@@ -238,40 +260,34 @@ def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
 
 def stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Table:
     """Objectives and errors before the search, at the chosen point and after least squares."""
-    scored = {
-        title: None if result is None else found.profiles.scored(result.series)
-        for title, result in stages.items()
-    }
-    rows: list[list[Any]] = []
-    for j, (profile, kind) in enumerate(found.profiles.objectives):
-        row: list[Any] = [f"DTW distance, {kind}", profile]
-        row += ["" if s is None else numbers.number(float(s[j]), 3) for s in scored.values()]
-        rows.append(row)
+    scored = [None if r is None else found.profiles.scored(r.series) for r in stages.values()]
+    rows: list[list[Any]] = [
+        [f"DTW distance, {kind}", profile]
+        + ["" if s is None else numbers.number(float(s[j]), 3) for s in scored]
+        for j, (profile, kind) in enumerate(found.profiles.objectives)
+    ]
     for role, title in (("fit", "fitted trials"), ("validate", "held-out trials")):
         errors = [{} if r is None else fit_common.scores(r, role) for r in stages.values()]
         for channel in dict.fromkeys(c for e in errors for c in e):
-            row = [f"RMSE, {channel}", title]
-            row += [
-                numbers.number(e[channel]["rmse"], 3, e[channel]["unit"]) if channel in e else ""
-                for e in errors
-            ]
-            rows.append(row)
+            known = [e.get(channel) for e in errors]
+            shown = [numbers.number(e["rmse"], 3, e["unit"]) if e else "" for e in known]
+            rows.append([f"RMSE, {channel}", title, *shown])
     return ev.Table(
         id="stages",
         title="What the search gained",
         columns=["quantity", "of", *stages],
         rows=rows,
         caption="DTW distances are per sample, over the scale of the channel ("
-        + ", ".join(_scale_text(kind) for kind in dict.fromkeys(k for _, k in found.profiles.objectives))
+        + ", ".join(_scale_text(kind) for kind in found.profiles.kinds)
         + " unless told otherwise); their mean over the trials of a profile.",
     )
 
 
 def _scale_text(kind: str) -> str:
-    size = warping.SCALES[kind]
-    if warping.UNITS[kind].startswith("rad"):
-        return f"{kind} {np.degrees(size):.3g} {warping.UNITS[kind].replace('rad', 'deg')}"
-    return f"{kind} {size:g} {warping.UNITS[kind]}"
+    size, unit = SCALES[kind], UNITS[kind]
+    if unit.startswith("rad"):
+        return f"{kind} {np.degrees(size):.3g} {unit.replace('rad', 'deg')}"
+    return f"{kind} {size:g} {unit}"
 
 
 def choices_table(found: Found) -> ev.Table:
@@ -281,11 +297,11 @@ def choices_table(found: Found) -> ev.Table:
     if found.chosen not in picks.values():
         picks = {"by index": found.chosen, **picks}
     for j, label in enumerate(found.profiles.labels):
-        column = found.file.points[:, j]
+        column = found.points[:, j]
         searched = numbers.interval(float(found.profiles.lower[j]), float(found.profiles.upper[j]), None)
         spread = numbers.interval(float(column.min()), float(column.max()), None)
         rows.append([label, searched, spread, *(numbers.number(float(column[k]), 4) for k in picks.values())])
-    rows.append(["index", "", f"0 to {len(found.file.points) - 1}", *picks.values()])
+    rows.append(["index", "", f"0 to {len(found.points) - 1}", *picks.values()])
     return ev.Table(
         id="front-choices",
         title="Choices on the front",
@@ -298,40 +314,10 @@ def choices_table(found: Found) -> ev.Table:
 
 def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
     """The front of every profile, and how it was approached."""
-    panels = []
     ends = {t: found.profiles.scored(r.series) for t, r in stages.items() if r is not None}
-    for name in found.profiles.names:
-        own = [j for j, (profile, _) in enumerate(found.profiles.objectives) if profile == name]
-        if len(own) < 2:
-            continue
-        first, second = own[:2]
-        here = np.array([p == name for p in found.file.profiles])
-        clouds = [("its front", here, 0)]
-        if not here.all():
-            clouds.append(("fronts of the other profiles", ~here, 1))
-        traces = [
-            ev.Trace(x=found.file.values[m, first], y=found.file.values[m, second], style="points",
-                     label=label, group=group)
-            for label, m, group in clouds if m.any()
-        ]  # fmt: skip
-        for group, (title, values) in enumerate(ends.items(), start=2):
-            label = f"chosen ({found.chosen})" if title == CHOSEN else title
-            traces.append(
-                ev.Trace(x=values[[first]], y=values[[second]], style="points", label=label, group=group)
-            )
-        kinds = [found.profiles.objectives[j][1] for j in (first, second)]
-        panels.append(
-            ev.Panel(
-                x_label=f"{kinds[0]} distance",
-                y_label=f"{kinds[1]} distance",
-                title=name,
-                traces=traces,
-                x_scale="log",
-                y_scale="log",
-            )
-        )
+    shown = [name for name in found.profiles.names if len(found.profiles.of(name)) > 1]
     drawn = []
-    if panels:
+    if shown:
         drawn.append(
             ev.Figure(
                 id="front",
@@ -340,33 +326,49 @@ def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Fig
                 "than another one of it in both distances. A model that explains all profiles with one set "
                 "has points of all fronts close together at the lower left.",
                 columns=2,
-                panels=panels,
+                panels=[_front_panel(found, name, ends) for name in shown],
             )
         )
     if found.searches:
-        drawn.append(_history(found))
+        drawn.append(
+            ev.Figure(
+                id="generations",
+                title="The search, generation by generation",
+                caption="Least distance of each kind in the population. A search that is done has been level "
+                "for a while.",
+                columns=2,
+                panels=[_history_panel(found, name) for name in found.searches],
+            )
+        )
     return drawn
 
 
-def _history(found: Found) -> ev.Figure:
-    panels = []
-    for name, front in found.searches.items():
-        kinds = [kind for profile, kind in found.profiles.objectives if profile == name]
-        generation = np.arange(1, len(front.history) + 1)
-        traces = [
-            ev.Trace(x=generation, y=front.history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)
-        ]
-        panels.append(
-            ev.Panel(x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log")
-        )
-    return ev.Figure(
-        id="generations",
-        title="The search, generation by generation",
-        caption="Least distance of each kind in the population. A search that is done has been level for a "
-        "while.",
-        columns=2,
-        panels=panels,
+def _front_panel(found: Found, name: str, ends: Mapping[str, Array]) -> ev.Panel:
+    """The first two objectives of a profile: all points, and what the stages came to."""
+    axes = found.profiles.of(name)[:2]
+    here = np.asarray(found.table["profile"] == name)
+    clouds = [("its front", here), ("fronts of the other profiles", ~here)]
+    drawn = [(label, found.values[m][:, axes], k) for k, (label, m) in enumerate(clouds) if m.any()]
+    for group, (title, values) in enumerate(ends.items(), start=2):
+        label = f"chosen ({found.chosen})" if title == CHOSEN else title
+        drawn.append((label, values[None, axes], group))
+    x_label, y_label = (f"{found.profiles.objectives[j][1]} distance" for j in axes)
+    return ev.Panel(
+        x_label=x_label,
+        y_label=y_label,
+        title=name,
+        traces=[ev.Trace(x=v[:, 0], y=v[:, 1], style="points", label=n, group=g) for n, v, g in drawn],
+        x_scale="log",
+        y_scale="log",
     )
+
+
+def _history_panel(found: Found, name: str) -> ev.Panel:
+    history = found.searches[name].history
+    generation = np.arange(1, len(history) + 1)
+    kinds = [found.profiles.objectives[j][1] for j in found.profiles.of(name)]
+    traces = [ev.Trace(x=generation, y=history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)]
+    return ev.Panel(x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log")
 
 
 def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
@@ -379,19 +381,18 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
             if len(found.searches) > 1
             else "over all fitted trials"
         )
-        kinds = dict.fromkeys(kind for _, kind in found.profiles.objectives)
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {of} by NSGA-II "
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
             f"crossover {options.crossover:g}, seed {options.seed}: {evaluations} points in all. "
-            f"Objectives are dynamic-time-warping distances ({', '.join(kinds)}), "
+            f"Objectives are dynamic-time-warping distances ({', '.join(found.profiles.kinds)}), "
             f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978; "
             "dtaidistance)."
         )
     rule = next((r for r, k in found.rules.items() if k == found.chosen), "")
     by = f"by the rule {options.pick}" if options.pick in found.rules else "by hand"
     said.append(
-        f"Point {found.chosen} of {len(found.file.points)} was chosen {by}"
+        f"Point {found.chosen} of {len(found.points)} was chosen {by}"
         + (f" (it is also that of the rule {rule})" if by == "by hand" and rule else "")
         + "."
     )
@@ -405,8 +406,8 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
     return said
 
 
-def summary(found: Found, options: FitGrayboxOptions, saved: Sequence[Path]) -> list[str]:
+def summary(found: Found, saved: Sequence[Path]) -> list[str]:
     """The choice, for the terminal."""
-    where = next((f" in {p}" for p in saved if p.name.endswith(".front.csv")), "")
+    where = "".join(f" in {path}" for path in saved)
     names = ", ".join(f"{rule} {k}" for rule, k in found.rules.items())
-    return [f"  front: {len(found.file.points)} points{where}; chosen {found.chosen} ({names})"]
+    return [f"  front: {len(found.points)} points{where}; chosen {found.chosen} ({names})"]

@@ -73,13 +73,7 @@ class Polynomial:
 class Table:
     """A table of polynomials, evaluated together.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of Polynomial or float
-    columns : int
-        Width, for a table without rows.
-    names : sequence of str
-        Coefficients in the order their values come in.
+    The width is that of a table without rows; coefficients are named in the order their values come in.
     """
 
     def __init__(

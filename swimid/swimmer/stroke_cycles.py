@@ -11,7 +11,7 @@ from swimid.fitting.model import Array
 from swimid.logs.rotation import from_angles
 
 #: Fewest samples of a cycle.
-FEWEST = 6
+MIN_SAMPLES = 6
 #: What is told of a cycle, with its unit.
 QUANTITIES = {
     "max_speed_m_s": "m/s",
@@ -72,30 +72,32 @@ def quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> 
     """
     inside = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
     found: dict[str, float] = {}
-    moving = velocity(time_s, channels)
+
+    def seen(values: Array | None) -> tuple[Array, Array] | None:
+        """Times and values in the cycle, where there are enough; of several rows where all are there."""
+        if values is None:
+            return None
+        there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)
+        return (time_s[there], values[..., there]) if there.sum() >= MIN_SAMPLES else None
+
+    moving = seen(velocity(time_s, channels))
     if moving is not None:
-        there = inside & np.isfinite(moving).all(axis=0)
-        if there.sum() >= FEWEST:
-            t, speed = time_s[there], np.hypot(*moving[:, there])
-            found["max_speed_m_s"] = float(speed.max())
-            found["mean_speed_m_s"] = float(np.trapezoid(speed, t) / (t[-1] - t[0]))
+        t, speed = moving[0], np.hypot(*moving[1])
+        found["max_speed_m_s"] = float(speed.max())
+        found["mean_speed_m_s"] = float(np.trapezoid(speed, t) / (t[-1] - t[0]))
     for name, way in (("x_m", "surge_m"), ("z_m", "heave_m")):
-        if name in channels:
-            there = inside & np.isfinite(channels[name])
-            if there.sum() >= FEWEST:
-                place = channels[name][there]
-                found[way] = float(place[-1] - place[0])
-    if "pitch_rad" in channels:
-        pitch = channels["pitch_rad"]
-        there = inside & np.isfinite(pitch)
-        if there.sum() >= FEWEST:
-            t, angle = time_s[there], pitch[there]
-            rate = channels.get("pitch_rate_rad_s")
-            rate = (_slope(time_s, pitch) if rate is None else rate)[inside]
-            found["final_pitch_rad"] = float(angle[-1])
-            if np.isfinite(rate).sum() >= FEWEST:
-                found["max_pitch_rate_rad_s"] = float(np.nanmax(np.abs(rate)))
-            found["mean_pitch_rate_rad_s"] = float((angle[-1] - angle[0]) / (t[-1] - t[0]))
+        place = seen(channels.get(name))
+        if place is not None:
+            found[way] = float(place[1][-1] - place[1][0])
+    pitch = seen(channels.get("pitch_rad"))
+    if pitch is not None:
+        t, angle = pitch
+        rate = channels.get("pitch_rate_rad_s")
+        rate = (_slope(time_s, channels["pitch_rad"]) if rate is None else rate)[inside]
+        found["final_pitch_rad"] = float(angle[-1])
+        if np.isfinite(rate).sum() >= MIN_SAMPLES:
+            found["max_pitch_rate_rad_s"] = float(np.nanmax(np.abs(rate)))
+        found["mean_pitch_rate_rad_s"] = float((angle[-1] - angle[0]) / (t[-1] - t[0]))
     return {name: found[name] for name in QUANTITIES if name in found}
 
 

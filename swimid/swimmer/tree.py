@@ -1,17 +1,21 @@
-"""What every tree of links checks: names, quantities, and that it is one."""
+"""A robot's tree of links, in a plane or in space: what is checked of it, and its tables for an engine."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from swimid.errors import InputError, nearest
-from swimid.fitting.model import Parameter
-from swimid.robots.planar import Coefficient
+from swimid.errors import InputError, suggestion
+from swimid.fitting.body import Axis
+from swimid.fitting.model import Array, Parameter
+from swimid.robots.planar import Coefficient, Joint
+from swimid.robots.spatial import Hinge
+from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
 
 #: Keys that hold words, not quantities.
@@ -30,19 +34,7 @@ WORDS = {
 
 
 def check_names(body: Any, part: str) -> None:
-    """Refuse names that stand twice or are not there.
-
-    Parameters
-    ----------
-    body : document with links, joints, elements and coefficients
-    part : str
-        Its place in the robot file.
-
-    Raises
-    ------
-    InputError
-        With the dotted path of what is wrong.
-    """
+    """Refuse names that stand twice or are not there, with their dotted path in a part of the robot file."""
     links = [link.name for link in body.links]
     for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
         for n, own in enumerate(given):
@@ -53,7 +45,7 @@ def check_names(body: Any, part: str) -> None:
     for where, name in used:
         if name not in links:
             raise InputError(
-                f"there is no link '{name}'", column=f"{part}.{where}", hint=_offer(name, links, "none")
+                f"there is no link '{name}'", column=f"{part}.{where}", hint=suggestion(name, links)
             )
     known = list(body.coefficients)
     for path, quantity in quantities(body, part):
@@ -61,13 +53,10 @@ def check_names(body: Any, part: str) -> None:
             for factor in name:
                 if factor not in known:
                     raise InputError(
-                        f"there is no coefficient '{factor}'", column=path, hint=_offer(factor, known, "none")
+                        f"there is no coefficient '{factor}'",
+                        column=path,
+                        hint=suggestion(factor, known),
                     )
-
-
-def _offer(name: str, known: list[str], nothing: str) -> str:
-    close = nearest(name, known)
-    return f"did you mean '{close}'?" if close else f"there are: {', '.join(known) or nothing}"
 
 
 def quantities(body: Any, part: str) -> list[tuple[str, float | str]]:
@@ -95,13 +84,7 @@ def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
 
 
 def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
-    """Links with parents before children, and the joint each hangs on (None for the base).
-
-    Raises
-    ------
-    InputError
-        A link without or with two joints, or a cycle.
-    """
+    """Links with parents before children, and the joint that holds each (None for the base)."""
     joint_of: dict[str, Any] = {}
     for joint in body.joints:
         where = f"{part}.joints.{joint.name}"
@@ -138,42 +121,18 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
     return [by_name[name] for name in order], joints
 
 
-def element_tables(
-    rows: Any, columns: Sequence[tuple[str, Sequence[str]]], names: Sequence[str]
-) -> list[tuple[str, NDArray[np.int64], Table]]:
-    """The rows of elements as tables, each with the links they act on.
-
-    Parameters
-    ----------
-    rows : object
-        A list of (link, row) for each table, under its name.
-    columns : sequence of (str, sequence of str)
-        Each table's name and columns, in the order the engine takes them.
-    names : sequence of str
-        Coefficients, in the order of their values.
-    """
-    return [
-        (
-            name,
-            np.array([link for link, _ in getattr(rows, name)], dtype=np.int64),
-            Table([row for _, row in getattr(rows, name)], len(heads), list(names)),
-        )
-        for name, heads in columns
-    ]
-
-
 def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     """The coefficients of a robot file as parameters."""
     found = []
     for name, c in known.items():
         start = c.value if c.start is None else c.start
-        low, high = (math.inf if b is None else b for b in c.bounds)
+        low, high = c.bounds
         found.append(
             Parameter(
                 name,
                 c.unit,
-                -math.inf if c.bounds[0] is None else low,
-                high,
+                -math.inf if low is None else low,
+                math.inf if high is None else high,
                 start,
                 c.scale or abs(c.value) or abs(start) or 1.0,
                 c.free,
@@ -184,3 +143,142 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
             )
         )
     return found
+
+
+class Tree(ABC):
+    """A robot's links, checked, with their tables as functions of the coefficients.
+
+    Parameters
+    ----------
+    body : Multilink or Multibody
+
+    Attributes
+    ----------
+    names : list of str
+        Coefficients, in the order of the values given to :meth:`tables`.
+    links : list of Link or Body
+        Parents before children; the first is the base.
+    driven, passive : list of Axis
+    free_base : bool
+    topology : ndarray of int, shape (links, 3)
+        Parent, driven joint and passive joint of each link, -1 for none.
+
+    Raises
+    ------
+    InputError
+        With the dotted path of what is wrong: unknown or repeated names, a link without or with
+        two joints, a cycle, an element on a link that is not there, masses and inertias that no
+        body has.
+    """
+
+    #: Its place in the robot file, and what a joint is called there.
+    part: str
+    hinge: str
+    #: The element tables in the order the engine takes them.
+    elements: tuple[str, ...]
+    #: The last arguments of the engine, which do not depend on the coefficients.
+    constants: dict[str, Any]
+
+    def __init__(self, body: Any) -> None:
+        self.body = body
+        self.names = list(body.coefficients)
+        check_names(body, self.part)
+        self.links, self._joints = ordered(body, self.part)
+        self.index = {link.name: i for i, link in enumerate(self.links)}
+        moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
+        axes = [Axis(j, f"joint{k + 1}_rad", self.index[j.child]) for k, j in enumerate(moving)]
+        self.driven = [a for a in axes if a.joint.driven is not None]
+        self.passive = [a for a in axes if a.joint.passive is not None]
+        self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
+        for i in range(1, len(self.links)):
+            self.topology[i, 0] = self.index[self._joints[i].parent]
+        for column, moved in ((1, self.driven), (2, self.passive)):
+            for k, axis in enumerate(moved):
+                self.topology[axis.link, column] = k
+        self.free_base = body.base == "free"
+        if not self.free_base and not self.passive:
+            raise InputError(
+                f"a robot on a fixed base without a passive {self.hinge} has nothing to simulate",
+                column=f"{self.part}.base",
+            )
+        self.constants = {"free_base": self.free_base}
+
+    def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
+        """Collect the rows of links and elements, and check them at the file's coefficients.
+
+        ``rows`` has an empty row of inertia for each link; the engine names the columns of its tables.
+        """
+        for link in self.links:
+            self._add_rigid(link, rows)
+        rigid = [list(row) for row in rows.inertia]
+        for element in self.body.elements:
+            adders[element.kind](element, self.links[self.index[element.link]], rows)
+
+        def table(entries: list[Any], columns: tuple[str, ...]) -> Table:
+            return Table(entries, len(columns), self.names)
+
+        self._joint = table([self._place(j) for j in self._joints], engine.JOINT)
+        self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
+        self._passive = table([_law(axis.joint) for axis in self.passive], PASSIVE)
+        self._elements = []
+        for name in self.elements:
+            owners = np.array([link for link, _ in getattr(rows, name)], dtype=np.int64)
+            entries = [row for _, row in getattr(rows, name)]
+            self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
+        self.check(np.array([c.value for c in self.body.coefficients.values()]))
+
+    def tables(self, values: Array) -> dict[str, Any]:
+        """The arguments of the engine's ``integrate`` from ``topology`` on, by their names.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(names),)
+        """
+        found: dict[str, Any] = {
+            "topology": self.topology,
+            "joint": self._joint(values),
+            "inertia": self._inertia(values),
+            "passive": self._passive(values),
+        }
+        for name, owner, table in self._elements:
+            found[f"{name}_link"], found[name] = owner, table(values)
+        found.update(self.constants)
+        return found
+
+    @abstractmethod
+    def check(self, values: Array) -> None:
+        """Refuse masses and inertias that no body has.
+
+        Raises
+        ------
+        InputError
+        """
+
+    @abstractmethod
+    def _add_rigid(self, link: Any, rows: Any) -> None:
+        """Add a link's own mass and inertia."""
+
+    @abstractmethod
+    def _place(self, joint: Any) -> list[Polynomial | float]:
+        """A joint's row of the engine's table; of the base with None."""
+
+
+def _law(joint: Joint | Hinge) -> list[Polynomial]:
+    """A passive joint's row of the engine's table."""
+    law = joint.passive
+    assert law is not None
+    tendon = getattr(law, "tendon", None)
+    wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
+    return [
+        Polynomial.of(q)
+        for q in (
+            law.stiffness_N_m_rad,
+            law.cubic_N_m_rad3,
+            law.damping_N_m_s_rad,
+            law.quadratic_damping_N_m_s2_rad2,
+            math.radians(law.rest_deg),
+            *wire,
+            law.friction_N_m,
+            law.friction_below_rad_s,
+        )
+    ]

@@ -11,24 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, UsageError, nearest, suggestion
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.fitting import drives
+from swimid.fitting.drives import Cycle
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs import course
-from swimid.logs import stated_beat as beats
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import find_beat
+from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.log import Log
 from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
+from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.model import DEFAULT_STEP, MultilinkModel
+from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.spatial.stroke import Cycle
 
 #: The start state is estimated when a log's first stretch moves faster than this share of its top
 #: speed, by more than this many standard errors.
@@ -56,8 +57,8 @@ def robot_model(
     relative_to: Path | None = None,
     *,
     readings: Mapping[str, str] | None = None,
-    max_step: float = DEFAULT_STEP,
-) -> tuple[Robot, Swimmer]:
+    max_step: float = STEP_S,
+) -> tuple[Robot, LinkedModel]:
     """A robot with links and its model: in space where the file says how, else in its plane.
 
     Raises
@@ -87,7 +88,7 @@ def load(
     readings: Mapping[str, str] | None = None,
     channels: Sequence[str] = (),
     start_state: str = "auto",
-    max_step: float = DEFAULT_STEP,
+    max_step: float = STEP_S,
 ) -> Experiment:
     """Read a free-swim or multibody trials file of a multi-link robot.
 
@@ -112,17 +113,20 @@ def load(
     entries = trials_format.read(source, FreeSwim, Multibody, uses=USES)
     assert isinstance(entries, FreeSwim | Multibody)
     robot, model = robot_model(entries.robot, path.parent, readings=readings, max_step=max_step)
-    _check_channels(model, channels)
-    trials, read, moving = [], [], []
-    found: dict[str, Any] = {}
-    for entry in entries.trials:
-        trial, log = _trial(entry, path, model, channels)
-        trials.append(trial)
-        read.append(log)
-        found[entry.id] = _beat(entry, log, model)
-        if _moving(trial, log, model):
-            moving.append(entry.id)
-    free = set(_start_parameters(model, trials))
+    known = [c.name for c in model.channels]
+    for name in channels:
+        if name not in known:
+            raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
+    pairs = [_trial(entry, path, model, channels) for entry in entries.trials]
+    trials, read = [t for t, _ in pairs], [log for _, log in pairs]
+    found = {e.id: _beat(e, log, model) for e, log in zip(entries.trials, read, strict=True)}
+    moving = [t.id for t, log in pairs if _moving(t, log, model)]
+    # offsets of the start pose, for each measured coordinate
+    free = {
+        name
+        for name, column in zip(model.starts, model.pose, strict=True)
+        if model.free_base and any(column in t.measured for t in trials)
+    }
     if start_state == "estimate" or (start_state == "auto" and moving):
         free |= set(model.initial([c for t in trials for c in t.measured]))
     held = {
@@ -130,10 +134,7 @@ def load(
         for t in trials
         if start_state == "auto" and t.id not in moving
     }
-    trials = [
-        replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model))
-        for t, log in zip(trials, read, strict=True)
-    ]
+    trials = [replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model)) for t, log in pairs]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
     _check_course(path, model, read, [getattr(e.drive, "frequency_hz", None) for e in entries.trials])
     facts = {
@@ -154,7 +155,7 @@ def load(
 
 
 def _check_course(
-    path: Path, model: Swimmer, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
+    path: Path, model: LinkedModel, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
 ) -> None:
     """Warn where the robot does not swim where its heading points."""
     if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
@@ -197,9 +198,9 @@ def _profile(entry: FreeSwimTrial) -> str:
     return ", ".join(said)
 
 
-def beat_of(command: Drive) -> drive.Beat:
+def beat_of(command: Drive) -> drives.Beat:
     """A trials file's drive in SI."""
-    return drive.Beat(
+    return drives.Beat(
         command.waveform,
         command.frequency_hz,
         math.radians(command.amplitude_deg),
@@ -210,25 +211,19 @@ def beat_of(command: Drive) -> drive.Beat:
     )
 
 
-def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
+def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None) -> Cycle:
     """A stroke as the robot file has it.
-
-    Parameters
-    ----------
-    path : Path, optional
-        The trials file that asks for it; without one the user does.
 
     Raises
     ------
     InputError, UsageError
-        When the robot has no such stroke.
+        When the robot has no such stroke as the trials file at the path, or without one the user, asks for.
     """
     body = model.robot.multibody
     known = {} if body is None else body.strokes
     if command.stroke not in known:
-        close = nearest(command.stroke, list(known))
         text = f"the robot '{model.robot.name}' has no stroke '{command.stroke}'"
-        hint = f"did you mean '{close}'?" if close else f"it has: {', '.join(known) or 'none'}"
+        hint = suggestion(command.stroke, list(known), "it has")
         if path is None:
             raise UsageError(text, hint=hint)
         raise InputError(text, file=path, column="drive.stroke", hint=hint)
@@ -244,15 +239,9 @@ def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> 
     )
 
 
-def _check_channels(model: Swimmer, channels: Sequence[str]) -> None:
-    known = [c.name for c in model.channels]
-    for name in channels:
-        if name not in known:
-            hint = suggestion(name, known)
-            raise UsageError(f"the robot has no channel '{name}'", hint=hint)
-
-
-def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str]) -> tuple[Trial, Log]:
+def _trial(
+    entry: FreeSwimTrial, path: Path, model: LinkedModel, channels: Sequence[str]
+) -> tuple[Trial, Log]:
     known = [c.name for c in model.channels]
     commands = [a.column.replace("joint", "cmd") for a in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
@@ -275,16 +264,15 @@ def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
 
 
-def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
+def _own_coefficients(entry: FreeSwimTrial, path: Path, model: LinkedModel) -> dict[str, float]:
     """The coefficients a trial sets for itself."""
     for name in entry.coefficients:
         if name not in model.coefficients:
-            close = nearest(name, model.coefficients)
             raise InputError(
                 f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
                 file=path,
                 column="coefficients",
-                hint=f"did you mean '{close}'?" if close else f"it has: {', '.join(model.coefficients)}",
+                hint=suggestion(name, model.coefficients, "it has"),
             )
     return dict(entry.coefficients)
 
@@ -299,7 +287,7 @@ def _unwrapped(name: str, values: Array) -> Array:
     return found
 
 
-def _default_channels(model: Swimmer, log: Log) -> list[str]:
+def _default_channels(model: LinkedModel, log: Log) -> list[str]:
     def there(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
 
@@ -316,7 +304,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     return chosen
 
 
-def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
+def _motion(model: LinkedModel, number: int, log: Log) -> tuple[Any, bool]:
     """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
 
     A joint no drive moves (gain 0) stays straight where the log has neither.
@@ -329,7 +317,7 @@ def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
         if candidate in log and np.isfinite(log[candidate]).sum() >= 5:
             return drive.spline_motion(drive.measured(log.time_s, log[candidate])), candidate == command
     if law.gain == 0.0 and not law.bias_gain:
-        return _straight, False
+        return drives.straight, False
     raise InputError(
         f"the driven joint '{axis.name}' needs this column, or '{command}'",
         file=log.path,
@@ -339,12 +327,7 @@ def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     )
 
 
-def _straight(time_s: Array) -> drive.Motion:
-    zero = np.zeros_like(time_s)
-    return zero, zero, zero
-
-
-def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
+def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] | None:
     """The beat found in the heading, against the drive's."""
     if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
@@ -356,11 +339,11 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
             time = log.time_s[seen]
             highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][seen], highest_hz=highest)
-            return beats.facts(entry, found, used="stated")
+            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
     return None
 
 
-def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
+def _moving(trial: Trial, log: Log, model: LinkedModel) -> bool:
     """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
     beat = trial.swim.drive
     still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
@@ -395,7 +378,7 @@ def _opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
 
 
-def _starts(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
+def _starts(trial: Trial, log: Log, model: LinkedModel) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
 
     def at_start(name: str, derivative: int) -> float | None:
@@ -445,12 +428,3 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
     squares = float(left @ left)
     spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
     return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
-
-
-def _start_parameters(model: Swimmer, trials: Sequence[Trial]) -> list[str]:
-    """Offsets of the start pose, for each measured coordinate."""
-    return [
-        name
-        for name, column in zip(model.starts, model.pose, strict=True)
-        if model.free_base and any(column in t.measured for t in trials)
-    ]

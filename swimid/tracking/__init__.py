@@ -1,13 +1,12 @@
 """Video to pose: from coloured markers in a film to a log with honest uncertainty.
 
-``reader`` gives frames and their own time stamps (``stills``: pictures for a film); ``detect`` measures one
-marker in a small window by its ``colour``; ``search`` looks for it in a window or in the whole picture;
-``target`` is what is known of a marker; ``follow`` keeps every marker from frame to frame (``rawtrack``),
-``run`` does so from the first to the last; ``plane`` turns pixels into metres; ``smooth`` filters with
-process noise estimated from the data; ``pose`` puts them together; ``checks``, ``camera`` and ``motion``
-judge. ``track_video`` is one verb (``swim``: what a run comes to; ``pictures``, ``overlay``),
-``track_setup`` the other: it drafts a ``setup`` (``propose``, ``pick``, ``census``, ``draft``). ``options``
-are those of both.
+``reader`` gives frames and their own time stamps; ``detect`` measures one marker in a small window by its
+``colour``; ``search`` looks for it in a window or in the whole picture; ``target`` is what is known of a
+marker; ``follow`` keeps every marker from frame to frame (``rawtrack``), ``run`` does so from the first to
+the last; ``plane`` turns pixels into metres; ``smooth`` filters with process noise estimated from the data;
+``pose`` puts them together; ``checks``, ``camera`` and ``motion`` judge. ``track_video`` is one verb
+(``swim``: what a run comes to; ``pictures``), ``track_setup`` the other: it drafts a ``setup`` (``propose``,
+``pick``). ``options`` are those of both.
 
 Frames of reference
 -------------------

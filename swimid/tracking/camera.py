@@ -8,19 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.tracking.reader import Frame
+from swimid.notices import warn
+from swimid.tracking.reader import Frame, reduced
 
 Array = NDArray[np.float64]
 #: Width frames are reduced to before they are compared.
-WIDTH = 480
+SCENE_WIDTH = 480
 #: Corners sought, and the fewest that tell of a scene.
-CORNERS, FEWEST = 300, 12
+CORNERS, LEAST_CORNERS = 300, 12
 #: A corner found in the other frame is found back from there within so many px of the reduced picture.
 BACK_PX = 0.5
 #: Corners whose shift is this near to the median (px of the reduced picture) go together.
 TOGETHER_PX = 1.0
 #: Share of the corners sought that must do so: most of the scene, whatever swims in it ...
-MOST = 0.5
+SCENE_SHARE = 0.5
 #: ... and cells of a grid over the picture they must be in, of how many a side: a robot near the camera may
 #: wear most of the corners.
 CELLS, SIDE = 8, 4
@@ -50,10 +51,11 @@ def shifts(frames: Sequence[Frame]) -> Array:
     out = np.full((len(frames), 2), np.nan)
     if not frames:
         return out
-    factor = max(frames[0].shape[1] / WIDTH, 1.0)
-    small = [_reduced(frame, factor) for frame in frames]
+    factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
+    greys = (np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8) for frame in frames)
+    small = [reduced(grey, SCENE_WIDTH) for grey in greys]
     corners = cv2.goodFeaturesToTrack(small[0], CORNERS, 0.02, 7)
-    if corners is None or len(corners) < FEWEST:
+    if corners is None or len(corners) < LEAST_CORNERS:
         return out
     for k, picture in enumerate(small):
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
@@ -65,22 +67,10 @@ def shifts(frames: Sequence[Frame]) -> Array:
         flow = (there - corners)[sound, 0]
         middle = np.median(flow, axis=0)
         alike = np.linalg.norm(flow - middle, axis=1) < TOGETHER_PX
-        if alike.sum() >= MOST * len(corners) and _cells(corners[sound, 0][alike], picture.shape) >= CELLS:
+        cells = (corners[sound, 0][alike] * SIDE / np.array(picture.shape[::-1])).astype(int)
+        if alike.sum() >= SCENE_SHARE * len(corners) and len(np.unique(cells, axis=0)) >= CELLS:
             out[k] = factor * middle
     return out
-
-
-def _cells(places: NDArray[np.float32], shape: tuple[int, ...]) -> int:
-    """How many cells of the grid hold points, shape (n, 2), of a picture of (rows, columns)."""
-    cell = (places * SIDE / np.array([shape[1], shape[0]])).astype(int)
-    return len({(int(x), int(y)) for x, y in cell})
-
-
-def _reduced(frame: Frame, factor: float) -> NDArray[np.uint8]:
-    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    if factor > 1:
-        grey = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-    return np.asarray(grey, dtype=np.uint8)
 
 
 def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
@@ -92,6 +82,13 @@ def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | Non
     return np.array([np.interp(frames, indices[known], row[known]) for row in shift.T])
 
 
-def limit_px(width: int) -> float:
-    """Shift beyond which the camera moves, px of a picture of ``width`` px."""
-    return STILL_PX * max(width / WIDTH, 1.0)
+def farthest(shift: Array, width: int, consequence: str) -> tuple[float, float]:
+    """How far the scene is shifted at most, and may be in a picture of ``width`` px; warns beyond that."""
+    largest, limit = (
+        float(np.nanmax(np.hypot(*shift.T), initial=0.0)),
+        STILL_PX * max(width / SCENE_WIDTH, 1.0),
+    )
+    if largest > limit:
+        moves = f"the whole scene shifts by {largest:.1f} px in the film: the camera moves"
+        warn("SWM068", f"{moves}{consequence}")
+    return largest, limit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections import Counter
 from typing import Any
 
 import cv2
@@ -20,8 +22,19 @@ NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
 SLACK = 20.0
 #: Half a turn of hue in OpenCV's 8-bit scale.
 _HALF, _TURN = 90.0, 180.0
-#: Chroma (saturation times value, of 255) below which hue is noise.
-_LEAST_CHROMA = 24.0
+#: A pixel with less chroma (largest minus smallest channel, grey levels) has no colour to go by.
+LEAST_CHROMA = 24
+_NAMES = (
+    (15, "red"),
+    (45, "orange"),
+    (70, "yellow"),
+    (165, "green"),
+    (200, "cyan"),
+    (260, "blue"),
+    (290, "violet"),
+    (345, "magenta"),
+    (361, "red"),
+)
 #: Saturation (of 255) below which a pixel is grey.
 _GREY = 30.0
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -49,21 +62,13 @@ class ColourModel:
         if colours.hue_deg == (0.0, 360.0):
             width = _TURN
         self._half_width = width / 2
-        self._centre = np.array(
-            [
-                (low + width / 2) % _TURN,
-                127.5 * sum(colours.saturation),
-                127.5 * sum(colours.value),
-            ]
-        )
-        self._lower = 255 * np.array([colours.saturation[0], colours.value[0]])
-        self._upper = 255 * np.array([colours.saturation[1], colours.value[1]])
+        middle = (127.5 * sum(colours.saturation), 127.5 * sum(colours.value))
+        self._centre = np.array([(low + width / 2) % _TURN, *middle])
+        self._lower, self._upper = 255 * np.array([colours.saturation, colours.value]).T
         self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
         self._first: NDArray[np.float64] | None = None
         self.drift = np.zeros(3)
         self.largest_drift = np.zeros(3)
-        self._strong: _Bounds = []
-        self._weak: _Bounds = []
         self._refresh()
 
     def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -135,13 +140,8 @@ class ColourModel:
         else:
             first, last = (centre - half) % _TURN, (centre + half) % _TURN
             arcs = [(first, last)] if first <= last else [(first, 179.0), (0.0, last)]
-        return [
-            (
-                np.array([np.ceil(a), *np.floor(low)], dtype=np.uint8),
-                np.array([np.floor(b), *np.ceil(high)], dtype=np.uint8),
-            )
-            for a, b in arcs
-        ]
+        ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
+        return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
 
     @property
     def drifted(self) -> bool:
@@ -169,18 +169,12 @@ def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray
 
 
 def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
-    """Whether colours differ from a usual one by no more than a hue and a share of its saturation.
+    """Whether colours, shape (3,) or (3, n), differ from a usual one by no more than a hue and a saturation.
 
-    Parameters
-    ----------
-    hsv : ndarray, shape (3,) or (3, n)
-        On OpenCV's scale.
-    usual : ndarray, shape (3,)
-        Where it is nearly grey its hue is noise and not compared, and saturations are as they come with so
-        little chroma.
-    hue, saturation : float
+    HSV on OpenCV's scale, ``saturation`` a share of the usual one's. Where that is nearly grey its hue is
+    noise and not compared, and saturations are as they come with so little chroma.
     """
-    least = 255 * _LEAST_CHROMA / max(float(usual[2]), 1.0)
+    least = 255 * LEAST_CHROMA / max(float(usual[2]), 1.0)
     saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
     if usual[1] < least:
         return saturated
@@ -189,15 +183,32 @@ def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float)
 
 def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
     """HSV, on OpenCV's 8-bit scale but not rounded, of one BGR colour (0 .. 255)."""
-    blue, green, red = (float(c) for c in bgr)
-    largest, smallest = max(red, green, blue), min(red, green, blue)
-    chroma = largest - smallest
-    if chroma <= 0:
-        return np.array([0.0, 0.0, largest])
-    if largest == red:
-        sector = ((green - blue) / chroma) % 6
-    elif largest == green:
-        sector = (blue - red) / chroma + 2
-    else:
-        sector = (red - green) / chroma + 4
-    return np.array([30 * sector, 255 * chroma / largest, largest])
+    hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
+    return np.array([_TURN * hue, 255 * saturation, value])
+
+
+def chroma(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Largest minus smallest channel of every pixel, lightly smoothed, shape (rows, columns)."""
+    blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
+    return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
+
+
+def hue_name(hue_deg: float) -> str:
+    """Everyday name of a hue."""
+    return next(name for limit, name in _NAMES if hue_deg % 360 < limit)
+
+
+def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
+    """One sentence on the colours of some frames, for error messages."""
+    shares: Counter[str] = Counter()
+    for frame in frames:
+        small = np.ascontiguousarray(frame[::2, ::2])
+        colourful = chroma(small) >= LEAST_CHROMA
+        hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
+        counts, _ = np.histogram(hue, [0, *(limit for limit, _ in _NAMES)])
+        for (_, name), count in zip(_NAMES, counts, strict=True):
+            shares[name] += count / colourful.size / len(frames)
+    listed = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.most_common() if share >= 1e-4)
+    if not listed:
+        return "The video is grey: no pixel of it has a colour, so no colour marker can be seen"
+    return f"Colours in the picture: {listed}"

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from swimid.tracking.colour import ColourModel, mean_hsv
+from swimid.tracking.rawtrack import FULL
 
 #: Pixels about a blob that are looked at for its rim and its background.
 MARGIN = 8
@@ -21,36 +22,31 @@ _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class Blob:
-    """One connected patch of marker colour, in image pixels.
+    """One connected patch of marker colour, in image pixels."""
 
-    Attributes
-    ----------
-    x, y : float
-        Centre, sub-pixel.
-    area : float
-        Pixels of marker colour.
-    box : tuple of int
-        Left, top, right, bottom; right and bottom exclusive.
-    contrast : float
-        Distance of the marker's mean colour from its surroundings', grey levels.
-    confidence : float
-        0 to 1.
-    hsv : ndarray, shape (3,)
-        Mean colour, OpenCV scale.
-    at_edge : bool
-        It touches the edge of the picture, so its centre is biased inwards.
-    """
-
+    #: Centre, sub-pixel.
     x: float
     y: float
+    #: Pixels of marker colour.
     area: float
+    #: Left, top, right, bottom; right and bottom exclusive.
     box: tuple[int, int, int, int]
+    #: Distance of the marker's mean colour from its surroundings', grey levels.
     contrast: float
+    #: 0 to 1.
     confidence: float
+    #: Mean colour, OpenCV scale, shape (3,).
     hsv: NDArray[np.float64]
+    #: It touches the edge of the picture, so its centre is biased inwards.
     at_edge: bool
+    #: How it was found, as in :class:`RawTrack`.
+    status: int = FULL
+
+    def away(self, x: float, y: float) -> float:
+        """Distance of its centre from a place, px."""
+        return math.hypot(self.x - x, self.y - y)
 
     @property
     def radius(self) -> float:
@@ -58,29 +54,26 @@ class Blob:
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class Patch:
-    """A connected patch of marker colour before it is measured.
+    """A connected patch of marker colour before it is measured."""
 
-    Attributes
-    ----------
-    contour : ndarray of int, shape (n, 1, 2)
-        Its outline in mask pixels.
-    area : float
-        Picture pixels.
-    left, top, right, bottom : int
-        Box in mask pixels; right and bottom exclusive.
-    clipped : bool
-        It goes on beyond the window.
-    """
-
+    #: Its outline in mask pixels, shape (n, 1, 2).
     contour: NDArray[np.int32]
+    #: Picture pixels.
     area: float
+    #: Box in mask pixels; right and bottom exclusive.
     left: int
     top: int
     right: int
     bottom: int
+    #: It goes on beyond the window.
     clipped: bool
+
+    def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
+        """Its box in picture pixels, for the place of the mask's corner and the step of its pixels."""
+        x, y = origin
+        return x + step * self.left, y + step * self.top, x + step * self.right, y + step * self.bottom
 
 
 @njit(cache=True)
@@ -92,11 +85,8 @@ def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-de
     picture pixel is projected on the axis from mean background to mean core colour; that
     opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
     """
-    core = np.zeros(3)
-    back = np.zeros(3)
-    square = np.zeros(3)
-    n_core = 0
-    n_back = 0
+    core, back, square = np.zeros(3), np.zeros(3), np.zeros(3)
+    n_core = n_back = 0
     for mi in range(inner.shape[0]):
         for mj in range(inner.shape[1]):
             if inner[mi, mj]:
@@ -214,20 +204,10 @@ def measure(
     origin: tuple[int, int],
     picture: tuple[int, int],
 ) -> Blob | None:
-    """The patch as a :class:`Blob`, or None where it has no contrast to its surroundings.
+    """A patch of a window as a :class:`Blob`, or None where it has no contrast to its surroundings.
 
-    Parameters
-    ----------
-    window : ndarray of uint8, shape (rows, columns, 3)
-        At full resolution.
-    patch : Patch
-        One of its patches.
-    step : int
-        Picture pixels to a mask pixel.
-    origin : (int, int)
-        Left and top of the window in the picture.
-    picture : (int, int)
-        Width and height of the picture.
+    The window, shape (rows, columns, 3), is at full resolution, its upper left corner at ``origin`` in a
+    ``picture`` of (width, height) px; a pixel of its mask stands for ``step`` x ``step`` of them.
     """
     rows, columns = window.shape[0], window.shape[1]
     margin = -(-MARGIN // step) if step < 3 else 4
@@ -245,12 +225,11 @@ def measure(
     far = cv2.dilate(near, _KERNEL5 if step < 3 else _KERNEL3)
     part = window[step * y0 : step * y1, step * x0 : step * x1]
     column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
-    if not math.isfinite(column):
+    if not math.isfinite(column) or contrast < max(
+        MIN_CONTRAST_LEVELS, MIN_CONTRAST_SIGMA * min(scatter, 15.0)
+    ):
         return None
-    if contrast < max(MIN_CONTRAST_LEVELS, MIN_CONTRAST_SIGMA * min(scatter, 15.0)):
-        return None
-    left, top = origin[0] + step * patch.left, origin[1] + step * patch.top
-    right, bottom = origin[0] + step * patch.right, origin[1] + step * patch.bottom
+    left, top, right, bottom = patch.box(origin, step)
     # Blocks that do not fill up at the right and lower side are not looked at.
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)

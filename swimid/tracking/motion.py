@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 #: Sights whose area is this far from the usual one, as a share, show a part of the marker only: the
 #: centre of what is left moves though nothing does. Of a bar twenty times as long as broad that a passer-by
 #: covers, what remains whole by this measure moves by 0.6 of the radius of a disc of its area.
-WHOLE = 0.15
+WHOLE_AREA = 0.15
 #: Fewer whole sights than this tell nothing; all are taken.
-FEWEST = 10
+LEAST_SIGHTS = 10
 #: What stays within its own radius looks like a still thing that ripples or is half covered at times.
 LEAST_RADII = 1.0
 #: Seen in a smaller share of the frames a marker has no usual place.
@@ -27,27 +27,20 @@ LEAST_SHARE = 0.05
 #: (Rayleigh's distribution).
 NOISE_SIGMA = math.sqrt(-2 * math.log(0.003))
 #: Spread of the distance of two markers of a rigid part, as a share: good up to here, bearable up to here.
-KEPT = (0.02, 0.06)
+DISTANCE_SPREAD = (0.02, 0.06)
 #: A robot that turns by less may owe a change of the distance to a bend of its body, rad.
-TURNED = math.radians(60.0)
+BEND_RAD = math.radians(60.0)
 
 
 @dataclass(frozen=True)
 class Range:
-    """How far a marker gets.
+    """How far a marker gets."""
 
-    Attributes
-    ----------
-    away_px : float
-        95th percentile of its distance from its usual place, over sights of the whole marker.
-    radius_px : float
-        Of a disc of its usual area.
-    noise_px : float
-        Standard deviation of its centre from frame to frame, one axis.
-    """
-
+    #: 95th percentile of its distance from its usual place, over sights of the whole marker.
     away_px: float
+    #: Of a disc of its usual area.
     radius_px: float
+    #: Standard deviation of its centre from frame to frame, one axis.
     noise_px: float
 
     @property
@@ -66,15 +59,15 @@ def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
 
     ``scene``, shape (2, n), px, is how far the scene itself is shifted in each frame.
     """
-    i = track.names.index(name)
+    i = track.row(name)
     seen = track.found[i]
     if seen.mean() < LEAST_SHARE:
         return Range(0.0, 1.0, math.nan)
     area = track.area[i]
     usual = float(np.median(area[seen]))
-    whole = seen & ~track.at_edge[i] & (np.abs(area - usual) <= WHOLE * usual)
-    part = whole if whole.sum() >= FEWEST else seen
-    x, y = (track.x[i], track.y[i]) if scene is None else (track.x[i] - scene[0], track.y[i] - scene[1])
+    whole = seen & (np.abs(area - usual) <= WHOLE_AREA * usual)
+    part = whole if whole.sum() >= LEAST_SIGHTS else seen
+    x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
     noise = math.sqrt(0.5 * sum(scatter(row[seen]) ** 2 for row in (x, y)))
     radius = max(math.sqrt(usual / math.pi), 1.0)
@@ -94,17 +87,11 @@ def scatter(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Distance:
-    """How well two markers keep their distance in the picture.
+    """How well two markers keep their distance in the picture."""
 
-    Attributes
-    ----------
-    spread : float
-        Its robust standard deviation, as a share, as far as no view of a plane explains it.
-    drift : float
-        Its change by that view which the size of the markers does not share, as a share.
-    """
-
+    #: Its robust standard deviation, as a share, as far as no view of a plane explains it.
     spread: float
+    #: Its change by that view which the size of the markers does not share, as a share.
     drift: float
 
     @property
@@ -126,15 +113,15 @@ def distance(track: RawTrack, one: str, other: str) -> Distance | None:
     turns by no more than a body bends. The same homography changes the markers' areas; what of it they do
     not show is no view of a plane.
     """
-    i, j = track.names.index(one), track.names.index(other)
-    both = track.found[i] & track.found[j] & ~track.at_edge[i] & ~track.at_edge[j]
-    if both.sum() < FEWEST:
+    i, j = track.row(one), track.row(other)
+    both = track.found[i] & track.found[j]
+    if both.sum() < LEAST_SIGHTS:
         return None
     points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # (xy, marker, frame)
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    turns = float(np.ptp(heading)) > TURNED
+    turns = float(np.ptp(heading)) > BEND_RAD
 
     def scatter_of(view: Array) -> Array:
         apart = np.log(np.maximum(np.hypot(*np.diff(_laid_back(points, view), axis=1)[:, 0]), 1e-9))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
+
+from pydantic import model_validator
 
 from swimid.errors import UsageError
 from swimid.options import Options, Source, option
+
+
+def _rate() -> Any:
+    return option(None, gt=0, lt=math.inf, help="True frame rate in Hz, where the container's is wrong.")
 
 
 class TrackVideoOptions(Options):
@@ -15,11 +22,19 @@ class TrackVideoOptions(Options):
 
     setup: Source = option(help="Setup file (swimid-setup/1).")
     overlay_path: Path | None = option(
-        None, flag="--overlay", written=True, help="Also write the video with the track drawn in."
+        None,
+        flag="--overlay",
+        written=True,
+        recorded=False,
+        help="Also write the video with the track drawn in.",
     )
-    fps: float | None = option(None, help="True frame rate in Hz, where the container's is wrong.")
+    fps: float | None = _rate()
     max_gap_s: float | None = option(
-        None, flag="--max-gap", help="Longest dropout to bridge, s  [default: the setup's]."
+        None,
+        ge=0,
+        lt=math.inf,
+        flag="--max-gap",
+        help="Longest dropout to bridge, s  [default: the setup's].",
     )
     from_s: float | None = option(
         None, flag="--from", help="Speeds and stroke from here on, s  [default: over the steady part]."
@@ -27,6 +42,15 @@ class TrackVideoOptions(Options):
     to_s: float | None = option(
         None, flag="--to", help="Speeds and stroke up to here, s. The log holds every frame."
     )
+
+    @model_validator(mode="after")
+    def _window(self) -> Self:
+        for name, value in (("--from", self.from_s), ("--to", self.to_s)):
+            if value is not None and not 0 <= value < math.inf:
+                raise UsageError(f"{name} {value:g} must not be negative")
+        if self.from_s is not None and self.to_s is not None and self.to_s <= self.from_s:
+            raise UsageError(f"--from {self.from_s:g} must be before --to {self.to_s:g}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -66,11 +90,34 @@ class TrackSetupOptions(Options):
         help="Pick a marker of any shade by one of its pixels; head first, then tail. "
         "Equal markers: one name.",
     )
-    frame: int = option(0, help="Frame the --marker pixels are in.")
-    metres_per_pixel: float | None = option(None, help="Scale as a factor.")
+    frame: int = option(0, ge=0, help="Frame the --marker pixels are in.")
+    metres_per_pixel: float | None = option(None, gt=0, help="Scale as a factor.")
     scale_points: tuple[float, float, float, float] | None = option(
         None, help="Scale: pixels X1 Y1 X2 Y2 of two points."
     )
-    scale_distance_m: float | None = option(None, help="Their distance in metres.")
+    scale_distance_m: float | None = option(None, gt=0, help="Their distance in metres.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
-    fps: float | None = option(None, help="True frame rate in Hz, where the container's is wrong.")
+    fps: float | None = _rate()
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        points, distance = self.scale_points, self.scale_distance_m
+        if self.metres_per_pixel is not None and (points is not None or distance is not None):
+            raise UsageError(
+                "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
+            )
+        if (points is None) != (distance is None):
+            raise UsageError("--scale-points and --scale-distance-m go together")
+        if points is not None and points[:2] == points[2:]:
+            raise UsageError("the two --scale-points are the same")
+        return self
+
+    @property
+    def scale(self) -> dict[str, Any] | None:
+        """The scale as a setup holds it; None without any."""
+        if self.metres_per_pixel is not None:
+            return {"metres_per_pixel": self.metres_per_pixel}
+        if self.scale_points is None:
+            return None
+        points = [list(self.scale_points[:2]), list(self.scale_points[2:])]
+        return {"points_px": points, "distance_m": self.scale_distance_m}

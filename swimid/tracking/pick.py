@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.tracking import census
+from swimid.tracking import colour
 from swimid.tracking.colour import SLACK, ColourModel
-from swimid.tracking.propose import colour_range
+from swimid.tracking.propose import colour_range, two_digits
 from swimid.tracking.reader import Frame
 from swimid.tracking.setup import HsvRange, Marker
 
@@ -29,7 +30,9 @@ LARGEST = 0.05
 #: Width of the ring about a patch that shows its surroundings, px, beyond the blurred rim.
 RING, RIM = 10, 3
 #: Share of the surroundings that must not have the marker's colours.
-CLEAR = 0.9
+DISTINCT = 0.9
+BACKGROUND = "a marker wants a background of another colour or brightness all round"
+Mask = NDArray[np.uint8]
 _CROSS = np.ones((3, 3), np.uint8)
 
 
@@ -53,51 +56,41 @@ def markers(
         A place is outside the picture; no patch about it stands out from its surroundings; two
         places are on one patch, or two kinds have one colour.
     """
+    place: dict[str, Any] = {"file": path, "frame": index}
     hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
-    found: list[Marker] = []
-    patches: list[tuple[str, NDArray[np.uint8]]] = []
-    for name, places in kinds.items():
-        masks: list[NDArray[np.uint8]] = []
-        for x, y in places:
-            mask = _patch(frame, hsv, f"--marker {name}@{x:g},{y:g}", (x, y), path, index)
-            for other, taken in [(name, m) for m in masks] + patches:
+    patches: list[tuple[str, Mask]] = []
+    for name, pixels in kinds.items():
+        for x, y in pixels:
+            option = f"--marker {name}@{x:g},{y:g}"
+            patch = _patch(frame, hsv, option, (x, y), place)
+            for other, taken in patches:
                 if taken[int(y), int(x)]:
-                    raise InputError(
-                        f"--marker {name}@{x:g},{y:g} is on the same patch as another pixel of '{other}'",
-                        file=path,
-                        frame=index,
-                    )
-            masks.append(mask)
-        patches += [(name, mask) for mask in masks]
-        found.append(_marker(hsv, name, masks, path, index))
+                    message = f"{option} is on the same patch as another pixel of '{other}'"
+                    raise InputError(message, **place)
+            patches.append((name, patch))
+    found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
     for marker in found:
-        model = ColourModel(marker.colour_range())
-        mine = model.mask(hsv)
+        mine = ColourModel(marker.colour_range()).mask(hsv)
         for other, mask in patches:
             if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
                 raise InputError(
                     f"markers '{marker.name}' and '{other}' have one colour, and would be exchanged",
-                    file=path,
-                    frame=index,
                     hint=f"name them alike (--marker {marker.name}@x,y for both); they become "
                     f"{marker.name}1, {marker.name}2 and are told apart by their places",
+                    **place,
                 )
     return found
 
 
-def _patch(
-    frame: Frame, hsv: NDArray[np.uint8], option: str, place: tuple[float, float], path: Path, index: int
-) -> NDArray[np.uint8]:
+def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], place: dict[str, Any]) -> Mask:
     """The patch of one colour about a pixel: 255 inside, shape (rows, columns)."""
     rows, columns = hsv.shape[:2]
-    x, y = place
+    x, y = pixel
     if not (0 <= x < columns and 0 <= y < rows):
-        raise InputError(
-            f"{option} is outside the picture of {columns} x {rows} pixels", file=path, frame=index
-        )
+        raise InputError(f"{option} is outside the picture of {columns} x {rows} pixels", **place)
     i, j = int(y), int(x)
-    grey = int(census.chroma(frame)[i, j]) < census.LEAST_CHROMA
-    patches: list[NDArray[np.uint8]] = []
+    grey = int(colour.chroma(frame)[i, j]) < colour.LEAST_CHROMA
+    patches: list[Mask] = []
     for share in SHARES:
         mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
         _, labels = cv2.connectedComponents(mask, connectivity=8)
@@ -109,10 +102,8 @@ def _patch(
         blue, green, red = (int(v) for v in frame[i, j])
         raise InputError(
             f"no patch about {x:g},{y:g} (#{red:02x}{green:02x}{blue:02x}) stands out from its surroundings",
-            file=path,
-            frame=index,
-            hint="pick a pixel inside the marker, away from glints; a marker wants a background of another "
-            "colour or brightness all round",
+            hint=f"pick a pixel inside the marker, away from glints; {BACKGROUND}",
+            **place,
         )
     if len(standing) == 1:
         return standing[0]
@@ -120,14 +111,14 @@ def _patch(
     return standing[growth.index(min(growth)) + 1]
 
 
-def _about(pixel: NDArray[np.uint8], share: float, grey: bool) -> HsvRange:
+def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
     """The colours about a pixel's; of a grey one every hue."""
     hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
     wide_hue, wide_saturation, wide_value = (share * width for width in WIDEST)
     value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
     if grey:
         # Saturation is chroma over value: on dark pixels noise alone makes it large.
-        most = max(saturation + wide_saturation, census.LEAST_CHROMA / (255 * max(value, 0.02)))
+        most = max(saturation + wide_saturation, colour.LEAST_CHROMA / (255 * max(value, 0.02)))
         return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
     return HsvRange(
         hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
@@ -136,61 +127,47 @@ def _about(pixel: NDArray[np.uint8], share: float, grey: bool) -> HsvRange:
     )
 
 
-def _marker(
-    hsv: NDArray[np.uint8],
-    name: str,
-    masks: list[NDArray[np.uint8]],
-    path: Path,
-    index: int,
-) -> Marker:
+def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> Marker:
     """One kind of marker from its patches."""
-    whole = np.bitwise_or.reduce(masks)
-    colours = _range_of(hsv, whole)
+    colours = _range_of(hsv, np.bitwise_or.reduce(masks))
     if colours is None:
         raise InputError(
             f"marker '{name}' has the colour of its surroundings; nothing tells it from them",
-            file=path,
-            frame=index,
-            hint="a marker wants a background of another colour or brightness all round",
+            hint=BACKGROUND,
+            **place,
         )
     areas = [np.count_nonzero(mask) for mask in masks]
+    area = (max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas)))
     middles = [np.argwhere(mask).mean(axis=0).round(1) for mask in masks]
-    return Marker(
-        name=name,
-        hsv=colours,
-        number=len(masks),
-        area_px=(max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas))),
-        start_px=tuple((float(x), float(y)) for y, x in middles) if index == 0 and len(masks) > 1 else None,
-    )
+    starts = tuple((float(x), float(y)) for y, x in middles)
+    named = place["frame"] == 0 and len(masks) > 1
+    return Marker(name=name, hsv=colours, number=len(masks), area_px=area, start_px=starts if named else None)
 
 
-def _ring(patch: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pixels about a patch, its blurred rim left out."""
-    near = cv2.dilate(patch, _CROSS, iterations=RIM)
-    return cv2.subtract(cv2.dilate(near, _CROSS, iterations=RING), near)
-
-
-def _range_of(hsv: NDArray[np.uint8], patch: NDArray[np.uint8]) -> HsvRange | None:
+def _range_of(hsv: Mask, patch: Mask) -> HsvRange | None:
     """The colours of a patch that are not its surroundings'; None where nothing tells them apart."""
     core = cv2.erode(patch, _CROSS)
-    inside, around = hsv[(core if core.any() else patch) > 0], hsv[_ring(patch) > 0]
+    near = cv2.dilate(patch, _CROSS, iterations=RIM)
+    ring = cv2.subtract(cv2.dilate(near, _CROSS, iterations=RING), near)
+    inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
     return _standing_out(_colours(inside), inside.astype(float), around.astype(float))
 
 
-def _colours(inside: NDArray[np.uint8]) -> HsvRange:
+def _colours(inside: Mask) -> HsvRange:
     """The range of a patch's colours, with room for changing light; every hue of a grey one."""
     saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
     chroma = float(np.median(saturation * value)) / 255
-    if chroma >= census.LEAST_CHROMA:
+    if chroma >= colour.LEAST_CHROMA:
         turn = np.exp(1j * np.pi * inside[:, 0] / 90)
         middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
         found = colour_range(inside, middle)
         if found is not None:
             return found
     low, high = np.percentile(value, [3, 97]) / 255
-    most = max(1.35 * np.percentile(saturation, 97) / 255, census.LEAST_CHROMA / (255 * max(low, 0.02)))
+    most = max(1.35 * np.percentile(saturation, 97) / 255, colour.LEAST_CHROMA / (255 * max(low, 0.02)))
     return HsvRange(
-        saturation=(0.0, _two(min(most, 1.0))), value=(_two(0.65 * low), _two(min(1.35 * high, 1.0)))
+        saturation=(0.0, two_digits(min(most, 1.0))),
+        value=(two_digits(0.65 * low), two_digits(min(1.35 * high, 1.0))),
     )
 
 
@@ -204,7 +181,7 @@ def _standing_out(
     """
     for _ in range(3):
         held = ColourModel(colours).holds(around)
-        if np.mean(held) <= 1 - CLEAR:
+        if np.mean(held) <= 1 - DISTINCT:
             return colours
         rest, bounds = around[held], {"saturation": colours.saturation, "value": colours.value}
         gaps = []
@@ -219,12 +196,8 @@ def _standing_out(
         if gap <= 0:
             return None
         span = list(bounds[key])
-        span[side] = _two(at / 255)
+        span[side] = two_digits(at / 255)
         if span[0] >= span[1]:
             return None
         colours = colours.model_copy(update={key: (span[0], span[1])})
     return None
-
-
-def _two(value: float) -> float:
-    return float(round(value, 2))

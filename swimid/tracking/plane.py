@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,34 +53,24 @@ class Plane:
     residual_px: float = 0.0
     residual: float = 0.0
 
-    def to_world(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """World coordinates of image points; NaN stays NaN."""
-        known = np.isfinite(x) & np.isfinite(y)
-        world = np.full((2, len(x)), np.nan)
-        if known.any():
-            points = _undistorted(np.stack([x[known], y[known]], axis=1), self.lens)
-            mapped = _mapped(points, self.matrix)
-            world[:, known] = (self.foot + self.shrink * (mapped - self.foot)).T
-        return world[0], world[1]
+    def to_world(self, x: Array, y: Array) -> Array:
+        """World coordinates of image points, shape (2, n); NaN stays NaN."""
+        return _of_known(self._forward, x, y)
 
-    def to_image(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Image points of world coordinates; the inverse of :meth:`to_world`."""
-        known = np.isfinite(x) & np.isfinite(y)
-        image = np.full((2, len(x)), np.nan)
-        if known.any():
-            world = np.stack([x[known], y[known]], axis=1)
-            points = _mapped(
-                self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix).astype(float)
-            )
-            if self.lens is not None:
-                matrix, distortion = self.lens
-                rays = _mapped(points, np.linalg.inv(matrix).astype(float))
-                rays = np.column_stack([rays, np.ones(len(rays))])
-                points = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)[0].reshape(
-                    -1, 2
-                )
-            image[:, known] = points.T
-        return image[0], image[1]
+    def to_image(self, x: Array, y: Array) -> Array:
+        """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
+        return _of_known(self._backward, x, y)
+
+    def _forward(self, points: Array) -> Array:
+        mapped = _mapped(_undistorted(points, self.lens), self.matrix)
+        return self.foot + self.shrink * (mapped - self.foot)
+
+    def _backward(self, world: Array) -> Array:
+        points = _mapped(self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix))
+        if self.lens is None:
+            return points
+        rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
+        return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def along_x(self, left: bool) -> Plane:
         """The plane with x running to the left or to the right of the picture, reversed if need be."""
@@ -113,14 +105,22 @@ class Plane:
         return np.sqrt(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)))
 
 
+def _of_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
+    """A map of points, shape (n, 2), on those that are known: shape (2, n), NaN elsewhere."""
+    known = np.isfinite(x) & np.isfinite(y)
+    out = np.full((2, len(x)), np.nan)
+    if known.any():
+        out[:, known] = function(np.stack([x[known], y[known]], axis=1)).T
+    return out
+
+
 def _undistorted(points: Array, lens: tuple[Array, Array] | None) -> Array:
     if lens is None:
         return points
-    matrix, distortion = lens
-    return cv2.undistortPoints(points.reshape(-1, 1, 2), matrix, distortion, P=matrix).reshape(-1, 2)
+    return cv2.undistortPoints(points.reshape(-1, 1, 2), *lens, P=lens[0]).reshape(-1, 2)
 
 
-def _mapped(points: Array, matrix: Array) -> Array:
+def _mapped(points: Array, matrix: NDArray[Any]) -> Array:
     return cv2.perspectiveTransform(points.reshape(-1, 1, 2).astype(float), matrix).reshape(-1, 2)
 
 
@@ -133,50 +133,43 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         When the calibration points lie on a line or fit no plane.
     """
     lens = None
+    camera_centre = middle = np.array([(width - 1) / 2, (height - 1) / 2])
     if setup.camera is not None:
         lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
-    scale = setup.scale
-    factor, unit = 1.0, "px"
-    residual_px = residual = 0.0
+        camera_centre = lens[0][:2, 2]
+    scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
+    points = np.zeros((0, 2))
     if scale is None:
         warn(
             "SWM041",
             "the setup has no scale: positions are in pixels (columns end in _px) and speeds in pixels per "
             "second; give scale in the setup for metres",
         )
-    elif scale.points_m is None:
-        unit = "m"
+    else:
+        if scale.points_px is not None:
+            points = _undistorted(np.array(scale.points_px), lens)
+        if scale.distance_m is not None:
+            factor = scale.distance_m / float(np.hypot(*(points[1] - points[0])))
         if scale.metres_per_pixel is not None:
             factor = scale.metres_per_pixel
-        else:
-            assert scale.points_px is not None
-            assert scale.distance_m is not None
-            ends = _undistorted(np.array(scale.points_px), lens)
-            factor = scale.distance_m / float(np.hypot(*(ends[1] - ends[0])))
+        if scale.heights is not None:
+            shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
     # Images are left-handed (y down): flipped, so that yaw is counter-clockwise.
-    matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
-    if scale is not None and scale.points_m is not None:
-        unit = "m"
-        image = _undistorted(np.array(scale.points_px, dtype=float), lens)
-        world = np.array(scale.points_m, dtype=float)
-        matrix, residual_px, residual = _homography(image, world, file)
-        if setup.plane == "horizontal":
-            _warn_of_back(matrix)
-    camera_centre = np.array([[(width - 1) / 2, (height - 1) / 2]]) if lens is None else lens[0][:2, 2][None]
-    shrink = 1.0
-    if scale is not None and scale.heights is not None:
-        shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    plane = Plane(
-        unit=unit,
-        matrix=matrix,
-        lens=lens,
-        shrink=shrink,
-        foot=_mapped(camera_centre, matrix)[0],
-        middle=np.array([(width - 1) / 2, (height - 1) / 2]),
-        far_x=0.0 if scale is not None and scale.points_m is not None else factor * (width - 1),
-        residual_px=residual_px,
-        residual=residual,
+    matrix, far_x = (
+        np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]]),
+        factor * (width - 1),
     )
+    if scale is not None and scale.points_m is not None:
+        matrix, residuals = _homography(points, np.array(scale.points_m, dtype=float), file)
+        far_x = 0.0
+        if setup.plane == "horizontal" and np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
+            warn(
+                "SWM048",
+                "the calibration points map the picture to a world seen from its back: x, y as given, and "
+                "yaw is counter-clockwise from x to y there, clockwise in the picture",
+            )
+    foot = _mapped(camera_centre[None], matrix)[0]
+    plane = Plane("px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals)
     if setup.plane == "vertical" and plane.upside_down:
         warn(
             "SWM048",
@@ -186,12 +179,12 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
     return plane
 
 
-def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, float, float]:
+def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
+    """The map of calibration points, and its root mean square error in the picture and in the world."""
     for name, points in (("points_px", image), ("points_m", world)):
         if _thin(points):
-            raise InputError(
-                "the points lie on a line; four corners of an area are needed", file=file, column=name
-            )
+            text = "the points lie on a line; four corners of an area are needed"
+            raise InputError(text, file=file, column=name)
     matrix, _ = cv2.findHomography(image, world)
     if matrix is None or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-15:
         raise InputError("no plane fits these points", file=file, column="scale.points_m")
@@ -203,25 +196,12 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, fl
             column="scale.points_m",
             hint="list points_px and points_m corner by corner, both going round the same way",
         )
-    error = _mapped(image, matrix) - world
-    back = _mapped(world, np.linalg.inv(matrix).astype(float)) - image
-    return matrix, float(np.sqrt(np.mean(np.sum(back**2, 1)))), float(np.sqrt(np.mean(np.sum(error**2, 1))))
-
-
-def _warn_of_back(matrix: Array) -> None:
-    if np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
-        warn(
-            "SWM048",
-            "the calibration points map the picture to a world seen from its back: x, y as given, and yaw is "
-            "counter-clockwise from x to y there, clockwise in the picture",
-        )
+    errors = (_mapped(world, np.linalg.inv(matrix)) - image, _mapped(image, matrix) - world)
+    in_image, in_world = (float(np.sqrt(np.mean(np.sum(error**2, 1)))) for error in errors)
+    return matrix, (in_image, in_world)
 
 
 def _thin(points: Array) -> bool:
     """Whether all points, or all but one, lie on a line."""
-    for leave in range(len(points)):
-        rest = np.delete(points, leave, axis=0) if len(points) <= 4 else points
-        singular = np.linalg.svd(rest - rest.mean(0), compute_uv=False)
-        if singular[1] < 1e-3 * singular[0]:
-            return True
-    return False
+    rests = [np.delete(points, k, axis=0) for k in range(len(points))] if len(points) <= 4 else [points]
+    return any(np.linalg.matrix_rank(rest - rest.mean(0), rtol=1e-3) < 2 for rest in rests)

@@ -60,6 +60,8 @@ class Pose:
     hidden : ndarray, shape (m, n)
         How far each centre may be off because part of the marker is hidden, px; 0 where none is.
     plane : Plane
+    rows : list of int
+        Of the markers the pose needs: head, and tail.
     """
 
     times: Array
@@ -73,6 +75,22 @@ class Pose:
     separation: Array | None
     hidden: Array
     plane: Plane
+    rows: list[int]
+
+    @property
+    def body_velocity(self) -> Array | None:
+        """Speed ahead and to port (up in the vertical plane), shape (2, n); None without a heading."""
+        if self.angle is None:
+            return None
+        (vx, vy), angle = self.path.velocity, self.angle.position[0]
+        return np.stack([vx * np.cos(angle) + vy * np.sin(angle), vy * np.cos(angle) - vx * np.sin(angle)])
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """From the last sight before each gap to the first after it, s."""
+        seen = self.times[self.measured]
+        holes = np.flatnonzero(np.diff(np.flatnonzero(self.measured)) > 1)
+        return [(float(seen[k]), float(seen[k + 1])) for k in holes]
 
     @property
     def interpolated(self) -> NDArray[np.bool_]:
@@ -92,8 +110,7 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
         return plane.along_x(setup.facing == "left")
     if setup.tail is None:
         return plane
-    head, tail = (track.names.index(name) for name in (setup.head_name, setup.tail))
-    (front, _), (rear, _) = (plane.to_world(*track.centre(i)) for i in (head, tail))
+    (front, _), (rear, _) = (plane.to_world(*track.centre(track.row(name))) for name in setup.roles)
     ahead = 1.0 if setup.places is None else setup.places[0][0] - setup.places[1][0]
     return plane if ahead * np.nansum(front - rear) >= 0 else plane.along_x(not plane.runs_left)
 
@@ -112,12 +129,11 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         When no stretch has enough measurements.
     """
     times = track.times
-    markers = np.array([plane.to_world(*track.centre(i)) for i in range(len(track.names))])
-    head = track.names.index(setup.head_name)
-    tail = None if setup.tail is None else track.names.index(setup.tail)
-    measured = track.found[head].copy()
-    if tail is not None:
-        measured &= track.found[tail]
+    everyone = range(len(track.names))
+    markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
+    rows = [track.row(name) for name in setup.roles]
+    head = rows[0]
+    measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0)
     segment, segments = _segments(times, measured, setup.max_gap_s)
     if not segments:
         raise NoTrustworthyResult(
@@ -125,16 +141,15 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             "close enough to each other to give a speed"
         )
     measured &= segment > 0
-    seen = track.found[head]
-    middle_x, middle_y = np.nanmedian(track.x[head, seen]), np.nanmedian(track.y[head, seen])
-    pixel = plane.size_of_pixel(float(middle_x), float(middle_y))
-    hidden = np.array([hidden_px(track, i, plane) for i in range(len(track.names))])
+    pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
+    hidden = np.array([hidden_px(track, i, plane) for i in everyone])
     weights = _weights(track, head, hidden[head])
     raw = np.where(segment > 0, markers[head], np.nan)
     lever = np.array(setup.reference_offset_m)
     places = None if setup.places is None else np.array(setup.places)
     angle = raw_angle = separation = None
-    if tail is not None:
+    if len(rows) > 1:
+        tail = rows[1]
         forward = markers[head] - markers[tail]
         separation = np.hypot(forward[0], forward[1])
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
@@ -144,14 +159,18 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             lever, weights = -places.mean(axis=0), both
             ahead, aside = places[0] - places[1]
             forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
-        raw_angle = np.where(measured, _unwrapped(np.arctan2(forward[1], forward[0])), np.nan)
+        raw_angle = np.arctan2(forward[1], forward[0])
+        known = np.isfinite(raw_angle)
+        raw_angle[known] = np.unwrap(raw_angle[known])
+        raw_angle[~measured] = np.nan
         least = 1.4 * LEAST_NOISE_PX * pixel / max(float(np.nanmedian(separation)), 1e-12)
         angle = smooth(times, raw_angle[None], both, segments, least_sd=least)
-        angle = _widened(angle, least / LEAST_NOISE_PX * SYSTEMATIC_PX)
+        error = least / LEAST_NOISE_PX * SYSTEMATIC_PX
+        angle = replace(angle, position_sd=np.hypot(angle.position_sd, error))
         # Tilted by the smoothed heading: the raw one would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(times, raw, weights, segments, least_sd=LEAST_NOISE_PX * pixel)
-    path = _widened(path, SYSTEMATIC_PX * pixel)
+    path = replace(path, position_sd=np.hypot(path.position_sd, SYSTEMATIC_PX * pixel))
     if angle is not None:
         # An error of the heading moves the reference point across the lever.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
@@ -160,29 +179,14 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             position_sd=np.hypot(path.position_sd, across * angle.position_sd),
             velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
         )
-    return Pose(
-        times=times,
-        measured=measured,
-        segment=segment,
-        raw=raw,
-        path=path,
-        raw_angle=raw_angle,
-        angle=angle,
-        markers=markers,
-        separation=separation,
-        hidden=hidden,
-        plane=plane,
-    )
+    heading = (raw_angle, angle, markers, separation)
+    return Pose(times, measured, segment, raw, path, *heading, hidden, plane, rows)
 
 
 def _turned(vector: Array, angle: Array) -> Array:
     """A vector of the body in the world, shape (2, n)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
-
-
-def _widened(result: Smoothed, systematic: float) -> Smoothed:
-    return replace(result, position_sd=np.hypot(result.position_sd, systematic))
 
 
 def _segments(
@@ -269,26 +273,16 @@ def _noise_px(track: RawTrack, marker: int) -> float:
     return 1.4826 * float(np.median(np.abs(known))) / np.sqrt(6) if len(known) else 0.0
 
 
-def _unwrapped(angle: Array) -> Array:
-    """The angle without jumps of a turn, NaN passed over."""
-    out = angle.copy()
-    seen = np.isfinite(angle)
-    out[seen] = np.unwrap(angle[seen])
-    return out
-
-
 def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     """The columns of the log, in order."""
     unit = pose.plane.unit
-    up, angle_name, side = ("y", "yaw", "v") if setup.plane == "horizontal" else ("z", "pitch", "w")
+    up, angle_name, side = setup.axes
     vx, vy = pose.path.velocity
     out: dict[str, Any] = {"t_s": pose.times}
     out[f"x_{unit}"], out[f"{up}_{unit}"] = pose.path.position
-    if pose.angle is not None:
-        angle = pose.angle.position[0]
-        out[f"{angle_name}_rad"] = angle
-        out[f"u_{unit}_s"] = vx * np.cos(angle) + vy * np.sin(angle)
-        out[f"{side}_{unit}_s"] = vy * np.cos(angle) - vx * np.sin(angle)
+    if pose.angle is not None and pose.body_velocity is not None:
+        out[f"{angle_name}_rad"] = pose.angle.position[0]
+        out[f"u_{unit}_s"], out[f"{side}_{unit}_s"] = pose.body_velocity
         out[f"{angle_name}_rate_rad_s"] = pose.angle.velocity[0]
     out[f"vx_{unit}_s"], out[f"v{up}_{unit}_s"] = vx, vy
     out[f"x_sd_{unit}"], out[f"{up}_sd_{unit}"] = pose.path.position_sd
@@ -307,21 +301,18 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     out["frame"] = np.arange(len(pose.times))
     out["found"] = pose.measured.astype(int)
     out["interpolated"] = pose.interpolated.astype(int)
-    out["segment"] = pd.array(np.where(pose.segment > 0, pose.segment, -1), dtype="Int64")
+    out["segment"] = pd.array(pose.segment, dtype="Int64")
     out["segment"][pose.segment == 0] = pd.NA
-    roles = [track.names.index(name) for name in (setup.head_name, setup.tail) if name is not None]
-    worst = np.min(track.status[roles], axis=0)
-    best = np.max(track.status[roles], axis=0)
+    worst, best = track.status[pose.rows].min(axis=0), track.status[pose.rows].max(axis=0)
     word = np.array(STATUS, dtype=object)[np.where(worst == LOST, LOST, best)]
-    word[(worst > LOST) & track.at_edge[roles].any(axis=0)] = CUT
+    word[(worst > LOST) & track.at_edge[pose.rows].any(axis=0)] = CUT
     out["status"] = word
-    out["confidence"] = np.min(track.confidence[roles], axis=0)
+    out["confidence"] = np.min(track.confidence[pose.rows], axis=0)
     for i, name in enumerate(track.names):
         out[f"{name}_x_px"], out[f"{name}_y_px"] = track.centre(i)
         if unit == "m":
             out[f"{name}_x_m"], out[f"{name}_{up}_m"] = pose.markers[i]
-        out[f"{name}_area_px"] = track.area[i]
-        out[f"{name}_confidence"] = track.confidence[i]
+        out[f"{name}_area_px"], out[f"{name}_confidence"] = track.area[i], track.confidence[i]
         out[f"{name}_status"] = np.array(STATUS)[track.status[i]]
         out[f"{name}_at_edge"] = track.at_edge[i].astype(int)
     return out

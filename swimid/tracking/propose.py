@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
 from swimid.progress import Step
-from swimid.tracking import census
+from swimid.tracking import colour
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import marker_mask
-from swimid.tracking.reader import Frame, Video, VideoInfo
-from swimid.tracking.setup import HsvRange, Marker
+from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.setup import Box, HsvRange
 
 Array = NDArray[np.float64]
 
 #: Frames looked at, and the width they are reduced to.
-SAMPLES, WIDTH = 48, 960
+SAMPLES, SAMPLE_WIDTH = 48, 960
 #: A pixel this far (grey levels) from the still background moves.
 LEAST_CHANGE = 16
 #: Hue clusters looked at.
@@ -37,83 +37,25 @@ SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
 
 @dataclass(frozen=True)
 class Samples:
-    """Frames spread over a video, reduced in size.
+    """Frames spread over a video, reduced in size."""
 
-    Attributes
-    ----------
-    info : VideoInfo
-    indices : ndarray of int, shape (n,)
-    frames : list of n frames
-    factor : float
-        Size of a sample pixel in picture pixels.
-    background : frame
-        Median of the samples: the scene without what moves.
-    moving : list of n masks
-        255 where a sample differs from the background.
-    """
-
-    info: VideoInfo
+    video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
+    #: Size of a sample pixel in picture pixels.
     factor: float
+    #: Median of the samples: the scene without what moves.
     background: Frame
+    #: 255 where a sample differs from the background.
     moving: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A colour that may be a marker's.
-
-    Attributes
-    ----------
-    colours : HsvRange
-    hue_deg : float
-        Its middle.
-    score : float
-        0 to 1.
-    place : ndarray, shape (n, 2)
-        Centre of its best patch in each sample, picture pixels; NaN where there is none.
-    area_px : (float, float)
-        Smallest and largest area worth accepting, picture pixels.
-    like : int
-        Usual number of moving patches of the colour and a comparable size.
-    still : list of boxes
-        Motionless patches of the colour, picture pixels.
-    """
-
-    colours: HsvRange
-    hue_deg: float
-    score: float
-    place: Array
-    area_px: tuple[float, float]
-    like: int
-    still: list[tuple[float, float, float, float]]
-
-    @property
-    def name(self) -> str:
-        """Everyday name of its colour."""
-        return census.hue_name(self.hue_deg)
-
-    @property
-    def presence(self) -> float:
-        """Share of the samples it is seen in."""
-        return float(np.mean(np.isfinite(self.place[:, 0])))
-
-
-@dataclass(frozen=True)
 class Passed:
-    """A colour that is no marker's, and why.
-
-    Attributes
-    ----------
-    name : str
-        Everyday name of the colour.
-    hue_deg : float
-        Its middle.
-    reason : str
-    """
+    """A colour that is no marker's by its everyday name, and why."""
 
     name: str
+    #: Its middle.
     hue_deg: float
     reason: str
 
@@ -121,24 +63,60 @@ class Passed:
         return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A colour that may be a marker's; name and hue as of :class:`Passed`."""
+
+    name: str
+    hue_deg: float
+    colours: HsvRange
+    #: 0 to 1.
+    score: float
+    #: Centre of its best patch in each sample, shape (n, 2), picture pixels; NaN where there is none.
+    place: Array
+    #: Smallest and largest area worth accepting, picture pixels.
+    area_px: tuple[float, float]
+    #: Usual number of moving patches of the colour and a comparable size.
+    like: int
+    #: Motionless patches of the colour, picture pixels.
+    still: list[Box]
+
+    @property
+    def presence(self) -> float:
+        """Share of the samples it is seen in."""
+        return float(np.mean(np.isfinite(self.place[:, 0])))
+
+    @property
+    def remark(self) -> str:
+        """What a reader of the setup wants to know of it."""
+        text = f"score {self.score:.2f}, seen in {100 * self.presence:.0f} % of the samples"
+        if self.like > 1:
+            text += f"; {self.like} patches of this colour move together: the largest is followed"
+        return text
+
+    def passed(self, reason: str) -> Passed:
+        """The colour, passed over."""
+        return Passed(self.name, self.hue_deg, reason)
+
+    def crosses(self, box: Box) -> bool:
+        """Whether it was seen inside a box."""
+        left, top, right, bottom = box
+        reach = np.sqrt(self.area_px[1] / 3)
+        x, y = self.place.T
+        inside = (x > left - reach) & (x < right + reach) & (y > top - reach) & (y < bottom + reach)
+        return bool(np.any(inside))
+
+
 def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     """Read a video once and keep :data:`SAMPLES` frames of it, evenly spread."""
     video = Video(path, apply_rotation=apply_rotation)
-    factor = max(video.info.width / WIDTH, 1.0)
-    every = max(video.info.frames // SAMPLES, 1)
-    kept: dict[int, Frame] = {}
+    keeper = FrameKeeper(2 * SAMPLES, max(video.claimed // SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         step()
-        if index % every:
-            continue
-        small = cv2.resize(frame, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-        kept[index] = frame.copy() if factor == 1.0 else small
-        if len(kept) > 2 * SAMPLES:  # more frames than the container said
-            every *= 2
-            kept = {k: f for k, f in kept.items() if k % every == 0}
-    if len(kept) < 4:
-        raise NoTrustworthyResult(f"{path.name} has only {len(kept)} frames: too few to see what moves")
-    frames = list(kept.values())
+        keeper.take(index, frame)
+    frames = list(keeper.kept.values())
+    if len(frames) < 4:
+        raise NoTrustworthyResult(f"{path.name} has only {len(frames)} frames: too few to see what moves")
     background = np.median(np.stack(frames[:: max(len(frames) // 25, 1)]), axis=0).astype(np.uint8)
     still = cv2.blur(background, (3, 3))
     moving = []
@@ -148,7 +126,8 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
         moving.append(
             np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
         )
-    return Samples(video.info, np.array(list(kept)), frames, factor, background, moving)
+    factor = max(video.width / SAMPLE_WIDTH, 1.0)
+    return Samples(video, np.array(list(keeper.kept)), frames, factor, background, moving)
 
 
 def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
@@ -159,14 +138,15 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
     NoTrustworthyResult
         When the video has no colour, or nothing coloured moves.
     """
-    pixels = [
-        _moving_colours(frame, mask) for frame, mask in zip(samples.frames, samples.moving, strict=True)
-    ]
-    hsv = np.concatenate(pixels)
+    moving = []
+    for frame, mask in zip(samples.frames, samples.moving, strict=True):
+        chosen = (mask > 0) & (colour.chroma(frame) >= colour.LEAST_CHROMA)
+        moving.append(cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)[chosen])
+    hsv = np.concatenate(moving)
     if len(hsv) < 4 * len(samples.frames):
-        seen = census.describe_colours(samples.frames[::6])
         raise NoTrustworthyResult(
-            f"no coloured marker moves in {samples.info.path.name}. {seen}",
+            f"no coloured marker moves in {samples.video.path.name}. "
+            f"{colour.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
             "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y",
         )
@@ -174,10 +154,9 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
     passed = [c for c in judged if isinstance(c, Passed)]
     good = sorted((c for c in judged if isinstance(c, Candidate)), key=lambda c: -c.score)
     if not good:
-        seen = census.describe_colours(samples.frames[::6])
         raise NoTrustworthyResult(
-            f"nothing in {samples.info.path.name} looks like a marker: a compact patch of one colour that "
-            f"moves. {listed(passed)}{seen}",
+            f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
+            f"moves. {listed(passed)}{colour.describe_colours(samples.frames[::6])}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
     return good, passed
@@ -188,19 +167,11 @@ def listed(passed: list[Passed]) -> str:
     return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
 
-def _moving_colours(frame: Frame, moving: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    smooth = cv2.blur(frame, (3, 3))
-    chosen = (moving > 0) & (census.chroma(frame) >= census.LEAST_CHROMA)
-    return cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)[chosen]
-
-
 def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
     """Hues (0 .. 179) about which moving coloured pixels gather, most pixels first."""
     histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
-    reach = np.arange(-9, 10)
-    kernel = np.exp(-0.5 * (reach / 3.0) ** 2)
-    padded = np.concatenate([histogram[-9:], histogram, histogram[:9]])
-    smooth = np.convolve(padded, kernel / kernel.sum(), "valid")
+    kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
+    smooth = np.convolve(np.pad(histogram, 9, mode="wrap"), kernel / kernel.sum(), "valid")
     top = [
         h
         for h in range(180)
@@ -224,8 +195,8 @@ def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
     v_low, v_high = np.percentile(cluster[core, 2], [3, 98]) / 255
     return HsvRange(
         hue_deg=(_degrees(peak + low - 5), _degrees(peak + high + 5)),
-        saturation=(_two(max(0.75 * s_low, 0.1)), 1.0),
-        value=(_two(max(0.65 * v_low, 0.04)), _two(min(1.35 * v_high, 1.0))),
+        saturation=(two_digits(max(0.75 * s_low, 0.1)), 1.0),
+        value=(two_digits(max(0.65 * v_low, 0.04)), two_digits(min(1.35 * v_high, 1.0))),
     )
 
 
@@ -233,7 +204,8 @@ def _degrees(hue: float) -> float:
     return float(round(2 * hue) % 360)
 
 
-def _two(value: float) -> float:
+def two_digits(value: float) -> float:
+    """A share as a setup holds it."""
     return float(round(value, 2))
 
 
@@ -247,8 +219,8 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
     places = np.full((len(samples.frames), 2), np.nan)
     areas, compact, like, purity = [], [], [], []
     in_range = moving_in_range = 0.0
-    still = _still(samples, model, least)
     scenery = marker_mask(samples.background, model)
+    still = _still(scenery, samples.factor, least)
     for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
         mask = marker_mask(frame, model)
         in_range += float(np.count_nonzero(mask))
@@ -261,15 +233,17 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
         areas.append(area)
         compact.append(fill)
         like.append(sum(1 for other in patches if other[0] > 0.4 * area))
-        chroma = census.chroma(frame)
+        chroma = colour.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
-    name, hue = census.hue_name(_degrees(peak)), _degrees(peak)
+    name, hue = colour.hue_name(_degrees(peak)), _degrees(peak)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
         where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
-        seen = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
+        reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
         if np.mean(scenery > 0) > 0.5:
-            return Passed(name, hue, "the background's colour")
-        return Passed(name, hue, f"does not move (it lies at {where})" if still else seen)
+            reason = "the background's colour"
+        elif still:
+            reason = f"does not move (it lies at {where})"
+        return Passed(name, hue, reason)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
     presence = len(areas) / len(samples.frames)
@@ -285,19 +259,11 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
         * moved
     )
     if score < LEAST_SCORE:
-        return Passed(
-            name, hue, f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
-        )
+        reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
+        return Passed(name, hue, reason)
     low, high = np.percentile(sizes, [5, 95])
-    return Candidate(
-        colours=colours,
-        hue_deg=hue,
-        score=float(score),
-        place=places,
-        area_px=(float(math.floor(0.3 * low)), float(math.ceil(3 * high))),
-        like=int(np.median(like)),
-        still=still,
-    )
+    sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
+    return Candidate(name, hue, colours, float(score), places, sized, int(np.median(like)), still)
 
 
 def _patches(
@@ -324,18 +290,20 @@ def _patches(
     return sorted(found, reverse=True)
 
 
-def _still(samples: Samples, model: ColourModel, least: float) -> list[tuple[float, float, float, float]]:
-    """Boxes about patches of the colour in the empty scene."""
-    mask = marker_mask(samples.background, model)
-    count, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    boxes = []
-    for left, top, width, height, area in sorted(stats[1:count].tolist(), key=lambda s: -s[4])[:8]:
-        if area >= least:
-            f = samples.factor
-            boxes.append(
-                tuple(float(round(v)) for v in (f * left, f * top, f * (left + width), f * (top + height)))
-            )
-    return boxes  # type: ignore[return-value]
+def _still(scenery: NDArray[np.uint8], factor: float, least: float) -> list[Box]:
+    """Boxes about the largest patches of the colour in the empty scene."""
+    _, _, stats, _ = cv2.connectedComponentsWithStats(scenery, connectivity=8)
+    largest = sorted(stats[1:].tolist(), key=lambda s: -s[4])[:8]
+    return [
+        (
+            float(round(factor * left)),
+            float(round(factor * top)),
+            float(round(factor * (left + width))),
+            float(round(factor * (top + height))),
+        )
+        for left, top, width, height, area in largest
+        if area >= least
+    ]
 
 
 def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
@@ -362,14 +330,3 @@ def leads(first: Candidate, second: Candidate) -> bool:
     axis = (first.place - second.place)[:-1]
     known = np.isfinite(step).all(axis=1) & np.isfinite(axis).all(axis=1)
     return bool(np.sum(step[known] * axis[known]) >= 0)
-
-
-def name_of(candidate: Candidate, taken: list[str]) -> str:
-    """A marker name by its hue, unlike those taken."""
-    name = candidate.name
-    return name if name not in taken else f"{name}-{'b' if len(taken) == 1 else len(taken) + 1}"
-
-
-def as_marker(candidate: Candidate, name: str) -> Marker:
-    """The candidate as the setup file holds it."""
-    return Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)

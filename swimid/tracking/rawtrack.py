@@ -20,7 +20,7 @@ SHORTEST_RUN = 3
 #: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: Only a run shorter than this share of all sightings is doubted for its look.
-STRANGER_SHARE = 0.2
+FALSE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -74,35 +74,28 @@ class RawTrack:
         """
         return self.seen & ~self.at_edge
 
+    def row(self, name: str) -> int:
+        """The row of a marker."""
+        return self.names.index(name)
+
     def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Centre of a marker where it was measured, else NaN, two arrays of shape (n,), px."""
         cut = self.at_edge[marker]
         return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])
 
 
-def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
-    """Take back sightings that, seen from the end, were something else.
+def drop_false_detections(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> None:
+    """Take back sightings of a marker, in place, that seen from the end were something else.
 
-    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone
-    between longer losses), or short and unlike the marker's usual look in colour, size or
-    confidence.
-
-    Parameters
-    ----------
-    track : RawTrack
-        Changed in place.
-    marker : int
-        Its row.
-    looks : ndarray, shape (n, 3)
-        Mean HSV of each sighting.
+    A run of frames is dropped when it is a flash (shorter than ``SHORTEST_RUN``, alone between longer
+    losses), or short and unlike the marker's usual look in colour (``looks``, shape (n, 3): mean HSV of each
+    sighting), size or confidence.
     """
     seen = track.status[marker] > LOST
     if not seen.any():
         return
     # Cut by the edge of the picture, a marker has neither its size nor, being narrow, its colour.
-    whole = seen & ~track.at_edge[marker]
-    if not whole.any():
-        whole = seen
+    whole = track.found[marker] if track.found[marker].any() else seen
     usual = np.median(looks[whole], axis=0)
     turn = 2 * np.pi * looks[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
@@ -118,16 +111,14 @@ def drop_strangers(track: RawTrack, marker: int, looks: NDArray[np.float64]) -> 
         about = seen[max(start - 15, 0) : end + 15]
         flash = end - start < SHORTEST_RUN and (alone or about.mean() < 0.35)
         part = slice(start, end)
-        look = start + np.flatnonzero(whole[part])
-        stranger = False
-        if len(look) and end - start < STRANGER_SHARE * seen.sum():
-            ratio = float(np.median(area[look])) / usual_area
-            stranger = (
-                float(np.mean(alike[look])) < 0.5
-                or not 0.25 < ratio < 4
-                or (float(np.median(confidence[look])) < 0.6 * usual_confidence and not 0.5 < ratio < 2)
-            )
-        if (flash and end - start < seen.sum()) or stranger:
+        look = whole[part]
+        unlike = False
+        if look.any() and end - start < FALSE_SHARE * seen.sum():
+            ratio = float(np.median(area[part][look])) / usual_area
+            faint = float(np.median(confidence[part][look])) < 0.6 * usual_confidence
+            unlike = float(np.mean(alike[part][look])) < 0.5 or not 0.25 < ratio < 4
+            unlike = unlike or (faint and not 0.5 < ratio < 2)
+        if (flash and end - start < seen.sum()) or unlike:
             for values in (track.x, track.y, track.area):
                 values[marker, part] = np.nan
             track.confidence[marker, part] = 0.0

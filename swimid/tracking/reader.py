@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
+import re
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,83 +19,85 @@ os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
 import cv2
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError
 from swimid.notices import warn
-from swimid.tracking.stills import Stills, is_sequence
 
 Frame = NDArray[np.uint8]
 
+#: Endings of pictures.
+ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+#: A place holder of C's printf for a whole number.
+_HOLDER = re.compile(r"%0?\d*d")
 #: A step of the stamps this far from the median step is irregular.
 JITTER = 0.25
 
 
-@dataclass(frozen=True)
-class VideoInfo:
-    """What the container says about a video."""
-
-    path: Path
-    width: int
-    height: int
-    #: Mean rate the container claims, Hz; 0 where it claims none.
-    frame_rate_hz: float
-    #: Number of frames the container claims; 0 where it claims none.
-    frames: int
-    #: Rotation tag, degrees.
-    rotation_deg: int
-    #: The file, or the pictures.
-    files: tuple[Path, ...]
+#: A frame as it was read: its place in the film, its stamp (s; NaN for pictures), and the picture.
+_Read = tuple[int, float, Frame]
 
 
-class _Container:
-    """A video file, decoded frame by frame."""
+def is_sequence(path: Path) -> bool:
+    """Whether a path means many pictures: a folder, or a pattern that is not itself a file."""
+    return path.is_dir() or (not path.exists() and _HOLDER.search(path.name) is not None)
 
-    def __init__(self, path: Path, *, apply_rotation: bool) -> None:
-        if not path.is_file():
-            raise InputError("cannot be read: no such file", file=path, hint="check the path")
-        if path.stat().st_size == 0:
-            raise InputError("is empty", file=path)
-        # One thread more than cores: the decoder goes on while a frame is looked at.
-        threads = min(os.cpu_count() or 1, 16) + 1
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
-        if not self._capture.isOpened():
+
+def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
+    """Pictures in the order of the numbers in their names; a missing one leaves its place."""
+    flags = cv2.IMREAD_COLOR if apply_rotation else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    bad, first = [], None
+    for position, file in zip(_positions(path, files), files, strict=True):
+        frame = cv2.imread(str(file), flags)
+        if frame is None:
+            bad.append(file.name)
+            continue
+        first = frame.shape if first is None else first
+        if frame.shape != first:
+            here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
             raise InputError(
-                "is not a video that can be decoded, or its index is missing (a recording cut short)",
-                file=path,
-                hint="check that a player plays it; a cut recording can be repaired with "
-                "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
+                f"is {here} pixels, those before it are {before}",
+                file=file,
+                hint="all pictures of a film have one size; name them by a pattern (%05d.png) where "
+                "others lie beside them",
             )
-        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
-        self.files = [path]
-        #: Number of the frame last read.
-        self.position = -1
-        self._frame: Frame | None = None
-
-    def read(self) -> Frame | None:
-        """The next frame, into the memory of the one before; None after the last."""
-        ok, frame = self._capture.read() if self._frame is None else self._capture.read(self._frame)
-        if not ok or frame is None:
-            return None
-        self._frame = np.asarray(frame, np.uint8)
-        self.position += 1
-        return self._frame
-
-    @property
-    def stamp_s(self) -> float:
-        """The container's stamp of the frame last read."""
-        return self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-
-    def claims(self) -> tuple[float, int, int]:
-        """Mean rate in Hz, number of frames (0 where there is none) and rotation tag in degrees."""
-        count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
-        return (
-            rate if np.isfinite(rate) and rate > 0 else 0.0,
-            int(count) if 0 < count < 1e9 else 0,
-            int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)),
+        yield position, math.nan, np.asarray(frame, np.uint8)
+    if bad:
+        warn(
+            "SWM044",
+            f"{path.name}: {len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)}); their "
+            "time is left out",
         )
 
-    def close(self) -> None:
-        """Give the decoder back."""
-        self._capture.release()
+
+def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
+    """A video file, to be decoded."""
+    if not path.is_file():
+        raise InputError("cannot be read: no such file", file=path, hint="check the path")
+    if path.stat().st_size == 0:
+        raise InputError("is empty", file=path)
+    # One thread more than cores: the decoder goes on while a frame is looked at.
+    threads = min(os.cpu_count() or 1, 16) + 1
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+    if not capture.isOpened():
+        raise InputError(
+            "is not a video that can be decoded, or its index is missing (a recording cut short)",
+            file=path,
+            hint="check that a player plays it; a cut recording can be repaired with "
+            "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
+        )
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
+    return capture
+
+
+def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
+    """Frames of a video file, each in the memory of the one before."""
+    picture: Frame | None = None
+    for position in itertools.count():
+        ok, frame = capture.read(picture)
+        if not ok or frame is None:
+            break
+        picture = np.asarray(frame, np.uint8)
+        yield position, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, picture
+    capture.release()
 
 
 class Video:
@@ -109,6 +114,17 @@ class Video:
         Turn the picture as the rotation tag says. Set explicitly, because the default
         changed between OpenCV versions.
 
+    Attributes
+    ----------
+    files : list of path
+        The file, or the pictures.
+    width, height : int
+        Of the picture, px.
+    claimed_rate_hz, claimed : float, int
+        Mean rate and number of frames the container claims; 0 where it claims none.
+    first_stamp_s : float
+        The container's stamp of the first frame, which is t = 0; NaN of pictures.
+
     Raises
     ------
     InputError
@@ -121,35 +137,27 @@ class Video:
         self.path = Path(path)
         # On few cores decoding uses them all; threads for small images only cost.
         cv2.setNumThreads(1)
-        self._source: _Container | Stills
-        if is_sequence(self.path):
-            self._source = Stills(self.path, apply_rotation=apply_rotation)
-        else:
-            self._source = _Container(self.path, apply_rotation=apply_rotation)
-        self._first = self._source.read()
-        if self._first is None:
-            self._source.close()
-            raise InputError(
-                "no frame of this file can be decoded",
-                file=self.path,
-                frame=0,
-                hint="check that a player plays it",
-            )
-        self.first_stamp_s = self._source.stamp_s
-        height, width = self._first.shape[:2]
-        rate, count, rotation = self._source.claims()
-        self.info = VideoInfo(
-            path=self.path,
-            width=width,
-            height=height,
-            frame_rate_hz=rate,
-            frames=count,
-            rotation_deg=rotation,
-            files=tuple(self._source.files),
-        )
         self._rate = frame_rate_hz
         self._stamps: list[float] = []
         self._positions: list[int] = []
+        if is_sequence(self.path):
+            self.files = _listed(self.path)
+            self.claimed_rate_hz, self.claimed = 0.0, len(self.files)
+            self._read = _pictures(self.path, self.files, apply_rotation)
+        else:
+            self.files = [self.path]
+            capture = _opened(self.path, apply_rotation)
+            rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+            self.claimed_rate_hz = rate if np.isfinite(rate) and rate > 0 else 0.0
+            self.claimed = int(count) if 0 < count < 1e9 else 0
+            self._read = _decoded(capture)
+        first = next(self._read, None)
+        if first is None:
+            hint = "check that a player plays it"
+            raise InputError("no frame of this file can be decoded", file=self.path, frame=0, hint=hint)
+        self._first = first
+        self.first_stamp_s = first[1]
+        self.height, self.width = first[2].shape[:2]
 
     def demand_clock(self) -> None:
         """Raise where nothing tells the time of the frames: pictures without a frame rate."""
@@ -165,72 +173,158 @@ class Video:
 
         The time of pictures without a frame rate is NaN.
         """
-        frame = self._first
-        self._stamps, self._positions = [], []
-        while frame is not None:
-            self._stamps.append(self._source.stamp_s)
-            self._positions.append(self._source.position)
-            if self._rate:
-                time = (self._positions[-1] - self._positions[0]) / self._rate
-            else:
-                time = self._stamps[-1] - self.first_stamp_s
-            yield time, frame
-            frame = self._source.read()
-        self._source.close()
-        self._check_length(len(self._stamps))
-
-    def times(self) -> NDArray[np.float64]:
-        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
-
-        Stamps that stand still or run backwards are replaced by even steps, with a warning.
-        """
-        count = len(self._stamps)
-        if self._rate:
-            positions = np.array(self._positions, dtype=float)
-            return (positions - positions[:1]) / self._rate
-        stamps = np.array(self._stamps) - (self._stamps[0] if count else 0.0)
-        steps = np.diff(stamps)
-        if count > 1 and np.any(steps <= 0):
-            rate = self.info.frame_rate_hz
-            bad = int(np.argmax(steps <= 0)) + 1
-            if not rate:
-                raise InputError(
-                    "its frames carry no usable time stamps",
-                    file=self.path,
-                    frame=bad,
-                    hint="give the true frame rate with --fps",
-                )
-            warn(
-                "SWM043",
-                f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
-                f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
-            )
-            return np.arange(count) / rate
-        return stamps
-
-    def _check_length(self, count: int) -> None:
-        claimed = self.info.frames
+        for position, stamp, frame in itertools.chain([self._first], self._read):
+            self._stamps.append(stamp)
+            self._positions.append(position)
+            since = position - self._positions[0]
+            yield since / self._rate if self._rate else stamp - self.first_stamp_s, frame
+        count, claimed = len(self._stamps), self.claimed
         # Some containers count one or two frames more than they hold.
-        if len(self.info.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
+        if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
             warn(
                 "SWM044",
                 f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "
                 f"cut after frame {count - 1}",
             )
 
+    def times(self) -> NDArray[np.float64]:
+        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
+
+        Stamps that stand still or run backwards are replaced by even steps, with a warning.
+        """
+        if self._rate:
+            positions = np.array(self._positions, dtype=float)
+            return (positions - positions[:1]) / self._rate
+        stamps = np.array(self._stamps)
+        stamps -= stamps[:1]
+        backwards, rate = np.diff(stamps) <= 0, self.claimed_rate_hz
+        if not backwards.any():
+            return stamps
+        bad = int(np.argmax(backwards)) + 1
+        if not rate:
+            hint = "give the true frame rate with --fps"
+            raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
+        warn(
+            "SWM043",
+            f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
+            f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
+        )
+        return np.arange(len(stamps)) / rate
+
+
+def reduced(frame: Frame, width: int) -> Frame:
+    """A copy of a picture, at most ``width`` px wide."""
+    factor = max(frame.shape[1] / width, 1.0)
+    if factor == 1:
+        return frame.copy()
+    small = cv2.resize(frame, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+class FrameKeeper:
+    """Keeps some frames spread evenly over a video of unknown length, at most ``width`` px wide.
+
+    At first every ``every``-th is kept; as soon as there are more than ``most`` every second one is dropped.
+    """
+
+    def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
+        self.kept: dict[int, Frame] = {}
+        self._most, self._every, self._width = most, every, width
+
+    def take(self, index: int, frame: Frame) -> None:
+        """Look at the next frame; a copy is kept now and then."""
+        if index % self._every:
+            return
+        self.kept[index] = reduced(frame, self._width or frame.shape[1])
+        if len(self.kept) > self._most:
+            self._every *= 2
+            self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
+
 
 def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Spread of the time steps.
-
-    Returns
-    -------
-    share : float
-        Share of steps further than ``JITTER`` from the median step.
-    largest : float
-        Longest step over the median step.
-    """
+    """Share of time steps farther than ``JITTER`` from the median step, and the longest over the median."""
     steps = np.diff(times)
     if len(steps) < 2:
         return 0.0, 1.0
     middle = float(np.median(steps))
     return float(np.mean(np.abs(steps - middle) > JITTER * middle)), float(steps.max() / middle)
+
+
+def check_output(path: Path, output: Path) -> None:
+    """Refuse an output among the pictures of a folder: its plot would be one of them in the next run."""
+    if path.is_dir() and output.resolve().parent == path.resolve():
+        raise UsageError(
+            f"the output {output} would lie among the pictures of {path}", hint="name another folder"
+        )
+
+
+def _listed(path: Path) -> list[Path]:
+    """The pictures in order."""
+    if path.is_dir():
+        files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
+        files = [f for f in files if not f.name.startswith(".")]
+        if not files:
+            hint = f"it may hold {', '.join(ENDINGS)}"
+            raise InputError("is a folder without pictures", file=path, hint=hint)
+        series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
+        if len(series) > 1:
+            found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
+            raise InputError(
+                f"holds several series of pictures: {found}",
+                file=path,
+                hint="name the one that is the film by a pattern, as in 'folder/frame_%05d.png'",
+            )
+        return sorted(files, key=lambda f: _numbers(f.name))
+    holders = _HOLDER.findall(path.name)
+    if len(holders) != 1:
+        raise InputError(f"has {len(holders)} place holders; a pattern has one", file=path)
+    if not path.parent.is_dir():
+        raise InputError("cannot be read: no such folder", file=path, hint="check the path")
+    before, after = path.name.split(holders[0])
+    width = int(re.sub(r"\D", "", holders[0]) or 0)
+    # printf fills up to the width, and writes longer numbers in full.
+    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})" if width else r"(\d+)"
+    name = re.compile(re.escape(before) + digits + re.escape(after))
+    matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
+    numbered = [(int(match.group(1)), file) for match, file in matches if match]
+    if not numbered:
+        raise InputError(
+            "no picture has a name like this", file=path, hint="check the pattern, and the folder"
+        )
+    return [file for _, file in sorted(numbered)]
+
+
+def _numbers(name: str) -> list[int]:
+    return [int(digits) for digits in re.findall(r"\d+", name)]
+
+
+def _positions(path: Path, files: list[Path]) -> list[int]:
+    """Place of each picture in an even series: by the number that counts in the names, else by the order."""
+    table = np.array([_numbers(f.name) or [0] for f in files], dtype=object)
+    counting = [k for k in range(table.shape[1]) if len(set(table[:, k])) > 1]
+    order = list(range(len(files)))
+    if len(counting) != 1:
+        return order
+    numbers = [int(n) for n in table[:, counting[0]]]
+    steps = [b - a for a, b in itertools.pairwise(numbers)]
+    usual = max(Counter(steps).most_common(1)[0][0], 1)
+    if any(step < 1 or step % usual for step in steps):
+        warn(
+            "SWM043",
+            f"{path.name}: the numbers in the names of the pictures step unevenly (by {min(steps)} to "
+            f"{max(steps)}); the pictures are taken at even steps, in their order",
+        )
+        return order
+    missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
+    if missing:
+        count = sum(step // usual - 1 for step in steps)
+        warn(
+            "SWM044",
+            f"{path.name}: {count} pictures are missing by their numbers ({_some(missing)}); their time is "
+            "left out",
+        )
+    return [(number - numbers[0]) // usual for number in numbers]
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

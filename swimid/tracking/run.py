@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,36 +12,26 @@ from swimid.notices import warn
 from swimid.progress import Step
 from swimid.tracking import motion
 from swimid.tracking.follow import Follower
-from swimid.tracking.pictures import FrameKeeper
 from swimid.tracking.rawtrack import RawTrack
-from swimid.tracking.reader import Frame, Video, VideoInfo
-from swimid.tracking.setup import Setup
+from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.setup import Box, Setup
 
+#: Frames kept for the report.
+REPORT_FRAMES = 6
 #: Least way, in marker radii, for a second look to be preferred.
 _LEAST_WAY = 3.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """Raw result of following a video.
-
-    Attributes
-    ----------
-    track : RawTrack
-    info : VideoInfo
-    setup : Setup
-        With the boxes that were left out in a second look.
-    kept : dict of int to frame
-        A few frames for the report.
-    first_stamp_s : float
-        The container's stamp of the first frame, which is t = 0; NaN where pictures are the film.
-    """
+    """Raw result of following a video."""
 
     track: RawTrack
-    info: VideoInfo
+    video: Video
+    #: With the boxes that were left out in a second look.
     setup: Setup
+    #: A few frames for the report.
     kept: dict[int, Frame]
-    first_stamp_s: float
 
 
 def follow(path: Path, setup: Setup, *, step: Step) -> Run:
@@ -70,13 +61,16 @@ def follow(path: Path, setup: Setup, *, step: Step) -> Run:
 def _once(path: Path, setup: Setup, step: Step) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
     video.demand_clock()
-    follower = Follower(setup, video.info.width, video.info.height)
-    keeper = FrameKeeper()
+    follower = Follower(setup, video.width, video.height)
+    keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
     for index, (time, frame) in enumerate(video.frames()):
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
-    return Run(follower.track(video.times()), video.info, setup, keeper.chosen(), video.first_stamp_s)
+    keys = list(keeper.kept)
+    keys = [keys[k] for k in np.unique(np.linspace(0, len(keys) - 1, REPORT_FRAMES).round().astype(int))]
+    kept = {k: keeper.kept[k] for k in keys}
+    return Run(follower.track(video.times()), video, setup, kept)
 
 
 def _static_names(run: Run) -> list[str]:
@@ -90,12 +84,11 @@ def _static_names(run: Run) -> list[str]:
     ]
 
 
-def _motionless(run: Run) -> list[tuple[float, float, float, float]]:
-    boxes: list[tuple[float, float, float, float]] = []
+def _motionless(run: Run) -> list[Box]:
+    boxes: list[Box] = []
     for name in _static_names(run):
-        i = run.track.names.index(name)
-        seen = run.track.seen[i]
-        x, y = float(np.nanmedian(run.track.x[i])), float(np.nanmedian(run.track.y[i]))
-        half = 0.7 * float(np.sqrt(np.nanmedian(run.track.area[i, seen]))) + 3
+        i = run.track.row(name)
+        x, y, area = (float(np.nanmedian(v[i])) for v in (run.track.x, run.track.y, run.track.area))
+        half = 0.7 * math.sqrt(area) + 3
         boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
     return boxes

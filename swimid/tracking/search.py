@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,7 @@ from swimid.tracking import detect
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import Blob, Patch
 from swimid.tracking.reader import Frame
-from swimid.tracking.setup import Setup
-
-Box = tuple[float, float, float, float]
+from swimid.tracking.setup import Box, Setup
 
 #: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
 DECIMATION = 4
@@ -35,19 +33,12 @@ _SMEAR = 3
 
 @dataclass
 class Kind:
-    """What is searched for.
-
-    Attributes
-    ----------
-    model : ColourModel
-    area_px : (float, float)
-        Smallest and largest area.
-    scenery : list of Blob
-        Things of the colour that are known to be something else.
-    """
+    """What is searched for."""
 
     model: ColourModel
+    #: Smallest and largest.
     area_px: tuple[float, float]
+    #: Things of the colour that are known to be something else.
     scenery: list[Blob] = field(default_factory=list)
 
 
@@ -69,11 +60,10 @@ class Search:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.size = (width, height)
-        self._region = setup.region_px
         self._ignored = setup.ignore_px
         #: What black bars leave of the picture, looked at when a first marker is seen: it may fade in.
         self._bars: tuple[int, int, int, int] | None = None
-        left, top, right, bottom = setup.region_px or (0, 0, width, height)
+        self._region = left, top, right, bottom = setup.region_px or (0, 0, width, height)
         #: Pixels that may hold a centre: left, top, right, bottom; right and bottom exclusive.
         self._view = (
             max(math.floor(left), 0),
@@ -83,24 +73,18 @@ class Search:
         )
         if self._view[0] >= self._view[2] or self._view[1] >= self._view[3]:
             raise InputError(
-                f"region_px {list(setup.region_px or ())} of the setup lies outside the picture of "
+                f"region_px {list(self._region)} of the setup lies outside the picture of "
                 f"{width} x {height} pixels",
                 hint="it is [left, top, right, bottom] in pixels of the picture",
             )
 
     def window(
         self, kind: Kind, frame: Frame, cx: float, cy: float, half: float, step: int = 1
-    ) -> tuple[list[Blob], tuple[int, int, int, int] | None]:
+    ) -> tuple[list[Blob], Box | None]:
         """Whole blobs in a square window, and the box of the largest one the window cuts.
 
-        Parameters
-        ----------
-        kind : Kind
-        frame : frame
-        cx, cy, half : float
-            Centre and half width of the window, px.
-        step : int
-            The colour of every ``step``-th pixel says what is marker; its centre is taken from all.
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour of every
+        ``step``-th pixel says what is marker; its centre is taken from all.
         """
         width, height = self.size
         x0, x1 = max(int(cx - half), 0), min(int(cx + half) + 2, width)
@@ -112,35 +96,24 @@ class Search:
         inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
         found = detect.patches(mask, kind.area_px, step=step, inside=inside)
         blobs = []
-        cut: Patch | None = None
         for patch in found:
             if patch.clipped:
-                cut = patch if cut is None or patch.area > cut.area else cut
                 continue
             blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
-            if (
-                blob is not None
-                and self._allowed(blob)
-                and not any(same_place(blob, s) for s in kind.scenery)
-            ):
-                blobs.append(replace(blob, at_edge=True) if self._at_bar(blob, frame) else blob)
+            if blob is None or not self._allowed(blob) or any(same_place(blob, s) for s in kind.scenery):
+                continue
+            blob.at_edge = self._at_bar(blob, frame) or blob.at_edge
+            blobs.append(blob)
         if step > 1 and any(blob.at_edge for blob in blobs):
             # On every step-th pixel it cannot be told whether a marker ends before the edge does.
             return self.window(kind, frame, cx, cy, half)
-        box = None
-        if cut is not None:
-            box = (x0 + step * cut.left, y0 + step * cut.top, x0 + step * cut.right, y0 + step * cut.bottom)
-        return blobs, box
+        cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
+        return blobs, None if cut is None else cut.box((x0, y0), step)
 
     def picture(self, kind: Kind, frame: Frame, area: float) -> list[Blob]:
-        """Blobs of the whole picture: found on every n-th pixel, measured on all.
+        """Blobs of the whole picture, found on every n-th pixel and measured on all.
 
-        Parameters
-        ----------
-        kind : Kind
-        frame : frame
-        area : float
-            Area that is expected, px; 0 where none is known yet.
+        ``area`` is the one expected, px; 0 where none is known yet.
         """
         step = max(min(int(math.sqrt(area or 4 * kind.area_px[0]) / 3.5), DECIMATION), 1)
         blobs = self._picture_at(kind, frame, area, step)
@@ -153,11 +126,7 @@ class Search:
         if x1 - x0 < 2 * step or y1 - y0 < 2 * step:
             step = 1
         mask = detect.marker_mask(detect.thinned(frame[y0:y1, x0:x1], step), kind.model)
-        rough = [
-            patch
-            for patch in detect.patches(mask, (_ROUGH * kind.area_px[0], math.inf), step=step)
-            if not self._hidden(self._box(patch, step))
-        ]
+        rough = detect.patches(mask, (_ROUGH * kind.area_px[0], math.inf), step=step)
 
         def order(patch: Patch) -> float:
             """Of the expected area first; where none is known the largest of a possible one."""
@@ -165,12 +134,10 @@ class Search:
                 return abs(math.log(patch.area / area))
             return -patch.area if patch.area <= kind.area_px[1] / _ROUGH else patch.area
 
-        rough.sort(key=order)
+        boxes = [patch.box((x0, y0), step) for patch in sorted(rough, key=order)]
         blobs: list[Blob] = []
-        for patch in rough[:MOST_PATCHES]:
-            blobs += [
-                b for b in self._measured(kind, frame, self._box(patch, step), step) if is_new(b, blobs)
-            ]
+        for box in [box for box in boxes if not self._hidden(box)][:MOST_PATCHES]:
+            blobs += [b for b in self._measured(kind, frame, box, step) if is_new(b, blobs)]
         return blobs
 
     def _measured(self, kind: Kind, frame: Frame, box: Box, step: int) -> list[Blob]:
@@ -185,16 +152,6 @@ class Search:
             # With its centre in the region, at least half of it is: twice the size holds it all.
             found, _ = self.window(kind, frame, cx, cy, half + size, fine)
         return found
-
-    def _box(self, patch: Patch, step: int) -> Box:
-        """A patch of the region's mask in pixels of the picture."""
-        x0, y0 = self._view[:2]
-        return (
-            x0 + step * patch.left,
-            y0 + step * patch.top,
-            x0 + step * patch.right,
-            y0 + step * patch.bottom,
-        )
 
     def _hidden(self, box: Box) -> bool:
         """Whether a box lies wholly where nothing is searched."""
@@ -214,9 +171,7 @@ class Search:
         )
 
     def _allowed(self, blob: Blob) -> bool:
-        if self._region is not None and not _within(blob, self._region):
-            return False
-        return not any(_within(blob, box) for box in self._ignored)
+        return _within(blob, self._region) and not any(_within(blob, box) for box in self._ignored)
 
 
 def bars(frame: Frame) -> tuple[int, int, int, int]:
@@ -244,10 +199,10 @@ def _within(blob: Blob, box: Box) -> bool:
 
 def same_place(blob: Blob, other: Blob) -> bool:
     """Whether two blobs, seen at different times, are the same motionless thing."""
-    away = math.hypot(blob.x - other.x, blob.y - other.y)
-    return away < 0.25 * other.radius + 1.5 and 0.4 < blob.area / other.area < 2.5
+    near = blob.away(other.x, other.y) < 0.25 * other.radius + 1.5
+    return near and 0.4 < blob.area / other.area < 2.5
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
     """Whether a blob is none of those found already in the same frame."""
-    return all(math.hypot(blob.x - o.x, blob.y - o.y) > 2 for o in others)
+    return all(blob.away(o.x, o.y) > 2 for o in others)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
@@ -21,14 +21,11 @@ from swimid.robots import file as robot_format
 
 FORMAT = "swimid-setup/1"
 
-_Number = Annotated[float, Field(strict=False)]
 _Positive = Annotated[float, Field(gt=0)]
-_Point = tuple[_Number, _Number]
-
-
-def _tuples(value: Any) -> Any:
-    """Lists as tuples all the way down; YAML knows lists only."""
-    return tuple(_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+_Point = tuple[float, float]
+_Points = tuple[_Point, ...]
+#: Left, top, right, bottom, px.
+Box = tuple[float, float, float, float]
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -38,20 +35,15 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 
 
 _Fraction = Annotated[float, Field(ge=0, le=1)]
-_Span = Annotated[tuple[_Fraction, _Fraction], BeforeValidator(_tuples), AfterValidator(_ordered)]
-_Area = Annotated[tuple[_Positive, _Positive], BeforeValidator(_tuples), AfterValidator(_ordered)]
-_HueSpan = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=360)], Annotated[float, Field(ge=0, le=360)]],
-    BeforeValidator(_tuples),
-]
-_Points = Annotated[tuple[_Point, ...], BeforeValidator(_tuples)]
-_Box = Annotated[tuple[_Number, _Number, _Number, _Number], BeforeValidator(_tuples)]
+_Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_ordered)]
+_Area = Annotated[tuple[_Positive, _Positive], AfterValidator(_ordered)]
+_Hue = Annotated[float, Field(ge=0, le=360)]
 
 
 class HsvRange(Document):
     """A range of colours. Hue is an angle: ``[345, 15]`` runs through red at 0."""
 
-    hue_deg: _HueSpan = (0.0, 360.0)
+    hue_deg: tuple[_Hue, _Hue] = (0.0, 360.0)
     saturation: _Span = (0.0, 1.0)
     value: _Span = (0.0, 1.0)
 
@@ -77,7 +69,7 @@ class Marker(Document):
     #: Where each is in the first frame (image pixels), to name equal ones.
     start_px: _Points | None = None
     #: Place on the robot, seen from its reference point: forward, and to port (up in the vertical plane), m.
-    at_m: Annotated[_Point, BeforeValidator(_tuples)] | None = None
+    at_m: _Point | None = None
 
     @model_validator(mode="after")
     def _one_colour(self) -> Marker:
@@ -108,11 +100,9 @@ class Marker(Document):
         red, green, blue = (int(self.colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
         hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
         about = self.tolerance or Tolerance()
-        whole = about.hue_deg >= 180
+        turn = ((360 * hue - about.hue_deg) % 360, (360 * hue + about.hue_deg) % 360)
         return HsvRange(
-            hue_deg=(0.0, 360.0)
-            if whole
-            else ((360 * hue - about.hue_deg) % 360, (360 * hue + about.hue_deg) % 360),
+            hue_deg=turn if about.hue_deg < 180 else (0.0, 360.0),
             saturation=(max(saturation - about.saturation, 0.0), min(saturation + about.saturation, 1.0)),
             value=(max(value - about.value, 0.0), min(value + about.value, 1.0)),
         )
@@ -142,15 +132,7 @@ class Scale(Document):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Scale:
-        ways = [
-            name
-            for name, given in (
-                ("metres_per_pixel", self.metres_per_pixel),
-                ("distance_m", self.distance_m),
-                ("points_m", self.points_m),
-            )
-            if given is not None
-        ]
+        ways = [n for n in ("metres_per_pixel", "distance_m", "points_m") if getattr(self, n) is not None]
         if len(ways) > 1:
             raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
         if not ways:
@@ -161,13 +143,12 @@ class Scale(Document):
             raise ValueError(f"{ways[0]} needs points_px")
         if self.metres_per_pixel is not None and self.points_px is not None:
             raise ValueError("contradicting scales: metres_per_pixel needs no points_px; keep one")
-        count = 0 if self.points_px is None else len(self.points_px)
-        if self.distance_m is not None:
-            if count != 2:
-                raise ValueError(f"distance_m needs two points_px, not {count}")
-            assert self.points_px is not None
-            if self.points_px[0] == self.points_px[1]:
-                raise ValueError("the two points_px are the same")
+        points = self.points_px or ()
+        count = len(points)
+        if self.distance_m is not None and count != 2:
+            raise ValueError(f"distance_m needs two points_px, not {count}")
+        if self.distance_m is not None and points[0] == points[1]:
+            raise ValueError("the two points_px are the same")
         if self.points_m is not None and (count < 4 or count != len(self.points_m)):
             raise ValueError(
                 f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
@@ -178,8 +159,8 @@ class Scale(Document):
 class Camera(Document):
     """Lens calibration as OpenCV gives it."""
 
-    matrix: Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(_tuples)]
-    distortion: Annotated[tuple[float, ...], BeforeValidator(_tuples)] = (0.0, 0.0, 0.0, 0.0)
+    matrix: tuple[tuple[float, float, float], ...]
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _shapes(self) -> Camera:
@@ -207,7 +188,7 @@ class Setup(Document):
     #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
     robot: str | None = None
     #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.
-    reference_offset_m: Annotated[_Point, BeforeValidator(_tuples)] = (0.0, 0.0)
+    reference_offset_m: _Point = (0.0, 0.0)
     scale: Scale | None = None
     camera: Camera | None = None
     #: Overrides the stamps of the container.
@@ -217,16 +198,16 @@ class Setup(Document):
     #: Turn the picture as the container's rotation tag says.
     apply_rotation: bool = True
     #: Search here only: [left, top, right, bottom].
-    region_px: _Box | None = None
+    region_px: Box | None = None
     #: Never search here.
-    ignore_px: list[_Box] = []
+    ignore_px: list[Box] = []
 
     @model_validator(mode="after")
     def _names_fit(self) -> Setup:
         names = self.marker_names
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two markers are named '{name}'")
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"two markers are named '{twice[0]}'")
         for role, chosen in (("head", self.head), ("tail", self.tail)):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
@@ -253,7 +234,7 @@ class Setup(Document):
             raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
         if self.reference_offset_m != (0.0, 0.0):
             raise ValueError("reference_offset_m and at_m both say where the reference point lies; keep one")
-        head, tail = (self.marker(name) for name in (self.head_name, self.tail))
+        head, tail = (self.marker(name) for name in self.roles)
         for marker in (head, tail):
             if marker.at_m is None and self.robot is None:
                 raise ValueError(
@@ -278,6 +259,16 @@ class Setup(Document):
         """The marker that gives the position."""
         return self.head or self.marker_names[0]
 
+    @property
+    def roles(self) -> list[str]:
+        """The markers the pose needs: that of the position, and the one behind it where there is one."""
+        return [self.head_name] if self.tail is None else [self.head_name, self.tail]
+
+    @property
+    def axes(self) -> tuple[str, str, str]:
+        """Names of the second coordinate, of the heading, and of the speed across it."""
+        return ("y", "yaw", "v") if self.plane == "horizontal" else ("z", "pitch", "w")
+
     def marker(self, name: str) -> Marker:
         """The kind of a single marker."""
         return next(marker for marker in self.markers if name in marker.names)
@@ -285,10 +276,8 @@ class Setup(Document):
     @property
     def places(self) -> tuple[_Point, _Point] | None:
         """Where head and tail marker are, seen from the reference point (``at_m``); None if not known."""
-        if self.tail is None:
-            return None
-        head, tail = self.marker(self.head_name).at_m, self.marker(self.tail).at_m
-        return None if head is None or tail is None else (head, tail)
+        known = [at for at in (self.marker(name).at_m for name in self.roles) if at is not None]
+        return (known[0], known[1]) if len(known) > 1 else None
 
 
 def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
@@ -326,35 +315,32 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
         return setup
     filled = yamlio.plain(data)
     places = _robot_places(setup, setup.robot, path)
-    for marker, kind in zip(filled["markers"], setup.markers, strict=True):
-        if kind.at_m is None and kind.name in places:
-            marker["at_m"] = list(places[kind.name])
+    for marker in filled["markers"]:
+        if marker.get("at_m") is None and marker["name"] in places:
+            marker["at_m"] = list(places[marker["name"]])
     return yamlio.validate(filled, Setup, path)
 
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
     """Places of the robot's markers; raises when head or tail is none of them."""
+
+    def refuse(text: str, hint: str | None = None) -> InputError:
+        return InputError(text, file=path, column="robot", hint=hint)
+
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise InputError(
+        raise refuse(
             f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows the "
-            f"{setup.plane} one",
-            file=path,
-            column="robot",
+            f"{setup.plane} one"
         )
-    places = robot.marker_places(setup.plane)
     if setup.tail is None:
-        raise InputError(
-            "robot gives the places of head and tail; there is no tail", file=path, column="robot"
-        )
-    for role in (setup.head_name, setup.tail):
-        marker = setup.marker(role)
+        raise refuse("robot gives the places of head and tail; there is no tail")
+    places = robot.marker_places(setup.plane)
+    for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
-            raise InputError(
-                f"the robot '{name}' names no marker '{marker.name}'; "
-                f"it names: {', '.join(places) or 'none'}",
-                file=path,
-                column="robot",
-                hint="name the markers of the film as the robot file does, or give their at_m",
+            listed = ", ".join(places) or "none"
+            raise refuse(
+                f"the robot '{name}' names no marker '{marker.name}'; it names: {listed}",
+                "name the markers of the film as the robot file does, or give their at_m",
             )
     return places

@@ -18,6 +18,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from swimid.logs.log import runs
+
 Array = NDArray[np.float64]
 
 #: Variance of the unknown start, over the measurement variance (and per step for its rates).
@@ -270,14 +272,6 @@ def _start(order: int, variance: float, step: float) -> Array:
     return np.diag([_DIFFUSE * variance / step ** (2 * i) for i in range(order)])
 
 
-@dataclass(frozen=True)
-class _Fit:
-    log_likelihood: float
-    ratio: float
-    variance: float
-    order: int
-
-
 def _likelihood(
     pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
 ) -> tuple[float, float]:
@@ -301,7 +295,9 @@ def _likelihood(
     return -0.5 * (count * np.log(variance) + logs + count), variance
 
 
-def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> _Fit:
+def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> tuple[float, ...]:
+    """Log-likelihood, driving noise over measurement noise, measurement variance."""
+
     def score(exponent: float) -> float:
         return _likelihood(pieces, 10.0**exponent, order, step)[0]
 
@@ -310,14 +306,7 @@ def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> 
     bounds = (grid[max(middle - 1, 0)], grid[min(middle + 1, len(grid) - 1)])
     found = minimize_scalar(lambda g: -score(g), bounds=bounds, method="bounded", options={"xatol": 0.02})
     best, variance = _likelihood(pieces, 10.0**found.x, order, step)
-    return _Fit(best, float(10.0**found.x), variance, order)
-
-
-def _gaps(row: Array, start: int, end: int) -> list[tuple[int, int]]:
-    """Stretches without a measurement inside a segment, ``end`` exclusive."""
-    missing = np.concatenate(([False], np.isnan(row[start:end]), [False])).astype(np.int8)
-    edges = np.flatnonzero(np.diff(missing)) + start
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    return best, float(10.0**found.x), variance
 
 
 def _gap_factor(
@@ -329,11 +318,10 @@ def _gap_factor(
     and compared with the path smoothed from all.
     """
     variance, power, order = noise
-    known = ~np.isnan(row)
-    sums = np.concatenate(([0], np.cumsum(known)))
     whole = length + 2 * _MARGIN
-    starts = np.flatnonzero(sums[whole:] - sums[:-whole] == whole) if len(row) > whole else np.zeros(0, int)
-    if len(starts) < 5:
+    known = runs(~np.isnan(row))
+    starts = np.concatenate([np.zeros(0, int), *(np.arange(a, b - whole + 1) for a, b in known)])
+    if len(row) <= whole or len(starts) < 5:
         return 1.0
     first_step = float(np.median(np.diff(times)))
     errors = []
@@ -341,11 +329,9 @@ def _gap_factor(
         part = slice(start, start + whole)
         hidden = row[part].copy()
         hidden[_MARGIN:-_MARGIN] = np.nan
-        diffuse = _start(order, variance, first_step)
-        means, covariances, _, _ = kalman(
-            times[part], hidden, variance * weights[part], power, order, diffuse
-        )
-        means, covariances = rts(times[part], means, covariances, power, order)
+        clock, start_state = times[part], _start(order, variance, first_step)
+        filtered = kalman(clock, hidden, variance * weights[part], power, order, start_state)[:2]
+        means, covariances = rts(clock, *filtered, power, order)
         inside = slice(_MARGIN, _MARGIN + length)
         error = means[inside, 0] - path[part][inside]
         errors.append(np.abs(error) / np.sqrt(np.maximum(covariances[inside, 0, 0], 1e-300)))
@@ -391,7 +377,8 @@ def smooth(
     doi:10.2514/3.3166.
     """
     d, n = values.shape
-    out = {name: np.full((d, n), np.nan) for name in ("position", "velocity", "p_sd", "v_sd", "innovation")}
+    names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
+    out = {name: np.full((d, n), np.nan) for name in names}
     pieces = [
         (times[a:b], row[a:b], weights[a:b])
         for a, b in segments
@@ -399,46 +386,37 @@ def smooth(
         if np.count_nonzero(~np.isnan(row[a:b])) >= 6
     ]
     typical = float(np.median(np.diff(times))) if n > 1 else 1.0
+    order, (_, ratio, fitted) = 2, (0.0, 1e-2, max(least_sd, 1e-12) ** 2)
     if pieces:
-        fit = max((_best(pieces, order, typical) for order in (2, 3)), key=lambda f: f.log_likelihood)
-    else:
-        fit = _Fit(0.0, 1e-2, max(least_sd, 1e-12) ** 2, 2)
-    variance = max(fit.variance, least_sd**2)
-    power = fit.ratio * fit.variance / typical ** (2 * fit.order - 1)
+        fits = {order: _best(pieces, order, typical) for order in (2, 3)}
+        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
+    variance = max(fitted, least_sd**2)
+    power = ratio * fitted / typical ** (2 * order - 1)
     for a, b in segments:
         for i in range(d):
             row = values[i, a:b]
             if np.isnan(row).all():
                 continue
-            start = _start(fit.order, variance, typical)
+            start = _start(order, variance, typical)
             means, covariances, innovations, expected = filter_and_smooth(
-                times[a:b], row, variance * weights[a:b], power, fit.order, start
+                times[a:b], row, variance * weights[a:b], power, order, start
             )
             out["position"][i, a:b] = means[:, 0]
             out["velocity"][i, a:b] = means[:, 1]
-            out["p_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))
-            out["v_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 1, 1], 0))
+            out["position_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))
+            out["velocity_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 1, 1], 0))
             normalised = innovations / np.sqrt(expected)
-            normalised[np.flatnonzero(~np.isnan(normalised))[: fit.order]] = np.nan
+            normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
             out["innovation"][i, a:b] = normalised
+    noise = (variance, power, order)
     for a, b in segments:
-        for i in range(d):
-            for first, last in _gaps(values[i], a, b):
-                factor = _gap_factor(
-                    times, values[i], weights, out["position"][i], last - first, (variance, power, fit.order)
-                )
-                out["p_sd"][i, first:last] *= factor
-                out["v_sd"][i, first:last] *= factor
-    return Smoothed(
-        position=out["position"],
-        velocity=out["velocity"],
-        position_sd=out["p_sd"],
-        velocity_sd=out["v_sd"],
-        measurement_sd=float(np.sqrt(variance)),
-        process_noise=float(power),
-        order=fit.order,
-        innovation=out["innovation"],
-    )
+        for i, row in enumerate(values):
+            for first, last in a + runs(np.isnan(row[a:b])):
+                factor = _gap_factor(times, row, weights, out["position"][i], int(last - first), noise)
+                out["position_sd"][i, first:last] *= factor
+                out["velocity_sd"][i, first:last] *= factor
+    sd = float(np.sqrt(variance))
+    return Smoothed(**out, measurement_sd=sd, process_noise=float(power), order=order)
 
 
 def warm_up() -> None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import UsageError
 from swimid.logs import swimming
-from swimid.logs.interval import Estimate
 from swimid.logs.swimming import Swimming, Track
+from swimid.logs.track_speed import Estimate
 from swimid.notices import warn
 from swimid.results import numbers
-from swimid.results.evidence import Check, Figure, Mark, Table, check
+from swimid.results.evidence import Check, Table, check
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 
 #: Names of the stroke's amplitudes by the plane of motion.
@@ -33,99 +33,72 @@ REFERENCE = (
 )
 
 
-def check_window(window_s: tuple[float | None, float | None]) -> None:
-    """Raise UsageError for a window that is none."""
-    for name, value in zip(("--from", "--to"), window_s, strict=True):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise UsageError(f"{name} {value:g} must not be negative")
-    begin, end = window_s
-    if begin is not None and end is not None and end <= begin:
-        raise UsageError(f"--from {begin:g} must be before --to {end:g}")
-
-
 @dataclass(frozen=True)
 class FilmedSwim:
-    """Speeds, accelerations and stroke of a filmed run, and how they are told.
+    """Speeds, accelerations and stroke of a filmed run, and how they are told."""
 
-    Attributes
-    ----------
-    found : Swimming
-    plane : {"horizontal", "vertical"}
-    unit : str
-        Of lengths: m, or px without a scale.
-    """
-
-    found: Swimming
+    swimming: Swimming
+    #: Horizontal or vertical.
     plane: str
+    #: Of lengths: m, or px without a scale.
     unit: str
 
     def _rows(self) -> list[tuple[str, str, Estimate | None, str]]:
         """Key for the machine, name, value and unit of every figure."""
-        found, unit = self.found, self.unit
+        figures, unit = self.swimming, self.unit
         up = "y" if self.plane == "horizontal" else "z"
         speed, rate = f"{unit}/s", f"{unit}/s^2"
-        across = found.acceleration_xy or (None, None)
+        across = figures.acceleration_xy or (None, None)
         rows: list[tuple[str, str, Estimate | None, str]] = [
-            ("path_speed", "path speed", found.path_speed, speed),
-            ("steady_speed", "steady speed", found.advance if found.steady else None, speed),
-            ("advance_speed", "advance speed, not steady", found.advance, speed),
-            ("speed_change", "change of the advance speed", found.change, speed),
-            ("acceleration", "acceleration along the path", found.acceleration, rate),
+            ("path_speed", "path speed", figures.path_speed, speed),
+            ("steady_speed", "steady speed", figures.advance if figures.steady else None, speed),
+            ("advance_speed", "advance speed, not steady", figures.advance, speed),
+            ("speed_change", "change of the advance speed", figures.change, speed),
+            ("acceleration", "acceleration along the path", figures.acceleration, rate),
             ("acceleration_x", "acceleration in x", across[0], rate),
             (f"acceleration_{up}", f"acceleration in {up}", across[1], rate),
-            ("stroke_frequency", "stroke frequency", found.frequency_hz, "Hz"),
+            ("stroke_frequency", "stroke frequency", figures.frequency_hz, "Hz"),
         ]
         for key, name in _NAMES[self.plane].items():
-            if key in found.amplitudes or found.stroke is not None:
+            if key in figures.amplitudes or figures.stroke is not None:
                 kind = "rad" if key == "turn" else unit
-                rows.append((f"{name}_amplitude", f"{name} amplitude", found.amplitudes.get(key), kind))
+                rows.append((f"{name}_amplitude", f"{name} amplitude", figures.amplitudes.get(key), kind))
         return rows
 
     def to_dict(self) -> dict[str, Any]:
         """The figures for ``--json``; None where the window does not tell one."""
-        found = self.found
-        out: dict[str, Any] = {
-            "window": found.window,
-            "from_s": found.begin_s,
-            "to_s": found.end_s,
-            "steady": found.steady,
-        }
+        figures = self.swimming
+        out: dict[str, Any] = {"window": figures.window, "from_s": figures.begin_s, "to_s": figures.end_s}
+        out["steady"] = figures.steady
         for key, _, value, kind in self._rows():
-            out[key] = (
-                None
-                if value is None
-                else {"value": value.value, "low": value.low, "high": value.high, "unit": kind}
-            )
+            out[key] = None if value is None else asdict(value) | {"unit": kind}
         return out
 
     def _shown(self) -> list[tuple[str, Estimate, str]]:
         """The figures a reader sees: angles in degrees, the steady speed once."""
         out = []
         for key, name, value, kind in self._rows():
-            if value is None or (key == "advance_speed" and self.found.steady):
+            if value is None or (key == "advance_speed" and self.swimming.steady):
                 continue
-            factor = math.degrees(1) if kind == "rad" else 1.0
-            scaled = Estimate(factor * value.value, factor * value.low, factor * value.high)
-            out.append((name, scaled, "deg" if kind == "rad" else kind))
+            if kind == "rad":
+                kind, value = "deg", Estimate(*(math.degrees(1) * one for one in astuple(value)))
+            out.append((name, value, kind))
         return out
 
     def _window(self) -> str:
         """The window in words, and whether the speed changes over it."""
-        found = self.found
-        span = f"{found.begin_s:.4g} to {found.end_s:.4g} s"
-        head = {
-            "given": f"{span}, as given",
-            "steady part": f"{span}, the steady part",
-            "whole track": f"{span}, the whole track: no part of it is steady",
-        }[found.window]
-        if found.advance is None or found.change is None or found.steady:
+        figures = self.swimming
+        span = f"{figures.begin_s:.4g} to {figures.end_s:.4g} s"
+        kinds = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
+        head = f"{span}, {kinds.get(figures.window, 'the steady part')}"
+        if figures.advance is None or figures.change is None or figures.steady:
             return head
-        change = 100 * found.change.value / max(found.advance.value, 1e-300)
+        change = 100 * figures.change.value / max(figures.advance.value, 1e-300)
         return f"{head}; the speed changes by {change:+.0f} % over it"
 
     def checks(self) -> list[Check]:
         """Whether the channels of the track agree on one stroke; warns where they do not."""
-        stroke, doubt = self.found.stroke, self.found.doubt
+        stroke, doubt = self.swimming.stroke, self.swimming.doubt
         if stroke is None:
             return []
         if doubt:
@@ -137,10 +110,9 @@ class FilmedSwim:
     def table(self) -> Table:
         """The figures with their intervals."""
         rows: list[list[str | float | int | bool | None]] = [
-            [name, value.value, value.low, value.high, numbers.unit_text(kind)]
-            for name, value, kind in self._shown()
+            [name, *astuple(value), numbers.unit_text(kind)] for name, value, kind in self._shown()
         ]
-        if self.found.stroke is None:
+        if self.swimming.stroke is None:
             rows.append(["stroke", "none stands clear", None, None, None])
         return Table(
             id="swimming",
@@ -154,14 +126,14 @@ class FilmedSwim:
 
     def headline(self) -> str:
         """Speed and stroke in one sentence; empty where neither is told."""
-        found = self.found
-        speed = found.advance if found.steady else found.path_speed
+        figures = self.swimming
+        speed = figures.advance if figures.steady else figures.path_speed
         said = []
         if speed is not None:
-            kind = "steady speed" if found.steady else "path speed"
+            kind = "steady speed" if figures.steady else "path speed"
             said.append(f"{kind} {numbers.number(speed.value, 4, f'{self.unit}/s')}")
-        if found.frequency_hz is not None:
-            said.append(f"stroke {numbers.number(found.frequency_hz.value, 4, 'Hz')}")
+        if figures.frequency_hz is not None:
+            said.append(f"stroke {numbers.number(figures.frequency_hz.value, 4, 'Hz')}")
         text = ", ".join(said)
         return f" {text[0].upper()}{text[1:]}." if said else ""
 
@@ -173,19 +145,9 @@ class FilmedSwim:
         for name, value, kind in shown:
             text = f"{numbers.number(value.value, 4, kind)} (95 %: {numbers.interval(value.low, value.high)})"
             out.append(f"  {name:{width}}  {text}")
-        if self.found.stroke is None:
+        if self.swimming.stroke is None:
             out.append("  no stroke stands clear")
         return out
-
-    def mark(self, figures: list[Figure]) -> None:
-        """Draw the window's ends into the figure of the speeds."""
-        for figure in figures:
-            if figure.id == "speed":
-                for panel in figure.panels:
-                    panel.marks += [
-                        Mark(at=self.found.begin_s, axis="x", label="from"),
-                        Mark(at=self.found.end_s, axis="x", label="to"),
-                    ]
 
 
 def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) -> FilmedSwim:
@@ -210,7 +172,7 @@ def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) ->
     middle = np.nanmedian(path.position, axis=1, keepdims=True)
     (x,), (y,) = pose.plane.to_image(*middle)
     error = SYSTEMATIC_PX * pose.plane.size_of_pixel(float(x), float(y))
-    apart = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
+    separation = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
     track = Track(
         time_s=pose.times,
         measured=pose.measured,
@@ -220,6 +182,6 @@ def find(pose: Pose, plane: str, window_s: tuple[float | None, float | None]) ->
         raw_angle=pose.raw_angle,
         angle=angle,
         error=error,
-        angle_error=math.sqrt(2) * error / max(apart, 1e-12),
+        angle_error=math.sqrt(2) * error / max(separation, 1e-12),
     )
     return FilmedSwim(swimming.figures(track, window_s), plane, pose.plane.unit)

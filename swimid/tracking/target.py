@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from swimid.tracking.colour import colour_difference
 from swimid.tracking.detect import Blob
-from swimid.tracking.rawtrack import SHORTEST_RUN, STRANGER_SHARE
+from swimid.tracking.rawtrack import FALSE_SHARE, SHORTEST_RUN
 
 #: Two markers whose distance spreads by less than this share over so many frames are rigid.
 RIGID_FRAMES, RIGID_SPREAD = 20, 0.06
@@ -29,7 +29,7 @@ class Target:
     time: float = -math.inf
     sights: int = 0
     missed: int = 0
-    surprise: float = 0.0
+    innovation_px: float = 0.0
     radius: float = 0.0
     #: Sights of it whole. Only from these its looks are known: cut by the picture's edge it is of any size.
     whole: int = 0
@@ -51,7 +51,7 @@ class Target:
         steps = 1 + self.missed
         moved = math.hypot(self.vx, self.vy) * dt
         start = 12.0 + self.radius if self.sights < 3 else 6.0
-        return start + (0.3 * moved + 3.0 * self.surprise) + (steps - 1) * 0.5 * self.radius
+        return start + (0.3 * moved + 3.0 * self.innovation_px) + (steps - 1) * 0.5 * self.radius
 
     def see(self, blob: Blob, time: float) -> None:
         """Take a sighting: move there; of one that is whole learn size, colour and contrast."""
@@ -75,7 +75,7 @@ class Target:
             self.vx = self.vy = 0.0  # found again elsewhere: its speed is not known
         else:
             self.vx, self.vy = (float(v) for v in motion.dx)
-        self.surprise += 0.3 * (min(error, 4 * self.radius + 20) - self.surprise)
+        self.innovation_px += 0.3 * (min(error, 4 * self.radius + 20) - self.innovation_px)
         self.pace = max(self.pace + 0.05 * (math.hypot(self.vx, self.vy) - self.pace), 0.0)
 
     def _learn(self, blob: Blob) -> None:
@@ -92,20 +92,13 @@ class Target:
 
 @dataclass
 class Challenger(Target):
-    """A thing unlike a missed target, followed because it may be the marker and the target a mistake.
+    """A thing unlike a missed target, followed because it may be the marker and the target a mistake."""
 
-    Attributes
-    ----------
-    start : (float, float)
-        Where it was first seen, px.
-    moved : bool
-        It has been farther from there than its own size.
-    rows : dict of int to tuple
-        What was measured of it, by frame.
-    """
-
+    #: Where it was first seen, px.
     start: tuple[float, float] = (math.nan, math.nan)
+    #: It has been farther from there than its own size.
     moved: bool = False
+    #: What was measured of it, by frame.
     rows: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
     def see(self, blob: Blob, time: float) -> None:
@@ -113,23 +106,22 @@ class Challenger(Target):
         if not self.sights:
             self.start = (blob.x, blob.y)
         super().see(blob, time)
-        away = math.hypot(blob.x - self.start[0], blob.y - self.start[1])
-        self.moved = self.moved or away > 2 * self.radius
+        self.moved = self.moved or blob.away(*self.start) > 2 * self.radius
 
     def prevails(self, target: Target) -> bool:
         """Whether it, not the target, is the marker.
 
         It does by the rule that takes back short stretches of a finished track: the target's sights are
-        less than ``STRANGER_SHARE`` of all. A thing that stays where it is contests only what was
+        less than ``FALSE_SHARE`` of all. A thing that stays where it is contests only what was
         never seen whole: a ladder put into the pool is not the swimmer that has just left it.
         """
         if not target.whole:
             return self.whole >= SHORTEST_RUN
-        return self.moved and target.whole < STRANGER_SHARE * (target.whole + self.whole)
+        return self.moved and target.whole < FALSE_SHARE * (target.whole + self.whole)
 
 
 @dataclass
-class Bond:
+class PairDistance:
     """Distance between two markers, to find out whether they sit on one rigid part."""
 
     count: int = 0

@@ -2,39 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.tracking import camera, census, draft, motion, pick, propose
-from swimid.tracking.draft import SetupDraft
-from swimid.tracking.options import Pick, TrackSetupOptions
+from swimid.results.result import Result
+from swimid.tracking import camera, colour, motion, pick, propose
+from swimid.tracking import setup as setup_format
+from swimid.tracking.options import TrackSetupOptions
+from swimid.tracking.pictures import SEEN, write_text
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.run import Run, follow
-from swimid.tracking.setup import Marker, Setup
+from swimid.tracking.setup import FORMAT, Marker, Setup
 
-#: A proposal the tracker itself finds in fewer frames than this share is dropped.
-_LEAST_FOUND = 0.05
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
+#: Pictures on the contact sheet, and the width of each.
+_SHEET, _SHEET_WIDTH = 4, 640
+#: Lines of a drafted setup.
+_FACING = (
+    "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
+    "facing: auto",
+)
+_POSE = (
+    "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
+    "# tail, or with the name of a robot whose file names markers like these.",
+    "# robot: sealion",
+)
+_NO_SCALE = (
+    "# Without a scale positions are in pixels. One of:",
+    "# scale: {metres_per_pixel: 0.0015}",
+    "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
+    "# scale: {points_px: [four corners], points_m: [the same corners]}",
+)
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """A setup, the run that tried it, a remark on each kind of marker, and what was passed over."""
+@dataclass(frozen=True, eq=False)
+class SetupDraft(Result):
+    """A setup to look through, as ``track_setup`` gives it; ``document`` is its commented YAML.
 
-    setup: Setup
-    run: Run
-    remarks: list[str]
-    passed: list[Passed]
+    Attributes
+    ----------
+    sheet : ndarray of uint8, shape (height, width, 3)
+        Frames of the film with the markers circled and named, RGB: ``plt.imshow(draft.sheet)``.
+    """
+
+    sheet: NDArray[np.uint8] | None = None
+
+    format = FORMAT
+
+    @property
+    def setup(self) -> Setup:
+        """The setup itself, for ``track_video``."""
+        return setup_format.of(yamlio.parse_scalar(self.document))
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        if self.sheet is None:
+            return [path]
+        picture = path.with_suffix(".markers.png")
+        _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
+        with atomic.replacing(picture) as temporary:
+            temporary.write_bytes(data.tobytes())
+        return [path, picture]
 
 
 @takes(TrackSetupOptions)
@@ -84,28 +125,24 @@ def track_setup(
         output = atomic.check_writable(output, inputs=(video,))
         if output.exists() and not force:
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
-    scale = _scale(options.metres_per_pixel, options.scale_points, options.scale_distance_m)
     video = Path(video)
-    common: dict[str, Any] = {"scale": scale, "plane": options.plane, "frame_rate_hz": options.fps}
-    drafted = (
-        _by_hand(video, options.picks, options.frame, common, progress)
-        if options.picks
-        else _unattended(video, common, progress)
-    )
-    setup, run = _measured(drafted.setup, drafted.run), drafted.run
+    common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
+    if options.picks:
+        passed: list[Passed] = []
+        run, remarks = _by_hand(video, options, common, progress)
+    else:
+        run, remarks, passed = _unattended(video, common, progress)
+    setup = _measured(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
     _doubts(setup, run, shares)
-    text = draft.text_of(setup, shares, drafted.remarks, drafted.passed, video.name)
-    lines = [
-        f"{name}: found in {100 * share:.1f} % of the frames, hue {_hue(setup.marker(name))}, "
-        f"area {_area(setup.marker(name))} px"
-        for name, share in shares.items()
-    ]
-    lines += [f"passed over: {colour}" for colour in drafted.passed]
-    lines.append(
-        f"head {setup.head or setup.marker_names[0]}"
-        + (f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw")
-    )
+    lines = []
+    for name, share in shares.items():
+        marker = setup.marker(name)
+        hue = "{:g}..{:g} deg".format(*marker.colour_range().hue_deg)
+        area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
+        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, hue {hue}, area {area} px")
+    lines += [f"passed over: {one}" for one in passed]
+    lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
     if output is not None:
@@ -118,103 +155,69 @@ def track_setup(
         "head": setup.head,
         "tail": setup.tail,
         "found_share": shares,
-        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in drafted.passed],
+        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
     }
-    sheet = draft.sheet_of(run, setup)
-    result = SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet)
-    return result if output is None else result.save(output)
+    text, sheet = _text(setup, shares, remarks, passed, video.name), _sheet(run)
+    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
 
 
-def _scale(
-    factor: float | None, points: tuple[float, float, float, float] | None, distance_m: float | None
-) -> dict[str, Any] | None:
-    if factor is not None and (points is not None or distance_m is not None):
-        raise UsageError(
-            "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
-        )
-    if (points is None) != (distance_m is None):
-        raise UsageError("--scale-points and --scale-distance-m go together")
-    for name, value in (("--metres-per-pixel", factor), ("--scale-distance-m", distance_m)):
-        if value is not None and not value > 0:
-            raise UsageError(f"{name} {value:g} must be above 0")
-    if factor is not None:
-        return {"metres_per_pixel": factor}
-    if points is None:
-        return None
-    if points[:2] == points[2:]:
-        raise UsageError("the two --scale-points are the same")
-    return {"points_px": [list(points[:2]), list(points[2:])], "distance_m": distance_m}
+def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
+    """A setup whose first marker is the head and whose second, if any, the tail."""
+    head, *rest = [name for marker in markers for name in marker.names]
+    return Setup(format=FORMAT, markers=markers, head=head, tail=rest[0] if rest else None, **common)
 
 
-def _setup(markers: list[Marker], head: str | None, tail: str | None, common: dict[str, Any]) -> Setup:
-    data = {
-        "format": "swimid-setup/1",
-        "markers": [m.model_dump(exclude_none=True) for m in markers],
-        "head": head,
-        "tail": tail,
-        **common,
-    }
-    return Setup.model_validate(data)
+def _unattended(
+    video: Path, common: dict[str, Any], progress: Progress
+) -> tuple[Run, list[str], list[Passed]]:
+    """The best candidate that can be followed and moves, with the partner it keeps its distance to.
 
-
-def _unattended(video: Path, common: dict[str, Any], progress: Progress) -> _Draft:
-    """The best candidate that can be followed and moves, with the partner it keeps its distance to."""
+    Its trial, a remark on each marker, and the colours passed over.
+    """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
     found, passed = propose.candidates(samples)
     shift = samples.factor * camera.shifts(samples.frames)
-    _camera_still(shift, samples.info.width)
+    taken = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
+    camera.farthest(shift, samples.video.width, taken)
     reasons: dict[int, str] = {}
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
             pair = [first] if second is None else [first, second]
             if second is not None and not propose.leads(first, second):
                 pair.reverse()
-            setup, run = _tried(video, pair, common, progress)
+            run = _tried(video, pair, common, progress)
             scene = camera.between(shift, samples.indices, len(run.track.times))
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
-                for candidate in pair:
-                    reasons.pop(id(candidate), None)
                 rest = [c for c in found if c not in pair]
-                passed += [_passed(c, reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
-                return _Draft(setup, run, [_remark(c) for c in pair], passed)
+                passed += [c.passed(reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
+                return run, [c.remark for c in pair], passed
             if any(pair[i] is first for i in faults):
                 break
-    passed = [_passed(c, reasons[id(c)]) for c in found if id(c) in reasons] + passed
+    passed = [c.passed(reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
         f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
-        f"{census.describe_colours(samples.frames[::6])}",
+        f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
 
 
-def _tried(
-    video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress
-) -> tuple[Setup, Run]:
-    """Follow one or two candidates through the film."""
-    names: list[str] = []
-    for candidate in pair:
-        names.append(propose.name_of(candidate, names))
-    markers = [propose.as_marker(c, n) for c, n in zip(pair, names, strict=True)]
-    setup = _setup(markers, names[0], names[1] if len(names) > 1 else None, common)
-    still = [box for candidate in pair for box in candidate.still if not _crossed(box, pair)]
-    setup = setup.model_copy(update={"ignore_px": still})
+def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
+    """Follow one or two candidates through the film, each named by its hue."""
+    names = [candidate.name for candidate in pair]
+    if len(set(names)) < len(names):
+        names[1] += "-b"
+    markers = [
+        Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
+        for name, candidate in zip(names, pair, strict=True)
+    ]
+    # where a marker was seen it must not be ignored
+    still = [box for c in pair for box in c.still if not any(other.crosses(box) for other in pair)]
+    setup = _setup(markers, common).model_copy(update={"ignore_px": still})
     with progress(f"trying {', '.join(names)}") as step:
-        run = follow(video, setup, step=step)
-    return run.setup, run
-
-
-def _camera_still(shift: motion.Array, width: int) -> None:
-    """Warn of a camera that moves."""
-    largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
-    if largest > camera.limit_px(width):
-        warn(
-            "SWM068",
-            f"the whole scene shifts by {largest:.1f} px in the film: the camera moves. What moves with it "
-            "is taken for no marker, but a log will hold the camera's motion",
-        )
+        return follow(video, setup, step=step)
 
 
 def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict[int, str]:
@@ -226,7 +229,7 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
     track = run.track
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
         share, reach = float(track.found[i].mean()), motion.reach(track, name, scene)
-        if share < max(_LEAST_FOUND, 0.3 * candidate.presence):
+        if share < max(motion.LEAST_SHARE, 0.3 * candidate.presence):
             faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
         elif not reach.moves:
             faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
@@ -234,19 +237,14 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
         return faults
     first, second = track.names
     weaker = int(pair[0].score >= pair[1].score)
-    apart = motion.distance(track, first, second)
+    separation = motion.distance(track, first, second)
     other = track.names[1 - weaker]
-    if apart is None:
+    if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif apart.change > motion.KEPT[1]:
-        faults[weaker] = (
-            f"its distance to {other} changes by {100 * apart.change:.0f} %: they are on no rigid part"
-        )
+    elif separation.change > motion.DISTANCE_SPREAD[1]:
+        change = f"{100 * separation.change:.0f} %"
+        faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
-
-
-def _passed(candidate: Candidate, reason: str) -> Passed:
-    return Passed(candidate.name, candidate.hue_deg, reason)
 
 
 def _weaker(candidate: Candidate, pair: list[Candidate]) -> str:
@@ -256,53 +254,33 @@ def _weaker(candidate: Candidate, pair: list[Candidate]) -> str:
     return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
 
 
-def _crossed(box: tuple[float, float, float, float], pair: list[Candidate]) -> bool:
-    """Whether a marker was seen inside a box: it must not be ignored then."""
-    left, top, right, bottom = box
-    for candidate in pair:
-        reach = np.sqrt(candidate.area_px[1] / 3)
-        x, y = candidate.place.T
-        if np.any((x > left - reach) & (x < right + reach) & (y > top - reach) & (y < bottom + reach)):
-            return True
-    return False
-
-
-def _remark(candidate: Candidate) -> str:
-    text = f"score {candidate.score:.2f}, seen in {100 * candidate.presence:.0f} % of the samples"
-    if candidate.like > 1:
-        text += f"; {candidate.like} patches of this colour move together: the largest is followed"
-    return text
-
-
 def _by_hand(
-    video: Path, picks: tuple[Pick, ...], index: int, common: dict[str, Any], progress: Progress
-) -> _Draft:
-    """The markers picked; those of one name are equal ones, told apart by their places."""
+    video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
+) -> tuple[Run, list[str]]:
+    """The markers picked, tried, and a remark on each kind; those of one name are told by their places."""
     kinds: dict[str, list[tuple[float, float]]] = {}
-    for one in picks:
+    for one in options.picks:
         kinds.setdefault(one.name, []).append((one.x, one.y))
-    picture = _frame(video, index)
-    markers = pick.markers(picture, kinds, path=video, index=index)
-    names = [name for marker in markers for name in marker.names]
-    head, tail = names[0], names[1] if len(names) > 1 else None
-    setup = _setup(markers, head, tail, common)
+    markers = pick.markers(_frame(video, options.frame), kinds, path=video, index=options.frame)
+    setup = _setup(markers, common)
     with progress(f"trying {', '.join(kinds)}") as step:
         run = follow(video, setup, step=step)
     remarks = ["picked by hand"] * len(markers)
-    if tail is not None and markers[0].number > 1:
+    head, tail = setup.head, setup.tail
+    if head is not None and tail is not None and markers[0].number > 1:
         # Equal markers may be on one body or on several; only a rigid pair gives a heading.
-        apart = motion.distance(run.track, head, tail)
-        if apart is None or apart.change > motion.KEPT[1]:
+        separation = motion.distance(run.track, head, tail)
+        if separation is None or separation.change > motion.DISTANCE_SPREAD[1]:
             setup = setup.model_copy(update={"tail": None})
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
-    return _Draft(setup, run, remarks, [])
+    return replace(run, setup=setup), remarks
 
 
 def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
     for name, share in shares.items():
         reach = motion.reach(run.track, name)
-        if share < _LEAST_FOUND:
+        if share < motion.LEAST_SHARE:
             warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
         elif not reach.moves:
             warn(
@@ -312,18 +290,17 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             )
     if setup.head is None or setup.tail is None:
         return
-    apart = motion.distance(run.track, setup.head, setup.tail)
-    if apart is not None and apart.change > motion.KEPT[0]:
+    separation = motion.distance(run.track, setup.head, setup.tail)
+    if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
+        change = f"{100 * separation.change:.1f} %"
         warn(
             "SWM042",
-            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * apart.change:.1f} % beyond "
-            "what a camera askew explains: on one rigid part it would not",
+            f"the distance of '{setup.head}' and '{setup.tail}' changes by {change} beyond what a camera "
+            "askew explains: on one rigid part it would not",
         )
 
 
 def _frame(video: Path, index: int) -> Frame:
-    if index < 0:
-        raise UsageError(f"--frame {index} must not be negative")
     count = 0
     for count, (_, frame) in enumerate(Video(video).frames(), start=1):
         if count - 1 == index:
@@ -331,25 +308,99 @@ def _frame(video: Path, index: int) -> Frame:
     raise InputError(f"has {count} frames; frame {index} does not exist", file=video)
 
 
-def _measured(setup: Setup, run: Run) -> Setup:
-    """The setup with area ranges from what the tracker measured."""
+def _measured(run: Run) -> Setup:
+    """The setup of a run with area ranges from what the tracker measured."""
     markers = []
-    for marker in setup.markers:
-        i = run.track.names.index(marker.names[0])
-        whole = run.track.found[i] & ~run.track.at_edge[i]
+    for marker in run.setup.markers:
+        i = run.track.row(marker.names[0])
+        whole = run.track.found[i]
         if whole.sum() >= 10:
             low, high = np.percentile(run.track.area[i, whole], [2, 98])
-            marker = marker.model_copy(
-                update={"area_px": (float(max(round(0.3 * low), 4)), float(round(2.5 * high)))}
-            )
+            area = (float(max(round(0.3 * low), 4)), float(round(2.5 * high)))
+            marker = marker.model_copy(update={"area_px": area})
         markers.append(marker)
-    return setup.model_copy(update={"markers": markers})
+    return run.setup.model_copy(update={"markers": markers})
 
 
-def _hue(marker: Marker) -> str:
-    low, high = marker.colour_range().hue_deg
-    return f"{low:g}..{high:g} deg"
+def _text(
+    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
+) -> str:
+    """The setup as commented YAML, with the share of the frames each marker is found in."""
+    lines = [
+        f"# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md",
+        f"format: {setup.format}",
+        "markers:",
+    ]
+    for marker, remark in zip(setup.markers, remarks, strict=True):
+        hsv = marker.colour_range()
+        found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
+        lines += [
+            f"  - name: {marker.name}",
+            f"    # Found in {found} of the frames; {remark}.",
+            "    # Hue runs from the first to the second angle, through 0 for red.",
+            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
+            f"value: {_list(hsv.value)}}}",
+            f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
+        ]
+        if marker.number > 1:
+            lines += [f"    # They are named {marker.names[0]}, {marker.names[1]}, ..."]
+            lines += [f"    number: {marker.number}"]
+        if marker.start_px is not None:
+            lines += [f"    start_px: [{', '.join(_list(place) for place in marker.start_px)}]"]
+    scale: Sequence[str] = _NO_SCALE
+    if setup.scale is not None:
+        keys = yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True))
+        scale = ["scale:", *(f"  {line}" for line in keys.splitlines())]
+    tail = f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"
+    rate = f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240"
+    lines += [f"# Passed over: {one}" for one in passed]
+    lines += [
+        "# The head marker gives the position, head and tail together the heading.",
+        f"head: {setup.head_name}",
+        tail,
+        "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
+        f"plane: {setup.plane}",
+        *(_FACING if setup.plane == "vertical" else ()),
+        *_POSE,
+        *scale,
+        "# True frame rate, where the container's stamps are wrong.",
+        rate,
+        "# Longest dropout that is bridged, s.",
+        f"max_gap_s: {setup.max_gap_s:g}",
+    ]
+    if setup.ignore_px:
+        lines += ["# Motionless things of a marker's colour: [left, top, right, bottom].", "ignore_px:"]
+        lines += [f"  - {_list(box)}" for box in setup.ignore_px]
+    else:
+        lines += ["# ignore_px: [[left, top, right, bottom]]"]
+    return "\n".join(lines) + "\n"
 
 
-def _area(marker: Marker) -> str:
-    return "any" if marker.area_px is None else f"{marker.area_px[0]:g}..{marker.area_px[1]:g}"
+def _list(values: Any) -> str:
+    return "[" + ", ".join(f"{v:g}" for v in values) + "]"
+
+
+def _sheet(run: Run) -> NDArray[np.uint8]:
+    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
+    tiles, track = [], run.track
+    ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
+    for index in sorted(ranked[:_SHEET]):
+        frame = run.kept[index]
+        factor = _SHEET_WIDTH / frame.shape[1]
+        tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        for box in run.setup.ignore_px:
+            corners = [round(factor * v) for v in box]
+            cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
+        for i, name in enumerate(track.names):
+            if track.found[i, index]:
+                x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+                radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
+                cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+                write_text(tile, name, (x + radius + 3, y + 4), 0.5)
+        write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
+        tiles.append(tile)
+    while len(tiles) % 2:
+        tiles.append(np.zeros_like(tiles[0]))
+    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
+    return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -8,30 +8,29 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs import log
 from swimid.logs.log import Log
 from swimid.logs.logged import Logged
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import evidence
+from swimid.results import blocks, evidence, sheet
 from swimid.results.evidence import Check
-from swimid.tracking import checks, overlay, pictures, plane, pose, stills, swim
+from swimid.tracking import checks, motion, pictures, plane, pose, reader, swim
 from swimid.tracking import setup as setup_format
-from swimid.tracking.census import describe_colours
+from swimid.tracking.colour import describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import Pose
 from swimid.tracking.rawtrack import RawTrack
-from swimid.tracking.run import follow
+from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import Setup
 
-#: Fewer frames found than this share are no track.
-LEAST_FOUND = 0.05
 #: Columns a wrong scale shows in.
-POSE = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
+UNIT_COLUMNS = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +43,10 @@ class Track(Logged):
         Path and heading with their standard deviations; None where the log was read from a file.
     setup : Setup
         How the film was read, with what was left out in a second look.
-    heading : str
-        Title of the plot.
     """
 
     pose: Pose | None = None
     setup: Setup | None = None
-    heading: str = ""
 
     def save(self, path: str | Path) -> Self:
         """Write log, evidence and plot; what the evidence says of speeds no swimmer reaches names the file.
@@ -69,10 +65,11 @@ class Track(Logged):
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
-        if self.pose is None or self.setup is None or not path.is_file():
+        if self.evidence is None or not path.is_file():
             return written
         plot = path.with_suffix(".png")
-        pictures.save_plot(plot, self.pose, self.setup, self.heading)
+        shown = [figure for figure in self.evidence.figures if figure.id in ("path", "pose")]
+        sheet.write(plot, shown, title=self.evidence.title)
         return [*written, plot]
 
 
@@ -129,91 +126,64 @@ def track_video(
     >>> made = track_video("pool.mp4", setup="setup.yaml")  # doctest: +SKIP
     >>> made.frame[["t_s", "x_m", "y_m", "yaw_rad"]].plot(x="t_s")  # doctest: +SKIP
     """
-    setup, overlay_path, fps, max_gap_s = options.setup, options.overlay_path, options.fps, options.max_gap_s
-    if fps is not None and not (math.isfinite(fps) and fps > 0):
-        raise UsageError(f"--fps {fps:g} must be above 0")
-    if max_gap_s is not None and not (math.isfinite(max_gap_s) and max_gap_s >= 0):
-        raise UsageError(f"--max-gap {max_gap_s:g} must not be negative")
-    window_s = (options.from_s, options.to_s)
-    swim.check_window(window_s)
-    video = Path(video)
+    video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
-        stills.check_output(video, output)
+        reader.check_output(video, output)
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
+    changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
     rules = setup_format.of(setup)
-    changed = {"frame_rate_hz": fps, "max_gap_s": max_gap_s}
     source = setup if isinstance(setup, str | Path) else rules
     rules = rules.model_copy(update={k: v for k, v in changed.items() if v is not None})
     made = Path(f"{video.stem}.csv") if output is None else output
-    with recorded() as notices:
-        result, painter = _track(video, rules, source, made, window_s, metadata or {}, progress, notices)
+    with recorded(repeat=True) as notices:
+        with progress(f"tracking {video.name}") as step:
+            run = follow(video, rules, step=step)
+        result, painter = _told(run, source, made, options, metadata or {}, notices)
         if output is not None:
             result = result.save(output)
         if overlay_path is not None:
-            assert result.setup is not None
-            remark = overlay.write(
-                overlay_path, video, painter, result.setup, result.log.time_s, progress=progress
-            )
+            remark = painter.write(overlay_path, progress)
             text = f"{result.text}\nnote: {remark}" if remark else result.text
             result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
-    for notice in notices:
-        warn(notice.code, notice.text)
     return result
 
 
-def _track(
-    video: Path,
-    rules: Setup,
+def _told(
+    run: Run,
     source: str | Path | Setup,
     made: Path,
-    window_s: tuple[float | None, float | None],
+    options: TrackVideoOptions,
     metadata: dict[str, Any],
-    progress: Progress,
     notices: list[Notice],
 ) -> tuple[Track, pictures.Painter]:
-    """The track, to be called ``made``, and what draws it into the film."""
-    with progress(f"tracking {video.name}") as step:
-        run = follow(video, rules, step=step)
-    track, info, rules = run.track, run.info, run.setup
-    ground = plane.build(rules, info.width, info.height, file=str(provenance.path_of(source)))
-    _demand_markers(track, rules, run.kept)
+    """What was followed as a track, to be called ``made``, and what draws it into the film."""
+    track, video, rules = run.track, run.video, run.setup
+    ground = plane.build(rules, video.width, video.height, file=str(provenance.path_of(source)))
+    _demand_markers(run)
     ground = pose.facing(track, rules, ground)
     result = pose.build(track, rules, ground)
     found = checks.run(track, result, rules, run.kept)
-    swum = swim.find(result, rules.plane, window_s)
+    swum = swim.find(result, rules.plane, (options.from_s, options.to_s))
     found += swum.checks()
-    count, total = int(result.measured.sum()), len(result.times)
-
     columns = pose.columns(result, track, rules)
-    head = {
-        "source": video.name,
-        "made_by": "swimid track video",
-        "frame_rate_hz": _rounded(1 / float(np.median(np.diff(result.times)))) if total > 1 else None,
-        **({"first_stamp_s": run.first_stamp_s} if math.isfinite(run.first_stamp_s) else {}),
-        "image_size_px": [info.width, info.height],
-        "plane": rules.plane,
-        **_reference(rules, ground),
-        **metadata,
-    }
+    head = _metadata(run, ground, result.times) | metadata
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
-    log.warn_units(Log(made, head, {name: columns[name] for name in POSE if name in columns}))
-    painter = pictures.Painter(track, result, rules)
-    share = f"found in {count} of {total} frames"
-    drawn = pictures.figures(track, result, rules)
-    swum.mark(drawn)
-    passed = "every self-check passes"
-    verdict = evidence.judged(found, f"Markers {share}", more=swum.headline(), passed=passed)
+    log.warn_units(Log(made, head, {name: columns[name] for name in UNIT_COLUMNS if name in columns}))
+    painter = pictures.Painter(run, result)
+    facts = _facts(track, result)
+    share = f"Markers found in {facts['found']} of {facts['frames']} frames"
+    verdict = evidence.judged(found, share, more=swum.headline(), passed="every self-check passes")
     proof = evidence.Evidence(
         verb="track video",
-        title=f"Track of {video.name}",
+        title=f"Track of {video.path.name}",
         verdict=verdict,
         checks=found,
         tables=[swum.table(), _segment_table(result)],
-        figures=drawn,
-        images=pictures.images(painter, run.kept),
-        notices=[evidence.NoticeRecord(code=n.code, text=n.text) for n in notices],
+        figures=pictures.figures(track, result, rules, (swum.swimming.begin_s, swum.swimming.end_s)),
+        images=painter.images(),
+        notices=blocks.notices(notices),
         methods=_methods(rules, result),
         references=[
             "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic "
@@ -222,34 +192,25 @@ def _track(
         ],
         provenance=provenance.collect(
             [],
-            digests=provenance.digest_together(video, info.files) | provenance.digests_of([source]),
-            settings=rules.model_dump(mode="json", exclude_none=True),
+            digests=provenance.digest_together(video.path, video.files) | provenance.digests_of([source]),
+            settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = _facts(track, result, rules) | {
+    data = facts | {
         "swimming": swum.to_dict(),
         "verdict": verdict.model_dump(),
         "checks": [check.model_dump() for check in found],
     }
-    made_track = Track(
-        "track video",
-        _summary(data, found, swum.lines()),
-        data,
-        evidence=proof,
-        document=Log(made, head, log.numeric(columns), None),
-        table=columns,
-        pose=result,
-        setup=rules,
-        heading=f"{video.name}: {share}",
-    )
-    return made_track, painter
+    text = "\n".join([_summary(facts), *_listed(found), *swum.lines()])
+    document = Log(made, head, log.numeric(columns), None)
+    return Track("track video", text, data, (), proof, document, columns, result, rules), painter
 
 
-def _facts(track: RawTrack, result: Pose, rules: Setup) -> dict[str, Any]:
+def _facts(track: RawTrack, result: Pose) -> dict[str, Any]:
     """How much was found, and how well, for machines."""
     count, total, unit = int(result.measured.sum()), len(result.times), result.plane.unit
-    span = checks.presence(track, result, rules)
-    holes = [end - start for start, end in checks.gaps(result.measured, result.times)]
+    span = checks.Presence.of(track, result)
+    holes = [end - start for start, end in result.gaps]
     return {
         "frames": total,
         "found": count,
@@ -272,75 +233,78 @@ def _facts(track: RawTrack, result: Pose, rules: Setup) -> dict[str, Any]:
     }
 
 
-def _reference(rules: Setup, ground: plane.Plane) -> dict[str, Any]:
-    """What the pose in the log is that of."""
-    found: dict[str, Any] = {}
+def _metadata(run: Run, ground: plane.Plane, times: NDArray[np.float64]) -> dict[str, Any]:
+    """The comment lines of the log: the film, and what its pose is that of."""
+    rules = run.setup
+    head: dict[str, Any] = {
+        "source": run.video.path.name,
+        "made_by": "swimid track video",
+        "frame_rate_hz": float(f"{1 / float(np.median(np.diff(times))):.6g}"),
+    }
+    if math.isfinite(run.video.first_stamp_s):
+        head["first_stamp_s"] = run.video.first_stamp_s
+    head |= {"image_size_px": [run.video.width, run.video.height], "plane": rules.plane}
     if rules.plane == "vertical":
-        found["facing"] = "left" if ground.runs_left else "right"
+        head["facing"] = "left" if ground.runs_left else "right"
     if rules.places is None:
-        return found | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
-    names = (rules.head_name, rules.tail)
-    places = {str(name): list(place) for name, place in zip(names, rules.places, strict=True)}
-    return found | {"reference": rules.robot or "robot", "markers_at_m": places}
+        return head | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
+    places = {name: list(place) for name, place in zip(rules.roles, rules.places, strict=True)}
+    return head | {"reference": rules.robot or "robot", "markers_at_m": places}
 
 
-def _demand_markers(track: RawTrack, rules: Setup, kept: dict[int, Any]) -> None:
+def _demand_markers(run: Run) -> None:
     """Raise unless every marker the pose needs is seen often enough."""
+    track = run.track
     total = len(track.times)
     if total < 2:
         raise InputError(
             f"has {total} frame; a track needs several",
             hint="is it a picture? Name its folder, or a pattern as %05d.png",
         )
-    for name in dict.fromkeys(n for n in (rules.head_name, rules.tail) if n is not None):
-        count = int(track.found[track.names.index(name)].sum())
-        if count >= max(LEAST_FOUND * total, pose.SHORTEST_SEGMENT):
+    for name in run.setup.roles:
+        row = track.row(name)
+        count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
+        if count >= max(motion.LEAST_SHARE * total, pose.SHORTEST_SEGMENT):
             continue
-        seen = describe_colours(list(kept.values()))
-        what = (
-            f"was found in no frame of {total}"
-            if not count
-            else f"was found in {count} of {total} frames only"
-        )
-        cut = int(track.at_edge[track.names.index(name)].sum())
-        if cut:
-            what += f" (in {cut} the edge of the picture cuts it)"
+        what = f"in {count} of {total} frames only" if count else f"in no frame of {total}"
+        what += f" (in {cut} the edge of the picture cuts it)" if cut else ""
         raise NoTrustworthyResult(
-            f"marker '{name}' {what}; that is no track. {seen}",
+            f"marker '{name}' was found {what}; that is no track. "
+            f"{describe_colours(list(run.kept.values()))}",
             hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
             "them; or correct hsv and area_px in the setup",
         )
 
 
-def _segment_table(result: pose.Pose) -> evidence.Table:
-    rows: list[list[str | float | int | bool | None]] = []
+def _segment_table(result: Pose) -> evidence.Table:
+    rows = []
     for number in range(1, int(result.segment.max()) + 1):
         part = result.segment == number
         t = result.times[part]
-        path = result.path.position[:, part]
-        length = float(np.sum(np.hypot(*np.diff(path, axis=1))))
         rows.append(
-            [number, float(t[0]), float(t[-1]), int(part.sum()), int((part & result.measured).sum()), length]
+            {
+                "segment": number,
+                "from (s)": float(t[0]),
+                "to (s)": float(t[-1]),
+                "frames": int(part.sum()),
+                "measured": int((part & result.measured).sum()),
+                f"path length ({result.plane.unit})": float(
+                    np.sum(np.hypot(*np.diff(result.path.position[:, part], axis=1)))
+                ),
+            }
         )
-    unit = result.plane.unit
-    return evidence.Table(
-        id="segments",
-        title="Segments",
-        columns=["segment", "from (s)", "to (s)", "frames", "measured", f"path length ({unit})"],
-        rows=rows,
-        caption="A gap longer than the limit ends a segment.",
-    )
+    return blocks.table("segments", "Segments", rows, "A gap longer than the limit ends a segment.")
 
 
-def _methods(rules: Setup, result: pose.Pose) -> list[str]:
+def _methods(rules: Setup, result: Pose) -> list[str]:
     kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
     markers = "a marker" if rules.tail is None else "two markers"
+    rate, clock = "", ", and frames were timed by their own stamps"
+    if rules.frame_rate_hz is not None:
+        rate, clock = f" at {rules.frame_rate_hz:g} Hz", ""
     return [
-        f"The robot's path was taken from video by tracking {markers} by colour; centroids were found with "
-        "sub-pixel resolution by soft membership, and frames were timed by their own stamps."
-        if rules.frame_rate_hz is None
-        else f"The robot's path was taken from video at {rules.frame_rate_hz:g} Hz by tracking {markers} by "
-        "colour; centroids were found with sub-pixel resolution by soft membership.",
+        f"The robot's path was taken from video{rate} by tracking {markers} by colour; centroids were found "
+        f"with sub-pixel resolution by soft membership{clock}.",
         f"Positions were smoothed with a Kalman filter ({kinds[result.path.order]}) and a Rauch-Tung-"
         "Striebel smoother whose noise powers maximise the likelihood of the innovations "
         f"(measurement noise {result.path.measurement_sd:.2g} {result.plane.unit}).",
@@ -350,24 +314,21 @@ def _methods(rules: Setup, result: pose.Pose) -> list[str]:
     ]
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
-
-
-def _summary(data: dict[str, Any], found: list[Check], swum: list[str]) -> str:
-    first, last, end = (data[key] for key in ("first_seen_s", "last_seen_s", "duration_s"))
+def _summary(facts: dict[str, Any]) -> str:
+    first, last, end = (facts[key] for key in ("first_seen_s", "last_seen_s", "duration_s"))
     seen = f", first seen at {first:.2f} s" if first > 0 else ""
     seen += f", last seen at {last:.2f} s of {end:.2f} s" if last < end else ""
-    lines = [
-        f"found {data['found']} of {data['frames']} frames "
-        f"({100 * data['found_share']:.1f} %){seen}, {data['interpolated']} bridged, "
-        f"{data['gaps']} gaps (longest {data['longest_gap_s']:.3f} s), "
-        f"{data['segments']} segment{'s' if data['segments'] != 1 else ''}, unit {data['unit']}"
-    ]
+    return (
+        f"found {facts['found']} of {facts['frames']} frames ({100 * facts['found_share']:.1f} %){seen}, "
+        f"{facts['interpolated']} bridged, {facts['gaps']} gaps (longest {facts['longest_gap_s']:.3f} s), "
+        f"{facts['segments']} segment{'s' if facts['segments'] != 1 else ''}, unit {facts['unit']}"
+    )
+
+
+def _listed(found: list[Check]) -> list[str]:
     width = max(len(check.name) for check in found)
-    lines += [
+    return [
         f"  {check.verdict:4}  {check.name:{width}}  {check.value}"
         + (f"  ({check.limit})" if check.limit else "")
         for check in found
     ]
-    return "\n".join([*lines, *swum])

@@ -1,39 +1,54 @@
 """What the trials command, for the scales of the actuation effects."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Command, Hooks
-from swimid.fitting.model import Array, Model, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trial, Trials
+from swimid.fitting.hooks import Stroke
 
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3
 
 
 class Actuation(Effect, ABC):
-    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model."""
+    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model.
 
-    stage = "actuation"
+    Of one parameter, the same for every driven joint, an effect says what it makes of a command and, where it
+    ``needs`` the stroke, of a steady beat's amplitude.
+    """
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    needs = frozenset({"command", "stroke"})
+
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where some trial is driven by a command."""
         return [self] if self.needs & model.offers and any(model.commanded(t) for t in trials) else []
 
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """What a joint does on a command, shape (n,), without missing samples."""
+        raise NotImplementedError
 
-def hooks(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
-    """The hooks of ``change(time_s, angle)``, the same for every driven joint."""
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """What is left of the amplitude of a steady beat, rad."""
+        raise NotImplementedError
 
-    def command(time_s: Array, angle: Array, joint: int) -> Array:
-        return bridged(change, time_s, angle)
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """What becomes of the commands, and of a steady beat."""
+        value = float(values[0])
 
-    found: Command = command
-    return Hooks(command=(found,)) if model.commanded(trial) else Hooks()
+        def command(time_s: Array, angle: Array, joint: int) -> Array:
+            return bridged(lambda time, whole: self.followed(value, time, whole), time_s, angle)
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
+
+        return Hooks(
+            command=(command,) if model.commanded(trial) else (),
+            stroke=(beaten,) if "stroke" in self.needs else (),
+        )
 
 
 def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
@@ -47,25 +62,22 @@ def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Arra
     return np.where(there, change(time_s, filled), np.nan)
 
 
-def _signals(model: Model, trials: Sequence[Trial]) -> Iterator[tuple[Array, Array, float]]:
+def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
     """Time, command and its fastest known rate, of each driven joint of each trial."""
     for trial in trials:
         if model.commanded(trial):
             yield from model.commands(trial)
 
 
-def _strokes(trials: Sequence[Trial]) -> tuple[Array, Array]:
+def _strokes(trials: Trials) -> tuple[Array, Array]:
     """Frequency (Hz) and amplitude (rad) of every steady beat."""
-    found: list[list[Array]] = [[], []]
-    for trial in trials:
-        for values, part in zip(found, trial.steady, strict=True):
-            values.append(part)
-    frequency, amplitude = (np.concatenate(v).astype(float) if v else np.zeros(0) for v in found)
+    beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
+    frequency, amplitude = np.concatenate(beats, axis=1)
     there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
     return frequency[there], amplitude[there]
 
 
-def amplitude(model: Model, trials: Sequence[Trial]) -> float:
+def amplitude(model: Model, trials: Trials) -> float:
     """Typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
     if not sizes:
@@ -73,7 +85,7 @@ def amplitude(model: Model, trials: Sequence[Trial]) -> float:
     return float(np.median(sizes)) if sizes else USUAL_ANGLE
 
 
-def fastest(model: Model, trials: Sequence[Trial]) -> float:
+def fastest(model: Model, trials: Trials) -> float:
     """Largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
@@ -84,7 +96,7 @@ def fastest(model: Model, trials: Sequence[Trial]) -> float:
     return float(max(rates, default=0.0)) or 1.0
 
 
-def period(model: Model, trials: Sequence[Trial]) -> float:
+def period(model: Model, trials: Trials) -> float:
     """Typical period of the beat, s; one second where none is known."""
     beats = [f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0]
     return 1.0 / float(np.median(beats)) if beats else 1.0

@@ -1,17 +1,14 @@
 """A stroke that is off by a constant angle."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.effects.base import Effect
-from swimid.fitting.easing import eased
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.drives import eased
+from swimid.fitting.hooks import Stroke
 
 #: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
 EASE_S = 0.5
@@ -26,22 +23,18 @@ class AmplitudeOffset(_commands.Actuation):
     name = "amplitude-offset"
     meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
     sources = ("boxfish, section 4.3 and Eq 27",)
-    needs = frozenset({"command", "stroke"})
     smooth = True
     scatters = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Nothing where the model estimates its own offset."""
         return [] if model.estimates("amplitude_offset_deg") else super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The angle, of each driven joint, in the unit of its command."""
         size = _commands.amplitude(model, trials)
-        return (
-            Parameter(
-                "offset_rad", "rad", -0.9 * size, 0.9 * size, 0.0, 0.05 * size, meaning="constant angle off"
-            ),
-        )
+        most, words = 0.9 * size, "constant angle off"
+        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The command with the trim; less amplitude of a steady beat."""
@@ -58,5 +51,4 @@ class AmplitudeOffset(_commands.Actuation):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        found = Hooks(stroke=(beaten,))
-        return found + Hooks(command=(command,)) if model.commanded(trial) else found
+        return Hooks(command=(command,) if model.commanded(trial) else (), stroke=(beaten,))

@@ -1,19 +1,15 @@
 """A servo that cannot turn faster than its limit."""
 
-from __future__ import annotations
-
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numba
 import numpy as np
 from scipy.optimize import brentq
 
 from swimid.effects.actuation import _commands
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Model, Parameter, Parameters, Trials
+from swimid.fitting.hooks import Stroke
 
 #: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
 #: ``1 / sqrt(1 + pi^2 / 4)``.
@@ -30,35 +26,21 @@ class RateLimit(_commands.Actuation):
     name = "rate-limit"
     meaning = "The servos cannot turn as fast as the command asks."
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
-    needs = frozenset({"command", "stroke"})
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The limit, rad/s; it vanishes at the trials' largest commanded rate."""
         largest = _commands.fastest(model, trials)
-        return (
-            Parameter(
-                "rate_limit_rad_s",
-                "rad/s",
-                0.02 * largest,
-                largest,
-                largest,
-                0.2 * largest,
-                meaning="largest rate of the servos",
-            ),
-        )
+        bounds, words = (0.02 * largest, largest), "largest rate of the servos"
+        return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The limited command; less amplitude of a steady beat."""
-        limit = float(values[0])
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The limited command."""
+        return np.asarray(limited(time_s, angle, value))
 
-        def beaten(stroke: Stroke) -> Stroke:
-            rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
-            ratio = limit / np.maximum(rate, 1e-12)
-            return replace(stroke, amplitude_rad=stroke.amplitude_rad * describing(ratio))
-
-        return _commands.hooks(model, trial, lambda time, angle: limited(time, angle, limit)) + Hooks(
-            stroke=(beaten,)
-        )
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """The fundamental of the limited sine."""
+        rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
+        return stroke.amplitude_rad * describing(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -77,13 +59,13 @@ def limited(time, signal, limit):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     for i in range(1, len(signal)):
-        ahead = signal[i] - found[i - 1]
+        ahead = signal[i] - output[i - 1]
         most = limit * (time[i] - time[i - 1])
         if abs(ahead) > most:
-            found[i] = found[i - 1] + math.copysign(most, ahead)
-    return found
+            output[i] = output[i - 1] + math.copysign(most, ahead)
+    return output
 
 
 def describing(ratio: Array | float) -> Array:

@@ -1,16 +1,12 @@
 """Play between servo and joint."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Model, Parameters, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.hooks import Stroke
 
 
 class ServoBacklash(_commands.Actuation):
@@ -22,25 +18,20 @@ class ServoBacklash(_commands.Actuation):
     name = "servo-backlash"
     meaning = "The joints do not follow their servos across the play of gears, linkages or tendons."
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
-    needs = frozenset({"command", "stroke"})
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The whole width of the play, of each joint, in the unit of its command."""
         size = _commands.amplitude(model, trials)
-        return (
-            Parameter(
-                "backlash_rad", "rad", 0.0, 1.9 * size, 0.0, 0.1 * size, meaning="whole width of the play"
-            ),
-        )
+        words = "whole width of the play"
+        return (parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
 
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Play in the command; half of it less amplitude of a steady beat."""
-        width = float(values[0])
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Play in the command."""
+        return np.asarray(play(angle, value))
 
-        def beaten(stroke: Stroke) -> Stroke:
-            return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - 0.5 * width, 0.0))
-
-        return _commands.hooks(model, trial, lambda time, angle: play(angle, width)) + Hooks(stroke=(beaten,))
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """Half the play less."""
+        return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -56,8 +47,8 @@ def play(signal, width):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     half = 0.5 * width
     for i in range(1, len(signal)):
-        found[i] = min(max(found[i - 1], signal[i] - half), signal[i] + half)
-    return found
+        output[i] = min(max(output[i - 1], signal[i] - half), signal[i] + half)
+    return output

@@ -1,15 +1,11 @@
 """A servo that does the right thing too late."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from swimid.effects.actuation import _commands
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Model, Parameters, Trials
+from swimid.effects.common import parameter
 
 
 class ServoDelay(_commands.Actuation):
@@ -21,17 +17,15 @@ class ServoDelay(_commands.Actuation):
     needs = frozenset({"command"})
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The delay, s."""
         beat = _commands.period(model, trials)
-        return (
-            Parameter("delay_s", "s", 0.0, beat, 0.0, 0.04 * beat, meaning="delay of the joints' commands"),
-        )
+        words = "delay of the joints' commands"
+        return (parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
 
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """The command as it was a delay ago."""
-        delay = float(values[0])
-        return _commands.hooks(model, trial, lambda time, angle: delayed(time, angle, delay))
+        return delayed(time_s, angle, value)
 
 
 def delayed(time_s: Array, signal: Array, delay_s: float) -> Array:

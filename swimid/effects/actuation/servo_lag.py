@@ -1,17 +1,14 @@
 """A servo that follows its command with a first-order lag."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Model, Parameters, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.hooks import Stroke
 
 
 class ServoLag(_commands.Actuation):
@@ -23,29 +20,22 @@ class ServoLag(_commands.Actuation):
         "robotic dolphin, section 4.2.1 (the water slows the actual beat)",
         "sea lion, section II (motion profiles taken as the motion of the joints)",
     )
-    needs = frozenset({"command", "stroke"})
     smooth = True
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time constant, s."""
         beat = _commands.period(model, trials)
-        return (
-            Parameter(
-                "time_constant_s", "s", 0.0, beat, 0.0, 0.04 * beat, meaning="time constant of the servos"
-            ),
-        )
+        words = "time constant of the servos"
+        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
 
-    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Lag of the command; less amplitude of a steady beat."""
-        tau = float(values[0])
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The command with a lag."""
+        return np.asarray(lagged(time_s, angle, value))
 
-        def beaten(stroke: Stroke) -> Stroke:
-            gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * tau) ** 2)
-            return replace(stroke, amplitude_rad=stroke.amplitude_rad * gain)
-
-        return _commands.hooks(model, trial, lambda time, angle: lagged(time, angle, tau)) + Hooks(
-            stroke=(beaten,)
-        )
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """The gain of the lag at the beat's frequency."""
+        gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
+        return np.asarray(stroke.amplitude_rad * gain)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -65,12 +55,12 @@ def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    found = signal.copy()
+    output = signal.copy()
     if tau <= 0.0:
-        return found
+        return output
     for i in range(1, len(signal)):
         ratio = (time[i] - time[i - 1]) / tau
         kept = math.exp(-ratio)
         mean = -math.expm1(-ratio) / ratio
-        found[i] = kept * found[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
-    return found
+        output[i] = kept * output[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
+    return output

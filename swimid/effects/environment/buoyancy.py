@@ -1,17 +1,13 @@
 """A robot that is not neutrally buoyant, and not level at rest."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -27,13 +23,12 @@ class Buoyancy(Effect):
     """Buoyancy beyond weight, and its righting moment ``-m sin(pitch)``, on the heaviest link."""
 
     name = "buoyancy"
-    stage = "environment"
     meaning = "buoyancy beyond weight, and its righting moment"
     sources = ("dolphin paper, section 4.1", "sea lion paper, discussion")
     needs = frozenset({"force", "coefficients"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Free swimmers in the vertical plane; rigs along z whose rest position is known."""
         if model.rig is not None:
             known = not model.estimates("rest_position")
@@ -41,26 +36,19 @@ class Buoyancy(Effect):
         body = common.free_body(model)
         return [self] if body is not None and body.vertical else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force upwards, N, and righting moment, N m."""
-        inf, size = math.inf, 0.03 * model.scales(trials).force
-        force = Parameter("force_N", "N", -inf, inf, 0.0, size, meaning="buoyancy beyond weight")
+        size = 0.03 * model.scales(trials).force
+        force = common.parameter("force_N", "N", size, "buoyancy beyond weight")
         body = model.body
         if body is None:
             return (force,)
-        lever = body.lengths_m[body.hull]
-        words = "righting moment per sine of pitch"
-        return force, Parameter("righting_N_m", "N m", -inf, inf, 0.0, size * lever, meaning=words)
+        moment = size * body.lengths_m[body.hull]
+        return force, common.parameter("righting_N_m", "N m", moment, "righting moment per sine of pitch")
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A constant force, and a moment."""
         body = model.body
         if body is not None:
-            hull = body.hull
-            x, y = body.centre(hull)
-            return Hooks(force=(Force(rise, np.array(values, dtype=float), hull, x, y),))
-
-        def change(c: dict[str, float]) -> None:
-            c["force"] += values[0]
-
-        return Hooks(coefficients=(change,))
+            return Hooks(force=(common.at_hull(body, rise, np.array(values, dtype=float)),))
+        return common.more("force", values[0])

@@ -1,14 +1,9 @@
 """A steady current."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
 
 #: Largest current, in typical speeds of the robot.
 MOST = 3.0
@@ -18,29 +13,21 @@ class Current(Effect):
     """Water that moves evenly and steadily in the world; along the track where the model has one axis."""
 
     name = "current"
-    stage = "environment"
     meaning = "steady current of the water"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 8.3",)
     needs = frozenset({"flow"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models of a body that moves from place to place."""
         return super().variants(model, trials) if model.axes else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Its components in the world, m/s."""
         size = model.scales(trials).speed
+        most, words = MOST * size, "velocity of the water along"
         return tuple(
-            Parameter(
-                f"c{axis}_m_s",
-                "m/s",
-                -MOST * size,
-                MOST * size,
-                0.0,
-                0.1 * size,
-                meaning=f"velocity of the water along {axis}",
-            )
+            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", lower=-most, upper=most)
             for axis in model.axes
         )
 

@@ -1,17 +1,13 @@
 """A robot that comes out of the water and loses its buoyancy."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE
 
 #: Height over which the force sets in, m.
 ROUND = 0.002
@@ -37,7 +33,6 @@ class SurfaceBreach(Effect):
     """
 
     name = "surface-breach"
-    stage = "environment"
     meaning = "buoyancy lost above the surface"
     sources = ("dolphin paper, section 4.1",)
     needs = frozenset({"force"})
@@ -46,7 +41,7 @@ class SurfaceBreach(Effect):
         """Take the levels at which it is tried."""
         self.levels_m = levels_m
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Free swimmers in the vertical plane whose height is measured."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
         body = common.free_body(model)
@@ -55,31 +50,17 @@ class SurfaceBreach(Effect):
         values = np.concatenate(heights)
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force per height, N/m, and level of the reference point, m."""
         size = 0.2 * model.scales([_heights(t) for t in trials]).span
+        slope = 0.1 * model.scales(trials).force / size
+        words = "height of the reference point above which buoyancy is lost"
         return (
-            Parameter(
-                "force_N_m",
-                "N/m",
-                0.0,
-                math.inf,
-                0.0,
-                0.1 * model.scales(trials).force / size,
-                meaning="buoyancy lost per height",
-            ),
-            Parameter(
-                "level_m",
-                "m",
-                -math.inf,
-                math.inf,
-                self.levels_m[0],
-                size,
-                meaning="height of the reference point above which buoyancy is lost",
-            ),
+            common.parameter("force_N_m", "N/m", slope, "buoyancy lost per height", lower=0.0),
+            common.parameter("level_m", "m", size, words, start=self.levels_m[0]),
         )
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Sizes of the force at each level."""
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
@@ -91,7 +72,7 @@ class SurfaceBreach(Effect):
         a, b = body.reference_m if hull == 0 else (x, y)
         quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(Force(sink, constants, hull, x, y),))
+        return Hooks(force=(common.at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:

@@ -1,17 +1,13 @@
 """A cable that pulls the robot back."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -38,46 +34,35 @@ class Tether(Effect):
     """
 
     name = "tether"
-    stage = "environment"
     meaning = "cable that pulls the robot back the more the farther it is"
     sources = ("dolphin paper, section 1",)
     needs = frozenset({"force", "coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Falling weights, towed bodies, cruises and free swimmers."""
         return [self] if common.pulled(model) or model.timed_runs or common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Stiffness, N/m, slack, m; drag of the line, N s2/m3, for what moves in time; for a swimmer the
         distance of the anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
+        stiffness = 0.3 * scales.force / size
         pull = (
-            Parameter(
-                "stiffness_N_m",
-                "N/m",
-                0.0,
-                math.inf,
-                0.0,
-                0.3 * scales.force / size,
-                meaning="pull of the tether per length",
-            ),
-            Parameter("slack_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="length before it pulls"),
+            common.parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
+            common.parameter("slack_m", "m", 0.2 * size, "length before it pulls", lower=0.0, upper=size),
         )
         if model.timed_runs:
             return pull
         drag = 0.3 * scales.force / (size * scales.speed**2)
-        line = Parameter(
-            "line_drag_N_s2_m3", "N s^2/m^3", 0.0, math.inf, 0.0, drag, meaning="drag of the line per length"
-        )
+        words = "drag of the line per length"
+        line = common.parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, words, lower=0.0)
         if model.body is None:
             return (*pull, line)
-        behind = Parameter(
-            "behind_m", "m", 0.0, size, 0.0, 0.2 * size, meaning="distance of the anchor behind the start"
-        )
-        return (*pull, line, behind)
+        words = "distance of the anchor behind the start"
+        return (*pull, line, common.parameter("behind_m", "m", 0.2 * size, words, lower=0.0, upper=size))
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """A stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
         scale = np.array([p.scale for p in parameters])
         steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
@@ -90,11 +75,7 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-
-            def change(c: dict[str, float]) -> None:
-                c["dry"] += mean
-
-            return Hooks(coefficients=(change,))
+            return common.more("dry", mean)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
@@ -105,7 +86,7 @@ class Tether(Effect):
         return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
 
 
-def _reach(model: Model, trials: Sequence[Trial]) -> float:
+def _reach(model: Model, trials: Trials) -> float:
     """Typical distance from the start, m."""
     if model.timed_runs:
         ways = [w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])]

@@ -1,17 +1,13 @@
 """A wall near the tracks."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
 STEEPEST = 2.0
@@ -55,7 +51,6 @@ class Wall(Effect):
     """
 
     name = "wall"
-    stage = "environment"
     meaning = "wall near the tracks"
     sources = ("tendon fish paper, section V", "dolphin paper, section 4.2.1")
     needs = frozenset({"force"})
@@ -64,7 +59,7 @@ class Wall(Effect):
         self.side = side
         self.extreme_m = extreme_m
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """One per side for free swimmers; the far end for falling weights and towed bodies."""
         names = tuple(f"{axis}_m" for axis in model.axes)
         if common.free_body(model):
@@ -73,41 +68,32 @@ class Wall(Effect):
             ends = ("max",)
         else:
             return []
-        found: list[Effect] = []
+        walls: list[Effect] = []
         for name in names:
             values = np.concatenate([np.zeros(0), *(t.measured[name] for t in trials if name in t.measured)])
             values = values[np.isfinite(values)]
             for end in ends if len(values) else ():
                 extreme = float(values.max() if end == "max" else values.min())
-                found.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
-        return found
+                walls.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
+        return walls
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
-        inf = math.inf
         if model.body is not None:
             length = sum(model.body.lengths_m)
             size = 0.05 * model.scales(trials).force
-            first = Parameter(
-                f"{self.side}_force_N", "N", -inf, inf, 0.0, size, meaning="push of the wall at the extreme"
-            )
+            words = "push of the wall at the extreme"
+            first = common.parameter(f"{self.side}_force_N", "N", size, words)
         else:
             length = 0.4 * model.scales(trials).span
-            first = Parameter(
-                f"{self.side}_gain", "1", 0.0, inf, 0.0, 1.0, meaning="relative growth of drag at the extreme"
-            )
-        decay = Parameter(
-            f"{self.side}_decay_m",
-            "m",
-            0.1 * length,
-            3.0 * length,
-            0.5 * length,
-            0.2 * length,
-            meaning="length over which it decays",
-        )
-        return first, decay
+            words = "relative growth of drag at the extreme"
+            first = common.parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
+        lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
+        words = "length over which it decays"
+        name = f"{self.side}_decay_m"
+        return first, common.parameter(name, "m", size, words, lower=lower, upper=upper, start=start)
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """The force, in which the change is nearly linear, at two decay lengths."""
         force, decay = parameters
         return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
@@ -118,9 +104,7 @@ class Wall(Effect):
         if body is not None:
             axis, end = self.side.split("_")
             place = [0.0 if axis == "x" else 1.0, 1.0 if end == "max" else -1.0, self.extreme_m]
-            hull = body.hull
-            x, y = body.centre(hull)
-            return Hooks(force=(Force(push_off, np.array([*values, *place]), hull, x, y),))
+            return Hooks(force=(common.at_hull(body, push_off, np.array([*values, *place])),))
         constants = np.array([0.0, *values, self.extreme_m])
 
         def take(c: dict[str, float]) -> None:

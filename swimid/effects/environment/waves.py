@@ -1,15 +1,11 @@
 """Oscillatory (orbital) flow: waves, and their reflections in a pool."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
+from swimid.effects.common import parameter
 
 #: Frequencies looked at, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
@@ -35,7 +31,6 @@ class Waves(Effect):
     """
 
     name = "waves"
-    stage = "environment"
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
@@ -44,42 +39,26 @@ class Waves(Effect):
         self.axis = axis
         self.frequency_hz = frequency_hz
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """One per axis and line of the track, for a body that moves in time from place to place."""
         if "force" not in model.offers:
             return []  # an average over beats or runs has no motion within a wave's period
         return [Waves(axis, line) for axis in model.axes for line in lines(model, trials, axis)]
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
-        size = 0.1 * model.scales(trials).speed
-        inf = math.inf
+        scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
+        size = 0.1 * scales.speed
+        band, words = (0.5 * LOWEST, 2.0 * HIGHEST), "frequency of the waves"
         return (
-            Parameter(
-                "frequency_hz",
-                "Hz",
-                0.5 * LOWEST,
-                2.0 * HIGHEST,
-                self.frequency_hz,
-                0.2 / model.scales(trials).duration,
-                meaning="frequency of the waves",
-            ),
+            Parameter("frequency_hz", "Hz", *band, self.frequency_hz, 0.2 / scales.duration, meaning=words),
             *(
-                Parameter(
-                    f"{part}_{self.axis}_m_s",
-                    "m/s",
-                    -inf,
-                    inf,
-                    0.0,
-                    size,
-                    per_trial=True,
-                    meaning=f"{part} amplitude of the water's velocity along {self.axis}",
-                )
+                parameter(f"{part}_{self.axis}_m_s", "m/s", size, f"{part} {along}", per_trial=True)
                 for part in ("cos", "sin")
             ),
         )
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """The scale of each amplitude: the answer is linear in these, and nothing without them."""
         frequency, size = parameters[0].start, parameters[1].scale
         return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
@@ -109,11 +88,11 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
     with np.errstate(all="ignore"):
-        found = model.simulate(values, trial).get(channel)
-    return found if found is not None and np.isfinite(found).all() else np.zeros(len(trial.time_s))
+        series = model.simulate(values, trial).get(channel)
+    return series if series is not None and np.isfinite(series).all() else np.zeros(len(trial.time_s))
 
 
-def lines(model: Model, trials: Sequence[Trial], axis: str) -> tuple[float, ...]:
+def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     """The strongest lines along an axis that neither the model nor the beat explains, Hz.
 
     What the model leaves of each trial's track is freed of its slow course and its beat by least squares;
@@ -148,10 +127,10 @@ def lines(model: Model, trials: Sequence[Trial], axis: str) -> tuple[float, ...]
             power[k] += float(np.sum((pair.T @ rest) ** 2)) * f
             weight[k] += 1.0
     score = np.where(weight > 0, power / np.maximum(weight, 1.0), 0.0)
-    found: list[float] = []
+    strongest: list[float] = []
     for k in np.argsort(-score):
-        if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in found):
-            found.append(float(grid[k]))
-        if len(found) == LINES:
+        if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in strongest):
+            strongest.append(float(grid[k]))
+        if len(strongest) == LINES:
             break
-    return tuple(found)
+    return tuple(strongest)

@@ -1,15 +1,9 @@
 """Water that moves with the body beyond the model's."""
 
-from __future__ import annotations
-
-import math
-from collections.abc import Sequence
 from typing import Any
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: The least of the inertia that may be left, as a share of the rigid body's.
 LEAST = 0.5
@@ -23,44 +17,35 @@ class AddedMass(Effect):
     """
 
     name = "added-mass"
-    stage = "fluid"
     meaning = "added mass beyond the model's"
     sources = ("boxfish paper, Eq 8", "tendon fish paper, Eq 6", "dolphin paper, Eq 7")
     needs = frozenset({"coefficients", "tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Rigs and free swimmers."""
         return [self] if model.rig is not None or common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Added mass along and across all links, kg; or that of the rig's coordinate."""
         body = model.body
         if body is not None:
             masses = body.masses_kg
             own, across = sum(masses), body.words[4]
             return tuple(
-                Parameter(name, "kg", -least, math.inf, 0.0, 0.05 * own, meaning=f"{words} added mass")
+                common.parameter(name, "kg", 0.05 * own, f"{words} added mass", lower=-least)
                 for name, least, words in (
                     ("surge_kg", LEAST * own, "surge"),
                     ("sway_kg", LEAST * own, across),
                     ("tail_kg", 0.5 * LEAST * masses[-1], f"{across} of the last link's"),
                 )
             )
-        rotation = common.rotates(model)
+        name, unit, words = "added_kg", "kg", "added mass"
+        if common.rotates(model):
+            name, unit, words = "added_kg_m2", "kg m^2", "added inertia"
         size = model.scales(trials).inertia
         own = size - model.start("added_mass", "added_inertia")
-        return (
-            Parameter(
-                "added_kg_m2" if rotation else "added_kg",
-                "kg m^2" if rotation else "kg",
-                -LEAST * own,
-                math.inf,
-                0.0,
-                0.05 * size,
-                meaning="added inertia" if rotation else "added mass",
-            ),
-        )
+        return (common.parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
@@ -76,8 +61,4 @@ class AddedMass(Effect):
                 body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
-
-        def change(c: dict[str, float]) -> None:
-            c["inertia"] += values[0]
-
-        return Hooks(coefficients=(change,))
+        return common.more("inertia", values[0])

@@ -1,17 +1,13 @@
 """A drag coefficient that changes with speed."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -37,7 +33,6 @@ class DragReynolds(Effect):
     """
 
     name = "drag-reynolds"
-    stage = "fluid"
     meaning = "drag coefficient that falls with speed"
     sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
     needs = frozenset({"force"})
@@ -47,7 +42,7 @@ class DragReynolds(Effect):
         self.reference_m_s = reference_m_s
         self.whole = whole
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Rigs and free swimmers with quadratic drag, about the typical speed of the trials."""
         body = model.body
         if body is not None:
@@ -55,15 +50,16 @@ class DragReynolds(Effect):
         else:
             fits = "force" in model.offers
         typical = model.scales(trials).speed
-        found: list[Effect] = [DragReynolds(typical)] if fits else []
+        forms: list[Effect] = [DragReynolds(typical)] if fits else []
         if fits and body is not None and len(trials) > 1:
-            found.append(DragReynolds(typical, whole=True))
-        return found
+            forms.append(DragReynolds(typical, whole=True))
+        return forms
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The exponent n."""
         name = "trial_exponent" if self.whole else "exponent"
-        return (Parameter(name, "1", -1.5, 1.5, 0.0, 0.2, meaning="the drag coefficient falls as speed^-n"),)
+        words = "the drag coefficient falls as speed^-n"
+        return (common.parameter(name, "1", 0.2, words, lower=-1.5, upper=1.5),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds the difference to the model's own quadratic drag, or changes its coefficients."""
@@ -71,20 +67,14 @@ class DragReynolds(Effect):
         if self.whole:
             whole = common.links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
-
-            def change(tables: dict[str, Any]) -> None:
-                whole.drag_times(tables, factor)
-
-            return Hooks(tables=(change,))
+            return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
         if body is not None:
-            hull = body.hull
-            x, y = body.centre(hull)
 
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(Force(changed_drag, constants, hull, x, y),))
+            return Hooks(tables=(read,), force=(common.at_hull(body, changed_drag, constants),))
 
         def take(c: dict[str, float]) -> None:
             constants[0] = c["quadratic"]

@@ -1,14 +1,7 @@
 """Drag in proportion to the speed."""
 
-from __future__ import annotations
-
-import math
-from collections.abc import Sequence
-from typing import Any
-
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects import common
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 OWN = ("linear_drag", "linear_damping")
 #: Name and unit of a force per speed, by the unit of the force.
@@ -23,13 +16,12 @@ class LinearDrag(Effect):
     """``-c v`` on the body, along and across; a swimmer's acts at the centre of mass of its heaviest link."""
 
     name = "linear-drag"
-    stage = "fluid"
     meaning = "drag in proportion to the speed"
     sources = ("Fossen 2011, Handbook of Marine Craft Hydrodynamics, section 6.4",)
     needs = frozenset({"coefficients", "tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models that do not estimate it and whose body moves."""
         if model.estimates(*OWN):
             return []
@@ -37,35 +29,16 @@ class LinearDrag(Effect):
             return []
         return super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Force per speed, N s/m; moment per rate for an angle, 1/s where the model is per mass."""
         name, unit = UNITS[model.force_unit]
-        scales = model.scales(trials)
-        return (
-            Parameter(
-                name,
-                unit,
-                -model.start(*OWN),
-                math.inf,
-                0.0,
-                scales.brake / scales.speed,
-                meaning="drag per speed",
-            ),
-        )
+        scales, least = model.scales(trials), -model.start(*OWN)
+        return (common.parameter(name, unit, scales.brake / scales.speed, "drag per speed", lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the linear drag."""
         body = model.body
         if body is not None:
-            hull = body.hull
-            at = body.centre(hull)
-
-            def add(tables: dict[str, Any]) -> None:
-                body.drag_more(tables, hull, at, values[0])
-
-            return Hooks(tables=(add,))
-
-        def change(c: dict[str, float]) -> None:
-            c["linear"] += values[0]
-
-        return Hooks(coefficients=(change,))
+            at = body.centre(body.hull)
+            return Hooks(tables=(lambda tables: body.drag_more(tables, body.hull, at, values[0]),))
+        return common.more("linear", values[0])

@@ -1,15 +1,9 @@
 """Reactive force of a fin: momentum shed at its trailing edge."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
-from typing import Any
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Most added mass per length, in those of the plate that gives the scale.
 MOST = 10.0
@@ -23,37 +17,24 @@ class WakeLift(Effect):
     """
 
     name = "wake-lift"
-    stage = "fluid"
     meaning = "reactive force of the fin: momentum shed into the wake"
     sources = ("Lighthill 1971, Proc. R. Soc. Lond. B 179:125",)
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers of several links."""
         return [self] if model.body is not None and model.body.last > 0 else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Added mass per length at the edge, kg/m, against a plate as high as the last link is long."""
         body = common.links(model)
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
-        return (
-            Parameter(
-                "added_mass_kg_m",
-                "kg/m",
-                0.0,
-                MOST * plate,
-                0.0,
-                0.1 * plate,
-                meaning="added mass per length at the trailing edge",
-            ),
-        )
+        words = "added mass per length at the trailing edge"
+        most = MOST * plate
+        return (common.parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, lower=0.0, upper=most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds a trailing edge."""
         body = common.links(model)
-
-        def add(tables: dict[str, Any]) -> None:
-            body.shed(tables, float(values[0]))
-
-        return Hooks(tables=(add,))
+        return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

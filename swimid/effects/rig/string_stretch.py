@@ -1,17 +1,12 @@
 """A string that yields between the body and the pulley whose turns are counted."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numba
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Gravity that turns a pulling force into the mass of the weight, m/s2.
 GRAVITY = 9.81
@@ -36,9 +31,9 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
     ndarray, shape (n,)
         Exact for a pull that is linear between the samples.
     """
-    found = np.empty(len(time))
+    stretch = np.empty(len(time))
     s, w = start, 0.0
-    found[0] = start
+    stretch[0] = start
     ring = omega * math.sqrt(1.0 - damping * damping)
     for i in range(1, len(time)):
         h = time[i] - time[i - 1]
@@ -51,8 +46,8 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
             c, d = math.cos(ring * h), math.sin(ring * h)
             s = decay * (a * c + b * d) + rest + slope * h
             w = decay * ((b * ring - damping * omega * a) * c - (a * ring + damping * omega * b) * d) + slope
-        found[i] = s
-    return found
+        stretch[i] = s
+    return stretch
 
 
 class StringStretch(Effect):
@@ -66,30 +61,27 @@ class StringStretch(Effect):
     """
 
     name = "string-stretch"
-    stage = "rig"
     meaning = "stretch of the string between the body and the counted pulley"
     sources = ("boxfish paper, section 3.3",)
     needs = frozenset({"coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Falling weights on a pulley."""
-        pulley = any(t.rig.pulley for t in trials)
-        return [self] if common.pulled(model) and pulley else []
+        return [self] if common.pulled(model) and common.with_pulley(trials) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
+        string, ratio = "compliance of the string", "damping ratio of the weight on it"
         return (
-            Parameter(
-                "compliance_m_N", "m/N", 0.0, 100 * scale, 0.0, scale, meaning="compliance of the string"
-            ),
-            Parameter("unloaded", "1", 0.0, 1.0, 1.0, 0.5, meaning=words),
-            Parameter("damping", "1", 0.02, 0.95, 0.2, 0.2, meaning="damping ratio of the weight on it"),
+            common.parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
+            common.parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
+            common.parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
         )
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Sizes of the compliance, of a string that was slack and one that was taut."""
         compliance, _, damping = parameters
         return [

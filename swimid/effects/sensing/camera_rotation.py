@@ -1,47 +1,32 @@
 """A camera turned against the axes of the heading."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 from swimid.effects import common
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 
 class CameraRotation(Effect):
     """Positions turned about where the trial starts, the heading as it is."""
 
     name = "camera-rotation"
-    stage = "sensing"
     meaning = "The axes of the measured positions are turned against those of the measured heading."
     sources = ("sea lion, section II (a camera on a wall of the tank)",)
     needs = frozenset({"output"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where both positions are measured and the model does not estimate it."""
         if model.body is None or model.estimates("camera_rotation"):
             return []
         both = len(_channels.measured(model.body.pose[:2], trials)) == 2
         return super().variants(model, trials) if both else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The angle, rad."""
-        return (
-            Parameter(
-                "angle_rad",
-                "rad",
-                -math.pi,
-                math.pi,
-                0.0,
-                0.03,
-                meaning="axes of the positions against those of the heading",
-            ),
-        )
+        words = "axes of the positions against those of the heading"
+        return (common.parameter("angle_rad", "rad", 0.03, words, lower=-math.pi, upper=math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Turned positions."""

@@ -1,12 +1,7 @@
 """Markers that are lost or mistaken."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Hooks, Model, Parameters, Trial, Trials
+from swimid.fitting.hooks import NONE
 
 
 class MarkerDropout(Effect):
@@ -17,7 +12,6 @@ class MarkerDropout(Effect):
     """
 
     name = "marker-dropout"
-    stage = "sensing"
     meaning = "For some stretches the tracker lost the markers or followed something else."
     sources = (
         "tendon fish, section V.A (failed detection of the colour labels at 4 s)",
@@ -25,12 +19,8 @@ class MarkerDropout(Effect):
     )
     needs = frozenset()
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """None: nothing is simulated."""
-        return []
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """None."""
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """None: nothing is simulated, so that it applies to no model."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

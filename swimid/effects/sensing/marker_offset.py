@@ -1,17 +1,12 @@
 """Markers that do not sit where they are thought to."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import Effect
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Farthest a marker may be off, m.
 FARTHEST_M = 0.5
@@ -25,13 +20,12 @@ class MarkerOffset(Effect):
     """
 
     name = "marker-offset"
-    stage = "sensing"
     meaning = "The markers sit off the robot's reference point, or are not aligned with its axis."
     sources = ("sea lion, section II (markers on the front and rear ends give pose and heading)",)
     needs = frozenset({"output"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """The effect itself where a pose or a velocity of the body is measured."""
         body = common.free_body(model)
         if body is None:
@@ -39,15 +33,15 @@ class MarkerOffset(Effect):
         seen = _channels.measured((*body.pose, *body.velocity[:2]), trials)
         return super().variants(model, trials) if seen else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
-        far = FARTHEST_M
-        return (
-            Parameter("along_m", "m", -far, far, 0.0, 0.01, meaning="tracked point ahead of the reference"),
-            Parameter("across_m", "m", -far, far, 0.0, 0.01, meaning="tracked point beside the reference"),
-            Parameter(
-                "heading_rad", "rad", -math.pi, math.pi, 0.0, 0.03, meaning="tracked against true heading"
-            ),
+        return tuple(
+            common.parameter(name, unit, size, words, lower=-most, upper=most)
+            for name, unit, size, words, most in (
+                ("along_m", "m", 0.01, "tracked point ahead of the reference", FARTHEST_M),
+                ("across_m", "m", 0.01, "tracked point beside the reference", FARTHEST_M),
+                ("heading_rad", "rad", 0.03, "tracked against true heading", math.pi),
+            )
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:

@@ -1,20 +1,14 @@
 """A log whose clock is late."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.effects.base import Effect
-from swimid.effects.sensing import _channels
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.scales import MEAN_SPEED
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.scales import MEAN_SPEED, POSITIONS
 
 #: Channels of a camera.
-POSES = (*_channels.POSITIONS, "yaw_rad", "pitch_rad")
+POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0
 
@@ -31,7 +25,6 @@ class TimeOffset(Effect):
     """
 
     name = "time-offset"
-    stage = "sensing"
     meaning = "The clock of the measurement is late, or early, against that of the drive."
     sources = (
         "boxfish, section 3.4 (time read from a video to 0.1 s)",
@@ -44,7 +37,7 @@ class TimeOffset(Effect):
     def __init__(self, *, camera: bool = False) -> None:
         self.camera = camera
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Where there is a clock the model does not estimate; the camera's alone beside it."""
         if model.timed_runs:
             return [self]
@@ -55,20 +48,11 @@ class TimeOffset(Effect):
         alone = [TimeOffset(camera=True)] if apart and "output" in model.offers else []
         return [*super().variants(model, trials), *alone]
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time by which the log is late, s."""
-        typical = 0.1 if model.timed_runs else 0.03
-        return (
-            Parameter(
-                "camera_offset_s" if self.camera else "offset_s",
-                "s",
-                -LARGEST_S,
-                LARGEST_S,
-                0.0,
-                typical,
-                meaning="time by which the log is late",
-            ),
-        )
+        name, typical = "camera_offset_s" if self.camera else "offset_s", 0.1 if model.timed_runs else 0.03
+        words = "time by which the log is late"
+        return (parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A late clock; longer times of cruising runs."""
@@ -99,6 +83,6 @@ class TimeOffset(Effect):
 def _at(time_s: Array, values: Array, then: Array) -> Array:
     """Channels at other times, shape (n, channels); one whose simulation broke down is missing altogether."""
     sound = np.isfinite(values).all(axis=0)
-    found = np.full((len(then), values.shape[1]), np.nan)
-    found[:, sound] = CubicSpline(time_s, values[:, sound])(then)
-    return found
+    shifted = np.full((len(then), values.shape[1]), np.nan)
+    shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
+    return shifted

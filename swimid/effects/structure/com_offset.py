@@ -1,14 +1,7 @@
 """A centre of mass that is not where the model has it."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import Any
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 
 class ComOffset(Effect):
@@ -18,43 +11,27 @@ class ComOffset(Effect):
     """
 
     name = "com-offset"
-    stage = "structure"
     meaning = "centre of mass of the hull off the model's"
     sources = ("sea lion paper, section on identification", "tendon fish paper, Table II")
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Free swimmers."""
         return [self] if common.free_body(model) else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Offsets forwards and to port (up in the vertical plane), m."""
         body = common.links(model)
         length = body.lengths_m[body.hull]
+        size, most = 0.01 * length, 0.2 * length
         return tuple(
-            Parameter(
-                name,
-                "m",
-                -0.2 * length,
-                0.2 * length,
-                0.0,
-                0.01 * length,
-                meaning=f"centre of mass {words} of the model's",
-            )
-            for name, words in (
-                ("along_m", "ahead"),
-                ("across_m", "above" if body.vertical else "to port"),
-            )
+            common.parameter(name, "m", size, f"centre of mass {way} of the model's", lower=-most, upper=most)
+            for name, way in (("along_m", "ahead"), ("across_m", "above" if body.vertical else "to port"))
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Moves the mass, and its weight."""
         body = common.links(model)
-        hull = body.hull
         by = float(values[0]), float(values[1])
-
-        def move(tables: dict[str, Any]) -> None:
-            body.shift(tables, hull, by)
-
-        return Hooks(tables=(move,))
+        return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))

@@ -1,17 +1,15 @@
 """A fin that bends under its load."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numba import cfunc
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, Stroke
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Stroke
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -47,7 +45,6 @@ class FinFlexibility(Effect):
     """
 
     name = "fin-flexibility"
-    stage = "structure"
     meaning = "caudal fin that bends under its load"
     sources = ("dolphin paper, section 1", "Katz and Weihs 1978, J. Fluid Mech. 88:485")
     needs = frozenset({"force", "stroke"})
@@ -55,14 +52,14 @@ class FinFlexibility(Effect):
     def __init__(self, load: float = 1.0, inertia_kg_m2: float = 1.0) -> None:
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers whose last link has drag or lift across it, and models of the stroke."""
         body = model.body
         if body is not None:
             return [self] if sum(body.fin(body.tables())[:2]) > 0 else []
         return [FinFlexibility(*_typical(trials))] if "stroke" in model.offers else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Chord angle per force, rad/N; or loss per load, 1."""
         body = model.body
         if body is not None:
@@ -70,8 +67,9 @@ class FinFlexibility(Effect):
             across = _stroke_speed(model, body.lengths_m[-1], trials)
             load = (quadratic * across + lift * model.scales(trials).speed) * across
             words = "angle by which the fin bends per force across it"
-            return (Parameter("compliance_rad_N", "rad/N", 0.0, 30.0 / load, 0.0, 0.1 / load, meaning=words),)
-        return (Parameter("loss", "1", 0.0, 20.0, 0.0, 0.2, meaning="loss of thrust at the typical load"),)
+            most = 30.0 / load
+            return (parameter("compliance_rad_N", "rad/N", 0.1 / load, words, lower=0.0, upper=most),)
+        return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", lower=0.0, upper=20.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A force on the last link, or a factor on the thrust."""
@@ -88,24 +86,19 @@ class FinFlexibility(Effect):
         def weaken(stroke: Stroke) -> Stroke:
             inertia = stroke.inertia_kg_m2 if math.isfinite(stroke.inertia_kg_m2) else self.inertia_kg_m2
             load = inertia * stroke.frequency_hz**2 * np.abs(stroke.amplitude_rad) / self.load
-            return Stroke(
-                stroke.frequency_hz,
-                stroke.amplitude_rad,
-                stroke.thrust / (1.0 + values[0] * load),
-                stroke.inertia_kg_m2,
-            )
+            return replace(stroke, thrust=stroke.thrust / (1.0 + values[0] * load))
 
         return Hooks(stroke=(weaken,))
 
 
-def _stroke_speed(model: Model, length: float, trials: Sequence[Trial]) -> float:
+def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
     """Typical speed of a fin of this length (m) across itself, m/s."""
     beats = [t.swim.beat for t in trials if t.swim.beat is not None]
-    found = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
-    return (float(np.median(found)) if found else 0.0) or model.scales(trials).speed
+    speeds = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
+    return (float(np.median(speeds)) if speeds else 0.0) or model.scales(trials).speed
 
 
-def _typical(trials: Sequence[Trial]) -> tuple[float, float]:
+def _typical(trials: Trials) -> tuple[float, float]:
     """Median load and median inertia of the fins, 1 where that is not known."""
     known = [t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None]
     middle = float(np.median(known)) if known else 1.0

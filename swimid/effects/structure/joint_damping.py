@@ -1,51 +1,37 @@
 """Viscous friction in the passive joints that the model does not have."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 
 class JointDamping(Effect):
     """``-d phi'`` at every passive joint, on top of the model's."""
 
     name = "joint-damping"
-    stage = "structure"
     meaning = "viscous friction of the passive joints beyond the model's"
     sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
     needs = frozenset({"tables"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers with a passive joint."""
         return [self] if model.body is not None and model.body.passive else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
         body = common.links(model)
-        found, joints = body.tables(), range(len(body.passive))
+        tables, joints = body.tables(), range(len(body.passive))
         sizes = [
-            math.sqrt(max(body.stiffness(found, k), 1e-6) * body.joint_inertia(found, k)) for k in joints
+            math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
         ]
-        return (
-            Parameter(
-                "damping_N_m_s_rad",
-                "N m s/rad",
-                -min(body.damping(found, k) for k in joints),
-                math.inf,
-                0.0,
-                0.1 * float(np.median(sizes)),
-                meaning="damping of each passive joint beyond the model's",
-            ),
-        )
+        size, least = 0.1 * float(np.median(sizes)), -min(body.damping(tables, k) for k in joints)
+        words = "damping of each passive joint beyond the model's"
+        return (common.parameter("damping_N_m_s_rad", "N m s/rad", size, words, lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the damping."""

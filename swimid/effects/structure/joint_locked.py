@@ -1,14 +1,9 @@
 """A joint that does not move, or less than it should."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: The most a joint may be locked, and how much stiffer than its own spring half a lock makes it.
 MOST, STIFFER = 0.97, 10.0
@@ -29,7 +24,6 @@ class JointLocked(Effect):
     """
 
     name = "joint-locked"
-    stage = "structure"
     meaning = "a joint that is held fast, wholly or in part"
     sources = ("dolphin paper, section 4.2.1",)
     needs = frozenset({"command", "tables"})
@@ -37,7 +31,7 @@ class JointLocked(Effect):
     def __init__(self, column: str = "joint1_rad") -> None:
         self.column = column
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """One for each passive joint, and each driven one that is told to move and not measured."""
         if model.body is None:
             return []
@@ -51,10 +45,11 @@ class JointLocked(Effect):
                 columns.append(axis.column)
         return [JointLocked(column) for column in sorted(columns)]
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """How far it is locked, 0 to nearly 1."""
         name = f"locked_{self.column.removesuffix('_rad')}"
-        return (Parameter(name, "1", 0.0, MOST, 0.0, 0.3, meaning=f"share to which {self.column} is held"),)
+        words = f"share to which {self.column} is held"
+        return (common.parameter(name, "1", 0.3, words, lower=0.0, upper=MOST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Holds the joint."""

@@ -1,15 +1,11 @@
 """A spring other than the model's."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
 
 
 class JointStiffness(Effect):
@@ -19,31 +15,28 @@ class JointStiffness(Effect):
     """
 
     name = "joint-stiffness"
-    stage = "structure"
     meaning = "stiffness of the passive joints against the model's"
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
     needs = frozenset({"tables", "coefficients"})
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers with a spring, and decays whose stiffness is not estimated."""
         body = model.body
         if body is not None:
-            found = body.tables()
-            return [self] if any(body.stiffness(found, k) > 0 for k in range(len(body.passive))) else []
+            tables = body.tables()
+            return [self] if any(body.stiffness(tables, k) > 0 for k in range(len(body.passive))) else []
         held = model.rig is not None and model.rig.swings
         return [self] if held and not model.estimates("stiffness") else []
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The relative change, and for a swimmer's joints the hardening."""
-        change = Parameter("change", "1", -0.95, 6.0, 0.0, 0.2, meaning="relative change of stiffness")
+        change = parameter("change", "1", 0.2, "relative change of stiffness", lower=-0.95, upper=6.0)
         if model.body is None:
             return (change,)
-        hardening = Parameter(
-            "hardening_rad_2", "rad^-2", -10.0, 60.0, 0.0, 2.0, meaning="relative growth with squared angle"
-        )
-        return (change, hardening)
+        words = "relative growth with squared angle"
+        return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, lower=-10.0, upper=60.0)
 
-    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+    def tries(self, parameters: Parameters) -> list[Array]:
         """Softer, stiffer, several times as stiff, and hardening."""
         changes = [np.array([c, 0.0][: len(parameters)]) for c in (-0.5, 0.3, 0.8, 1.6, 3.0)]
         return changes + [np.array([0.0, h]) for h in (2.0, 8.0) if len(parameters) > 1]

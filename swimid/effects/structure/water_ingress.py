@@ -1,15 +1,7 @@
 """Water that has come into the hull and moves with it."""
 
-from __future__ import annotations
-
-import math
-from collections.abc import Sequence
-from typing import Any
-
 from swimid.effects import common
-from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
 #: Unit of the forces of a model that has no inertia of its own.
 PER_MASS = "m/s^2"
@@ -19,45 +11,32 @@ class WaterIngress(Effect):
     """Mass added to the heaviest link at its centre of mass; its weight is taken as trimmed out."""
 
     name = "water-ingress"
-    stage = "structure"
     meaning = "water inside the hull that moves with it"
     sources = ("sea lion paper, discussion",)
     needs = frozenset({"tables", "coefficients"})
     smooth = True
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+    def variants(self, model: Model, trials: Trials) -> Effects:
         """Models with an inertia: not those per mass, nor of a base that is held."""
         held = model.body is not None and not model.body.free
         if held or model.force_unit == PER_MASS:
             return []
         return super().variants(model, trials)
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Mass, kg; moment of inertia, kg m2, for an angle."""
-        rotation = common.rotates(model)
-        return (
-            Parameter(
-                "inertia_kg_m2" if rotation else "mass_kg",
-                "kg m^2" if rotation else "kg",
-                0.0,
-                math.inf,
-                0.0,
-                0.05 * model.scales(trials).inertia,
-                meaning="inertia of the water inside" if rotation else "mass of the water inside",
-            ),
-        )
+        name, unit, what = "mass_kg", "kg", "mass"
+        if common.rotates(model):
+            name, unit, what = "inertia_kg_m2", "kg m^2", "inertia"
+        size = 0.05 * model.scales(trials).inertia
+        return (common.parameter(name, unit, size, f"{what} of the water inside", lower=0.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
         body = model.body
         if body is not None:
-            hull = body.hull
-            at = body.centre(hull)
-
-            def carry(tables: dict[str, Any]) -> None:
-                body.weigh(tables, hull, at, values[0], values[0])
-
-            return Hooks(tables=(carry,))
+            at, mass = body.centre(body.hull), values[0]
+            return Hooks(tables=(lambda tables: body.weigh(tables, body.hull, at, mass, mass),))
 
         def change(c: dict[str, float]) -> None:
             c["mass" if "mass" in c else "inertia"] += values[0]

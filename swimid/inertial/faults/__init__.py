@@ -20,8 +20,8 @@ from swimid.inertial.faults import (
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.record import Record
 
-#: A new fault is a module with ``NAME`` and ``check`` (:class:`swimid.inertial.faults.base.Fault`)
-#: and a place here.
+#: A new fault is a module with ``NAME``, as in ``docs/imu.md``, and ``check(record)``, which returns the
+#: record, repaired where it can be, and findings, or raises an InputError; and a place here.
 FAULTS: tuple[ModuleType, ...] = (
     order,
     wild,
@@ -47,6 +47,6 @@ def mend(record: Record) -> tuple[Record, list[Finding]]:
     """
     findings: list[Finding] = []
     for fault in FAULTS:
-        record, found = fault.check(record)
-        findings += found
+        record, new = fault.check(record)
+        findings += new
     return record, findings

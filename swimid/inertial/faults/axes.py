@@ -10,7 +10,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding, up_turning
 from swimid.inertial.faults.rate_unit import VISIBLE
-from swimid.inertial.record import Record
+from swimid.inertial.record import Array, Record
 
 NAME = "swapped or flipped axes"
 #: Another arrangement must leave this much less of gravity's turning than the one in the log, and
@@ -27,32 +27,22 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
     """
     seen, up, turned = up_turning(record)
     if len(seen) < 16 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
-        return record, [
-            Finding(
-                NAME,
-                "noted",
-                "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's",
-            )
-        ]
+        text = "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's"
+        return record, [Finding(NAME, "noted", text)]
     scores = []
-    total = float(np.sum((seen - seen.mean(axis=0)) ** 2))
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            expected = -np.cross(turned[:, order] * signs, up)
-            left = seen - expected
-            scores.append((float(np.sum((left - left.mean(axis=0)) ** 2)) / total, order, signs))
-    as_is = next(s for s, order, signs in scores if order == (0, 1, 2) and signs == (1.0, 1.0, 1.0))
-    scores.sort(key=lambda entry: entry[0])
-    best, order, signs = scores[0]
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        left = seen + np.cross(turned[:, order] * signs, up)
+        scores.append((_spread(left) / _spread(seen), order, signs))
+    as_is = scores[0][0]
+    (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
     if best > BETTER * as_is or best > 0.5:
         return record, []
-    rivals = [s for s, _, _ in scores[1:]]
     arrangement = ", ".join(
         f"w{_LETTERS[i]} from {'-' if s < 0 else ''}w{_LETTERS[o]}"
         for i, (o, s) in enumerate(zip(order, signs, strict=True))
         if o != i or s < 0
     )
-    if rivals and best > DECIDED * rivals[0]:
+    if best > DECIDED * runner_up:
         raise InputError(
             "the gyroscope's axes do not fit the accelerometer's (some are swapped or flipped), and the "
             f"tilting in this log does not tell which; {arrangement} fits best",
@@ -61,8 +51,11 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
             hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
         )
     text = (
-        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} "
-        f"leaves {100 * best:.0f} % of gravity's "
-        f"turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
+        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of "
+        f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
     )
     return replace(record, rate=record.rate[:, order] * np.asarray(signs)), [Finding(NAME, "handled", text)]
+
+
+def _spread(values: Array) -> float:
+    return float(np.sum((values - values.mean(axis=0)) ** 2))

@@ -1,81 +1,48 @@
-"""The interface of a fault of recording: looked for, named, and repaired or refused."""
+"""What faults of recording share: what is said of one, and how samples are bridged."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from swimid.inertial.record import Array, Flags, Record
 
+#: Turns of gravity are seen between means over this long, s, so many of them apart: about a second, long
+#: enough that accelerations weigh less than turns.
+BLOCK_S, BLOCKS = 0.3, 3
+
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one fault.
+    """What was found of one fault."""
 
-    Attributes
-    ----------
-    fault : str
-        Name of the fault, as in ``docs/imu.md``.
-    verdict : str
-        "handled": repaired; "noted": left as it is, said.
-    text : str
-        What was found and what was done, one sentence.
-    count : int
-        Samples concerned; 0 where it is not a matter of samples.
-    """
-
+    #: Name of the fault, as in ``docs/imu.md``.
     fault: str
+    #: "handled": repaired; "noted": left as it is, said.
     verdict: Literal["handled", "noted"]
+    #: What was found and what was done, one sentence.
     text: str
+    #: Samples concerned; 0 where it is not a matter of samples.
     count: int = 0
 
 
-class Fault(Protocol):
-    """One kind of fault. A module of this folder defines ``NAME`` and ``check``."""
-
-    NAME: str
-
-    def check(self, record: Record) -> tuple[Record, list[Finding]]:
-        """The record, repaired where it can be, and what was found.
-
-        Raises
-        ------
-        InputError
-            The fault is there and cannot be repaired.
-        """
-        ...
-
-
-def bridged(record: Record, bad_acceleration: Flags, bad_rate: Flags) -> Record:
-    """The record with samples interpolated from their neighbours, and marked as filled.
-
-    Parameters
-    ----------
-    bad_acceleration, bad_rate : ndarray of bool, shape (n, 3)
-    """
+def bridged(record: Record, bad: Flags) -> Record:
+    """The record with samples, shape (n, 6), interpolated from their neighbours, and marked as filled."""
+    values = record.channels
+    for column, hole in zip(values.T, bad.T, strict=True):
+        if hole.any() and not hole.all():
+            column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
+    acceleration, rate = (half.any(axis=1) for half in np.hsplit(bad, 2))
     return replace(
-        record,
-        acceleration=_interpolated(record.time_s, record.acceleration, bad_acceleration),
-        rate=_interpolated(record.time_s, record.rate, bad_rate),
-        filled_acceleration=record.filled_acceleration | bad_acceleration.any(axis=1),
-        filled_rate=record.filled_rate | bad_rate.any(axis=1),
+        record.with_channels(values),
+        filled_acceleration=record.filled_acceleration | acceleration,
+        filled_rate=record.filled_rate | rate,
     )
 
 
-def _interpolated(time_s: Array, values: Array, bad: Flags) -> Array:
-    if not bad.any():
-        return values
-    out = values.copy()
-    for axis in range(values.shape[1]):
-        hole = bad[:, axis]
-        if hole.any() and not hole.all():
-            out[hole, axis] = np.interp(time_s[hole], time_s[~hole], values[~hole, axis])
-    return out
-
-
-def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Array]:
+def up_turning(record: Record) -> tuple[Array, Array, Array]:
     """How the direction of gravity turns in the sensor, as accelerometer and gyroscope see it.
 
     Returns
@@ -86,15 +53,13 @@ def up_turning(record: Record, half_s: float = 0.15) -> tuple[Array, Array, Arra
         That vector, and the integral of the turn rate over each window: the change should be
         ``-turned x up``.
     """
-    size = max(round(2 * half_s / record.step_s), 1)
+    size = max(round(BLOCK_S / record.step_s), 1)
     m = len(record) // size
     if m < 8:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
+        return (np.zeros((0, 3)),) * 3
     block = record.acceleration[: m * size].reshape(m, size, 3).mean(axis=1)
-    norm = np.linalg.norm(block, axis=1, keepdims=True)
-    up = block / np.maximum(norm, 1e-9)
+    up = block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-9)
     turn = np.concatenate([[np.zeros(3)], np.cumsum(record.rate[: m * size], axis=0)]) * record.step_s
     centres = turn[size // 2 : m * size : size][:m]
-    # over about a second: long enough that accelerations weigh less than turns
-    lag = max(round(0.9 / (2 * half_s)), 1)
-    return up[lag:] - up[:-lag], 0.5 * (up[lag:] + up[:-lag]), centres[lag:] - centres[:-lag]
+    before, after = slice(-BLOCKS), slice(BLOCKS, None)
+    return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]

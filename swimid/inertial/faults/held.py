@@ -14,11 +14,9 @@ LEAST = 0.005
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Bridge samples that repeat the one before in every channel."""
-    both = np.hstack([record.acceleration, record.rate])
-    same = np.concatenate(([False], np.all(np.diff(both, axis=0) == 0, axis=1)))
+    same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
     count = int(same.sum())
     if count < LEAST * len(same) or count > 0.9 * len(same):
         return record, []
     text = f"{count} samples repeat the one before in every channel; bridged from the true ones"
-    flags = np.repeat(same[:, None], 3, axis=1)
-    return bridged(record, flags, flags), [Finding(NAME, "handled", text, count)]
+    return bridged(record, np.repeat(same[:, None], 6, axis=1)), [Finding(NAME, "handled", text, count)]

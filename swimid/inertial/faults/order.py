@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import ACCELERATION, RATE, Record
+from swimid.inertial.record import CHANNELS, Record
 from swimid.logs.time_order import in_order
 
 NAME = "repeated stamps"
@@ -14,18 +14,16 @@ MOST = 0.5
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Keep the first of each repeated stamp, put late rows in place; refuse a clock that was reset."""
-    channels = dict(zip(ACCELERATION, record.acceleration.T, strict=True))
-    channels |= dict(zip(RATE, record.rate.T, strict=True))
-    found = in_order(record.time_s, channels)
-    if found.reset_row is not None:
-        row = found.reset_row
+    order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
+    if order.reset_row is not None:
+        row = order.reset_row
         raise InputError(
             f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there",
             file=record.name,
             column="t_s",
             hint="was the clock reset or wrapped? cut the log there, one file for each piece",
         )
-    gone = found.untimed + found.repeated + found.clashing
+    gone = order.untimed + order.repeated + order.clashing
     if gone > MOST * len(record):
         raise InputError(
             f"{gone} of {len(record)} samples have no time of their own",
@@ -33,13 +31,13 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
             column="t_s",
             hint="the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping",
         )
-    if not found.changed:
+    if not order.changed:
         return record, []
     parts = [
-        (found.untimed, "without a time left out"),
-        (found.repeated, "repeated under one stamp left out"),
-        (found.clashing, "at a time already taken left out"),
-        (found.late, "out of order put in place"),
+        (order.untimed, "without a time left out"),
+        (order.repeated, "repeated under one stamp left out"),
+        (order.clashing, "at a time already taken left out"),
+        (order.late, "out of order put in place"),
     ]
     text = "; ".join(f"{count} samples {what}" for count, what in parts if count)
-    return record.take(found.index), [Finding(NAME, "handled", text, gone + found.late)]
+    return record.take(order.index), [Finding(NAME, "handled", text, gone + order.late)]

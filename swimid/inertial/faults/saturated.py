@@ -6,7 +6,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding, bridged
-from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
+from swimid.inertial.record import CHANNELS, Array, Flags, Record
 from swimid.logs.log import runs
 
 NAME = "saturated channel"
@@ -20,26 +20,26 @@ MOST = 0.1
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Bridge clipped samples, which hide how far the motion went; refuse where they are many."""
-    clipped = [np.column_stack([_clipped(c) for c in v.T]) for v in (record.acceleration, record.rate)]
-    names = [*ACCELERATION, *RATE]
-    share = np.concatenate([c.mean(axis=0) for c in clipped])
+    values = record.channels
+    clipped = np.column_stack([_clipped(column) for column in values.T])
+    share = clipped.mean(axis=0)
     if not share.any():
         return record, []
     worst = int(np.argmax(share))
-    limit = float(np.max(np.abs(np.hstack([record.acceleration, record.rate])[:, worst])))
+    limit = float(np.max(np.abs(values[:, worst])))
     if share[worst] > MOST:
         raise InputError(
             f"{100 * share[worst]:.1f} % of the samples are clipped at {limit:.4g}",
             file=record.name,
-            column=names[worst],
+            column=CHANNELS[worst],
             hint="use a sensor, or a setting, with a larger range",
         )
-    count = int(np.hstack(clipped).any(axis=1).sum())
-    which = ", ".join(n for n, s in zip(names, share, strict=True) if s)
+    count = int(clipped.any(axis=1).sum())
+    which = ", ".join(n for n, s in zip(CHANNELS, share, strict=True) if s)
     text = (
         f"{count} samples clipped at the end of the range in {which}; bridged, and the path known worse there"
     )
-    return bridged(record, clipped[0], clipped[1]), [Finding(NAME, "handled", text, count)]
+    return bridged(record, clipped), [Finding(NAME, "handled", text, count)]
 
 
 def _clipped(values: Array) -> Flags:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.ndimage import median_filter
 
 from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import ACCELERATION, RATE, Array, Flags, Record
+from swimid.inertial.record import CHANNELS, Array, Flags, Record
 
 NAME = "wild readings"
 #: No sensor shows more, in any unit its readings come in.
@@ -19,20 +17,14 @@ SPANS, WINDOW = 30.0, 7
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
     """Take wild readings as missing: the next check bridges them."""
-    wild = [np.column_stack([_wild(c) for c in v.T]) for v in (record.acceleration, record.rate)]
-    both = np.hstack(wild)
-    if not both.any():
+    values = record.channels
+    wild = np.column_stack([_wild(column) for column in values.T])
+    if not wild.any():
         return record, []
-    which = ", ".join(n for n, bad in zip((*ACCELERATION, *RATE), both.T, strict=True) if bad.any())
-    worst = float(np.max(np.abs(np.hstack([record.acceleration, record.rate])[both])))
-    count = int(both.any(axis=1).sum())
-    text = f"{count} samples in {which} that no motion makes (up to {worst:.4g}) taken as missing"
-    mended = replace(
-        record,
-        acceleration=np.where(wild[0], np.nan, record.acceleration),
-        rate=np.where(wild[1], np.nan, record.rate),
-    )
-    return mended, [Finding(NAME, "handled", text, count)]
+    which = ", ".join(n for n, bad in zip(CHANNELS, wild.T, strict=True) if bad.any())
+    largest, count = float(np.max(np.abs(values[wild]))), int(wild.any(axis=1).sum())
+    text = f"{count} samples in {which} that no motion makes (up to {largest:.4g}) taken as missing"
+    return record.with_channels(np.where(wild, np.nan, values)), [Finding(NAME, "handled", text, count)]
 
 
 def _wild(values: Array) -> Flags:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, first_line, nearest
 from swimid.files import yamlio
 
 #: One piece of a file: columns by name, all of one length.
 Chunk = dict[str, NDArray[Any]]
+Kind = Literal["number", "time", "text"]
 
 
 class Options(yamlio.Document):
@@ -56,25 +59,36 @@ class Column:
     """
 
     name: str
-    kind: Literal["number", "time", "text"] = "number"
+    kind: Kind = "number"
     rows: int | None = None
 
 
-class Source(Protocol):
-    """One opened file (one topic of it, where it holds several)."""
+@dataclass(eq=False)
+class Source:
+    """One opened file (one topic of it, where it holds several).
 
-    #: What it offers, in the file's order; ``"3"`` also means the third.
+    Attributes
+    ----------
+    columns : list of Column
+        What it offers, in the file's order; ``"3"`` also means the third.
+    metadata : dict
+        What the file says of itself: plain values.
+    scalars : dict of str to float
+        Single numbers beside the columns, a sampling rate for instance.
+    notes : list of str
+        What a user should know of how it was read.
+    comments : list of str
+        Its comment lines, without their mark.
+    steps : int or None
+        Size of the work in the steps that ``chunks`` reports; None where unknown.
+    """
+
     columns: list[Column]
-    #: What the file says of itself: plain values.
-    metadata: dict[str, Any]
-    #: Its comment lines, without their mark.
-    comments: list[str]
-    #: Single numbers beside the columns, a sampling rate for instance.
-    scalars: dict[str, float]
-    #: What a user should know of how it was read.
-    notes: list[str]
-    #: Size of the work in the steps that ``chunks`` reports; None where unknown.
-    steps: int | None
+    metadata: dict[str, Any] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+    steps: int | None = None
 
     def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
         """The named columns piece by piece, in the file's order.
@@ -82,15 +96,14 @@ class Source(Protocol):
         Numbers come as float64 or integers, dates as ``datetime64[ns]``; NaN or NaT where a
         cell is empty. ``step`` is called with the progress of each piece.
         """
-        ...
+        raise NotImplementedError
 
     def lines(self, count: int) -> NDArray[np.int64] | None:
         """Line of the file of each of ``count`` samples, from 1; None where it has no lines."""
-        ...
+        return None
 
     def close(self) -> None:
-        """Let the file go."""
-        ...
+        """Let the file go, where it is held open."""
 
 
 @dataclass(frozen=True)
@@ -121,32 +134,60 @@ class Reader:
     extra: str = ""
 
 
-@dataclass
-class Loaded:
+class Loaded(Source):
     """A :class:`Source` whose columns were read whole: for formats that cannot be read in pieces."""
 
-    values: dict[str, NDArray[Any]]
-    metadata: dict[str, Any] = field(default_factory=dict)
-    scalars: dict[str, float] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    comments: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        kinds = {"M": "time", "U": "text", "S": "text", "O": "text"}
-        self.columns = [Column(n, kinds.get(v.dtype.kind, "number"), len(v)) for n, v in self.values.items()]  # type: ignore[arg-type]
-        self.steps: int | None = 1
+    def __init__(self, values: dict[str, NDArray[Any]], **more: Any) -> None:
+        columns = [Column(name, kind_of(column), len(column)) for name, column in values.items()]
+        super().__init__(columns, steps=1, **more)
+        self._values = values
 
     def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
         """All of it at once."""
-        yield {name: self.values[name] for name in names}
+        yield {name: self._values[name] for name in names}
         step(1)
 
-    def lines(self, count: int) -> NDArray[np.int64] | None:
-        """Such a file has no lines."""
-        return None
 
-    def close(self) -> None:
-        """Nothing is held open."""
+def kind_of(values: NDArray[Any]) -> Kind:
+    """What an array holds, as a :class:`Column` says it."""
+    return "time" if values.dtype.kind == "M" else "text" if values.dtype.kind in "USO" else "number"
+
+
+def dates(texts: Any) -> NDArray[Any]:
+    """Dates in ISO 8601 as ``datetime64[ns]``, UTC; NaT for what is none."""
+    import pandas as pd
+
+    parsed = pd.to_datetime(pd.Series(texts, dtype=object), errors="coerce", format="ISO8601", utc=True)
+    return parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """What a library raises of a damaged file becomes an :class:`InputError`: it is no readable ``what``."""
+    try:
+        yield
+    except (InputError, ImportError):
+        raise
+    except Exception as error:
+        raise InputError(f"is no readable {what}: {first_line(error)}", file=path) from error
+
+
+def flat(
+    value: Any, deepest: int, fields: Callable[[Any], Any] = lambda value: value, name: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """What a nested record holds by its dotted names, of lists up to 100 long ``name[1]``, ``name[2]``, ...
+
+    ``fields`` makes a dict of what has parts, and leaves the rest as it is.
+    """
+    value = fields(value) if deepest > 0 else value
+    if isinstance(value, dict) and deepest > 0:
+        for key, inner in value.items():
+            yield from flat(inner, deepest - 1, fields, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list | tuple | np.ndarray) and deepest > 0 and len(value) <= 100:
+        for at, inner in enumerate(value, start=1):
+            yield from flat(inner, deepest - 1, fields, f"{name}[{at}]")
+    else:
+        yield name, value
 
 
 def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str) -> str:
@@ -174,42 +215,40 @@ def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, k
     return wanted
 
 
-def spread(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """A matrix as its columns ``name[1]``, ``name[2]``, ...; a vector as itself.
-
-    >>> list(spread("acc", np.zeros((5, 3))))
-    ['acc[1]', 'acc[2]', 'acc[3]']
-    """
-    flat = values.reshape(len(values), -1)
-    if flat.shape[1] == 1:
-        return {name: flat[:, 0]}
-    return {f"{name}[{k + 1}]": flat[:, k] for k in range(flat.shape[1])}
-
-
-def sorted_out(arrays: dict[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
-    """Columns and single numbers of a file of named arrays.
+def of_arrays(
+    arrays: dict[str, NDArray[Any]],
+    path: Path,
+    metadata: dict[str, Any] | None = None,
+    *,
+    hint: str | None = None,
+) -> Loaded:
+    """A file of named arrays: its columns, of a matrix ``name[1]``, ``name[2]``, ..., and its single numbers.
 
     A row vector is taken as a column; a matrix that is wider than long lies on its side where
     the other arrays say so.
+
+    Raises
+    ------
+    InputError
+        When there is no column; ``hint`` says what to do.
     """
-    lengths: dict[int, int] = {}
-    for values in arrays.values():
-        for n in {size for size in values.shape if size > 1}:
-            lengths[n] = lengths.get(n, 0) + 1
+    lengths = Counter(size for values in arrays.values() for size in {n for n in values.shape if n > 1})
     longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
     columns: dict[str, NDArray[Any]] = {}
     scalars: dict[str, float] = {}
     for name, values in arrays.items():
         if values.size == 1 and longest > 1:
-            if values.dtype.kind in "iufb":
-                scalars[name] = float(values.reshape(-1)[0])
-            continue
-        if values.ndim > 2 or values.size == 0:
-            continue
-        lying = (
-            values.ndim == 2
-            and values.shape[0] != longest
-            and (values.shape[1] == longest or values.shape[0] == 1)
-        )
-        columns.update(spread(name, values.T if lying else values))
-    return columns, scalars
+            scalars[name] = float(values.reshape(-1)[0])
+        elif values.ndim <= 2 and values.size:
+            if (
+                values.ndim == 2
+                and len(values) != longest
+                and (values.shape[1] == longest or len(values) == 1)
+            ):
+                values = values.T
+            matrix = values.reshape(len(values), -1)
+            single = matrix.shape[1] == 1
+            columns |= {name if single else f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
+    if not columns:
+        raise InputError("holds no columns of numbers", file=path, hint=hint)
+    return Loaded(columns, metadata=metadata or {}, scalars=scalars)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError
-from swimid.logs.foreign.base import Loaded, Options, Reader, one_of, sorted_out
+from swimid.logs.foreign.base import Loaded, Options, Reader, of_arrays, one_of, reading
 
 #: What a file of version 7.3 begins with; behind it lies HDF5.
 NEW = b"MATLAB 7.3"
@@ -20,23 +19,14 @@ MOST_CELLS = 1000
 
 def load(path: Path, options: Options) -> Loaded:
     """Read every array of numbers a file holds."""
-    try:
+    with reading(path, "MATLAB file"):
         content = _content(path)
-    except Exception as error:  # damaged files make the libraries raise whatever comes
-        first = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"is no readable MATLAB file: {first}", file=path) from error
     content = {name: value for name, value in content.items() if not name.startswith("__")}
     arrays: dict[str, NDArray[Any]] = {}
     metadata: dict[str, Any] = {}
     _flatten("", _chosen(content, options, path), arrays, metadata)
-    columns, scalars = sorted_out(arrays)
-    if not columns:
-        raise InputError(
-            "holds no columns of numbers",
-            file=path,
-            hint="a MATLAB table is an object only MATLAB reads: save its columns, or use writetable",
-        )
-    return Loaded(columns, metadata, scalars)
+    hint = "a MATLAB table is an object only MATLAB reads: save its columns, or use writetable"
+    return of_arrays(arrays, path, metadata, hint=hint)
 
 
 def _content(path: Path) -> dict[str, Any]:

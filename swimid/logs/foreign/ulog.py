@@ -5,24 +5,16 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
-from typing import Any
 
-from swimid.errors import InputError
-from swimid.logs.foreign.base import Loaded, Options, Reader, one_of
+from swimid.logs.foreign.base import Loaded, Options, Reader, one_of, reading
 
 
 def _open(path: Path, options: Options) -> Loaded:
     from pyulog import ULog
 
-    try:
-        # the library prints what it thinks of a damaged file; stdout is for results
-        with contextlib.redirect_stdout(io.StringIO()):
-            log = ULog(str(path))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except Exception as error:
-        first = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"is no readable ULog file: {first}", file=path) from error
+    # the library prints what it thinks of a damaged file; stdout is for results
+    with reading(path, "ULog file"), contextlib.redirect_stdout(io.StringIO()):
+        log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
     topics = {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
     topic = one_of(options.topic, list(topics), file=path, what="topic", key="topic")
@@ -30,8 +22,7 @@ def _open(path: Path, options: Options) -> Loaded:
     notes = [f"{len(log.dropouts)} dropouts while it was recorded"] if log.dropouts else []
     if log.file_corruption:
         notes.append("is damaged; what could be read of it was")
-    metadata: dict[str, Any] = {"topic": topic}
-    return Loaded(values, metadata, notes=notes)
+    return Loaded(values, metadata={"topic": topic}, notes=notes)
 
 
 def _field(name: str) -> str:

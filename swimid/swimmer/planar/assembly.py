@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
 from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Driven, Joint, Link, Multilink
-from swimid.swimmer import tree
+from swimid.robots.planar import Joint, Link, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.elements import Row, Tables, adders
-from swimid.swimmer.polynomial import Polynomial, Table
+from swimid.swimmer.polynomial import Polynomial
+from swimid.swimmer.tree import Tree, quantities
 
 #: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
 GYRATION = (0.02, 5.0)
@@ -36,124 +34,33 @@ ONE_SIGN = {
     "tendon.spring_N_m": 5,
     "friction_N_m": 9,
 }
-#: The element tables, in the order of :func:`engine.integrate`.
-ELEMENTS = (
-    ("drag", engine.DRAG),
-    ("foil", engine.FOIL),
-    ("force", engine.FORCE),
-    ("wake", engine.WAKE),
-)
 #: A number beyond this is a slip of the pen.
 HUGE = 1e15
 
 
-@dataclass(frozen=True)
-class Axis:
-    """A joint that moves: its number among the driven or the passive ones, and its column in a log."""
-
-    joint: Joint
-    column: str
-    link: int
-
-    @property
-    def name(self) -> str:
-        """Of the joint."""
-        return self.joint.name
-
-    @property
-    def driven(self) -> Driven | None:
-        """How it follows the drive."""
-        return self.joint.driven
-
-
-class Assembly:
-    """A robot's tree, checked, with its tables as functions of the coefficients.
+class Assembly(Tree):
+    """A planar robot's links, checked, with their tables (:class:`swimid.swimmer.tree.Tree`).
 
     Parameters
     ----------
     body : Multilink
     fluid : Fluid
-
-    Attributes
-    ----------
-    names : list of str
-        Coefficients, in the order of the values given to :meth:`tables`.
-    links : list of Link
-        Parents before children; the first is the base.
-    driven, passive : list of Axis
-    topology : ndarray of int, shape (links, 3)
-        Parent, driven joint and passive joint of each link, -1 for none.
-
-    Raises
-    ------
-    InputError
-        With the dotted path of what is wrong: unknown or repeated names, a link without or with
-        two joints, a cycle, an element on a link that is not there, masses and inertias that no
-        body has.
     """
 
+    part, hinge = "multilink", "joint"
+    elements = ("drag", "foil", "force", "wake")
+
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
-        self.body = body
-        self.names = list(body.coefficients)
-        tree.check_names(body, "multilink")
-        self.links, joints = tree.ordered(body, "multilink")
-        index = {link.name: i for i, link in enumerate(self.links)}
-        moving = [j for j in body.joints if j.driven is not None or j.passive is not None]
-        columns = {j.name: f"joint{k + 1}_rad" for k, j in enumerate(moving)}
-        self.driven = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.driven is not None]
-        self.passive = [Axis(j, columns[j.name], index[j.child]) for j in moving if j.passive is not None]
-        self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
-        for i in range(1, len(self.links)):
-            self.topology[i, 0] = index[joints[i].parent]  # type: ignore[union-attr]
-        for k, axis in enumerate(self.driven):
-            self.topology[axis.link, 1] = k
-        for k, axis in enumerate(self.passive):
-            self.topology[axis.link, 2] = k
-        self.free_base = body.base == "free"
-        if not self.free_base and not self.passive:
-            raise InputError(
-                "a robot on a fixed base without a passive joint has nothing to simulate",
-                column="multilink.base",
-            )
-        tables = Tables(
-            fluid.density_kg_m3, fluid.gravity_m_s2, index, [[0.0] * len(engine.INERTIA) for _ in self.links]
-        )
-        for link in self.links:
-            _add_rigid(link, tables)
-        rigid = [list(row) for row in tables.inertia]
-        kinds = adders()
-        for element in body.elements:
-            kinds[element.kind](element, self.links[index[element.link]], tables)
-        self.world_forces = any(row[4] == 1.0 for _, row in tables.force)
-        self._joint = Table([_place(j, self.links, index) for j in joints], len(engine.JOINT), self.names)
-        self._rigid = Table(rigid, len(engine.INERTIA), self.names)
-        self._inertia = Table(tables.inertia, len(engine.INERTIA), self.names)
-        self._passive = Table([_law(a.joint) for a in self.passive], len(engine.PASSIVE), self.names)
-        self._elements = tree.element_tables(tables, ELEMENTS, self.names)
-        self.check(np.array([c.value for c in body.coefficients.values()]))
+        super().__init__(body)
+        empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
+        rows = Tables(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
+        self.fill(rows, adders(), engine)
+        self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
 
     @property
     def unknowns(self) -> int:
         """Degrees of freedom n: 3 of the base and one per passive joint."""
         return 3 + len(self.passive)
-
-    def tables(self, values: Array) -> dict[str, Any]:
-        """The arguments of :func:`engine.integrate` from ``topology`` on, by their names.
-
-        Parameters
-        ----------
-        values : ndarray, shape (len(names),)
-        """
-        found: dict[str, Any] = {
-            "topology": self.topology,
-            "joint": self._joint(values),
-            "inertia": self._inertia(values),
-            "passive": self._passive(values),
-        }
-        for name, owner, table in self._elements:
-            found[f"{name}_link"], found[name] = owner, table(values)
-        found["free_base"] = self.free_base
-        return found
 
     def check(self, values: Array) -> None:
         """Refuse masses and inertias that no body has, and what looks like a slip of units.
@@ -181,6 +88,21 @@ class Assembly:
                         f"{law[column]:g} is negative; it must not be",
                         column=f"multilink.joints.{axis.joint.name}.passive.{key}",
                     )
+
+    def _add_rigid(self, link: Link, rows: Tables) -> None:
+        mass = Polynomial.of(link.mass_kg)
+        x, y = -Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m)
+        inertia = Polynomial.of(link.inertia_kg_m2)
+        if link.inertia_about == "front":
+            inertia = inertia - mass * (x * x + y * y)
+        rows.add_inertia(link.name, x, y, mass, mass, inertia)
+
+    def _place(self, joint: Joint | None) -> Row:
+        if joint is None:
+            return [0.0, 0.0, 1.0, 0.0]
+        station = self.links[self.index[joint.parent]].length_m if joint.at_m is None else joint.at_m
+        mount = math.radians(joint.mount_deg)
+        return [-Polynomial.of(station), Polynomial.of(joint.offset_m), math.cos(mount), math.sin(mount)]
 
 
 def _check_link(link: Link, own: Array, span: float) -> None:
@@ -219,7 +141,7 @@ def _check_link(link: Link, own: Array, span: float) -> None:
 def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
     """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
     span = sum(link.length_m for link in body.links)
-    for path, quantity in tree.quantities(body, "multilink"):
+    for path, quantity in quantities(body, "multilink"):
         number = Polynomial.of(quantity).at(values)
         key = path.rsplit(".", 1)[-1]
         if not abs(number) < HUGE:
@@ -234,43 +156,6 @@ def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
             )
         if number < 0 and LOSS.search(key) and path.startswith("multilink.elements"):
             raise InputError(f"{number:g} is negative; it must not be", column=path)
-
-
-def _add_rigid(link: Link, tables: Tables) -> None:
-    mass = Polynomial.of(link.mass_kg)
-    x, y = -Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m)
-    inertia = Polynomial.of(link.inertia_kg_m2)
-    if link.inertia_about == "front":
-        inertia = inertia - mass * (x * x + y * y)
-    tables.add_inertia(link.name, x, y, mass, mass, inertia)
-
-
-def _place(joint: Joint | None, links: list[Link], index: dict[str, int]) -> Row:
-    if joint is None:
-        return [0.0, 0.0, 1.0, 0.0]
-    station = links[index[joint.parent]].length_m if joint.at_m is None else joint.at_m
-    mount = math.radians(joint.mount_deg)
-    return [-Polynomial.of(station), Polynomial.of(joint.offset_m), math.cos(mount), math.sin(mount)]
-
-
-def _law(joint: Joint) -> Row:
-    law = joint.passive
-    assert law is not None
-    tendon = law.tendon
-    wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
-    return [
-        Polynomial.of(q)
-        for q in (
-            law.stiffness_N_m_rad,
-            law.cubic_N_m_rad3,
-            law.damping_N_m_s_rad,
-            law.quadratic_damping_N_m_s2_rad2,
-            math.radians(law.rest_deg),
-            *wire,
-            law.friction_N_m,
-            law.friction_below_rad_s,
-        )
-    ]
 
 
 def _full(row: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from swimid.fitting.body import Array, Body, Frames, Point
 from swimid.fitting.scales import Scales
-from swimid.swimmer.planar import engine, geometry
+from swimid.swimmer.planar import engine
 from swimid.swimmer.polynomial import Polynomial
 
 if TYPE_CHECKING:
@@ -31,47 +31,73 @@ class PlanarBody(Body):
     """
 
     def __init__(self, model: MultilinkModel) -> None:
-        robot = model.robot.multilink
-        assert robot is not None
         self._model = model
         self.free = model.free_base
-        self.pose, self.velocity, self.words = model.plane.pose, model.plane.velocity, model.plane.words
-        self.lengths_m = tuple(link.length_m for link in model.assembly.links)
-        self.reference_m = (-robot.reference.station_m, robot.reference.offset_m)
+        self.pose, self.velocity = model.pose, model.velocity
+        self.words = tuple(word.replace("_", " ") for word in (*model.places, *model.rates))
+        self.lengths_m = tuple(link.length_m for link in model.tree.links)
+        self.reference_m = model.reference_m
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
 
     def mass(self, link: int) -> tuple[float, Point]:
         """Mass (kg) and centre of mass (m, in its axes) of a link, without water."""
-        own = self._model.assembly.links[link]
+        own = self._model.tree.links[link]
         values = {p.name: p.start for p in self._model.parameters}
         mass, com, y = (Polynomial.of(q).at(values) for q in (own.mass_kg, own.com_m, own.com_offset_m))
         return float(mass), (float(-mass * com / mass), float(mass * y / mass))
 
     def tables(self) -> dict[str, Any]:
         """The engine's tables."""
-        assembly = self._model.assembly
-        start = [p.start for p in self._model.parameters[: len(assembly.names)]]
-        return assembly.tables(np.array(start))
+        tree = self._model.tree
+        return tree.tables(np.array([p.start for p in self._model.parameters[: len(tree.names)]]))
 
     # -------------------------------------------------------- where its links are
 
     def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
-        """Front end and heading of every link (:func:`geometry.link_frames`)."""
-        return geometry.link_frames(self._model, values, columns)
+        """Front end (x, y) and heading of every link over a run, m and rad, shape (links, n) each."""
+        tree, n = self._model.tree, len(next(iter(columns.values())))
+        tables = tree.tables(values[: len(tree.names)])
+        topology, joint = tables["topology"], tables["joint"]
+        x, y, heading = np.zeros((3, len(tree.links), n))
+        if self.free:
+            heading[0] = columns[self.pose[2]]
+            a, b = self.reference_m
+            x[0] = columns[self.pose[0]] - a * np.cos(heading[0]) + b * np.sin(heading[0])
+            y[0] = columns[self.pose[1]] - a * np.sin(heading[0]) - b * np.cos(heading[0])
+        else:
+            heading[0] = np.radians(self._model.links.heading_deg)
+        angles: dict[int, Array] = {a.link: columns[a.column] for a in (*tree.driven, *tree.passive)}
+        for i in range(1, len(tree.links)):
+            parent = int(topology[i, 0])
+            c, s = np.cos(heading[parent]), np.sin(heading[parent])
+            x[i] = x[parent] + c * joint[i, 0] - s * joint[i, 1]
+            y[i] = y[parent] + s * joint[i, 0] + c * joint[i, 1]
+            mount = np.arctan2(joint[i, 3], joint[i, 2])
+            heading[i] = heading[parent] + mount + angles.get(i, np.zeros(n))
+        return x, y, heading
 
     def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
-        """Rear end of every link (:func:`geometry.rear_ends`)."""
-        return geometry.rear_ends(self._model, frames)
+        """Rear end (x, y) of every link, m, shape (links, n) each."""
+        x, y, heading = frames
+        length = np.array(self.lengths_m)[:, None]
+        return x - length * np.cos(heading), y - length * np.sin(heading)
 
     def straight(self, values: Array) -> tuple[Array, Array]:
-        """Where the links end when all joints are straight (:func:`geometry.straight`)."""
-        return geometry.straight(self._model, values)
+        """Distance of every link's front and rear end from the first front end, all joints straight, m."""
+        columns = {a.column: np.zeros(1) for a in (*self._model.driven, *self._model.passive)}
+        if self.free:
+            columns |= {name: np.zeros(1) for name in self.pose}
+        frames = self.frames(values, columns or {"": np.zeros(1)})
+        x0, y0 = frames[0][0], frames[1][0]
+        front, rear = (np.hypot(x - x0, y - y0)[:, 0] for x, y in (frames[:2], self.rear_ends(frames)))
+        return front, rear
 
     def length(self, values: Array) -> float:
-        """Length of the robot, m (:func:`geometry.body_length`)."""
-        return geometry.body_length(self._model, values)
+        """Length of the robot, m: its file's, or from the front end to the farthest link's rear end."""
+        given = self._model.robot.body.length_m
+        return given if given is not None else float(self.straight(values)[1].max())
 
     # -------------------------------------------------------- what tables say
 

@@ -12,15 +12,6 @@ from swimid.swimmer.polynomial import Polynomial
 Quantity = Polynomial | float
 #: Rows and columns of the entries a symmetric block is stored by.
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-#: Sign of the levers in a cross product: (row, column) -> (axis, sign) of ``S(r)``, ``S(r) w = r x w``.
-LEVER = {
-    (0, 1): (2, -1.0),
-    (0, 2): (1, 1.0),
-    (1, 0): (2, 1.0),
-    (1, 2): (0, -1.0),
-    (2, 0): (1, -1.0),
-    (2, 1): (0, 1.0),
-}
 
 
 def block(
@@ -28,31 +19,19 @@ def block(
 ) -> list[Quantity]:
     """The stored entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) of a mass at a place.
 
-    Parameters
-    ----------
-    mass : 3 by 3
-        Symmetric; momentum of the place for its velocity, kg.
-    at : 3
-        The place, m.
-    turning : 3 by 3
-        Inertia about that place, kg m2.
-
-    Returns
-    -------
-    list of 21
-        A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the
-        place is ``v - S w``.
+    A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the place (m)
+    is ``v - S w``. The mass is symmetric, 3 by 3, momentum of the place for its velocity, kg; turning is
+    inertia about that place, kg m2.
     """
-    m = [[Polynomial.of(e) for e in row] for row in mass]
-    lever = [[Polynomial.of(0.0)] * 3 for _ in range(3)]
-    for (r, c), (axis, sign) in LEVER.items():
-        lever[r][c] = sign * Polynomial.of(at[axis])
-    ms = _product(m, lever)
-    sms = _product(lever, ms)
-    a = [m[r][c] for r, c in UPPER]
-    b = [-ms[r][c] for r in range(3) for c in range(3)]
-    d = [Polynomial.of(turning[r][c]) - sms[r][c] for r, c in UPPER]
-    return [*a, *b, *d]
+    m = np.array([[Polynomial.of(e) for e in row] for row in mass])
+    x, y, z = (Polynomial.of(a) for a in at)
+    none = Polynomial.of(0.0)
+    lever = np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+    ms = m @ lever
+    sms = lever @ ms
+    a = [m[r, c] for r, c in UPPER]
+    d = [Polynomial.of(turning[r][c]) - sms[r, c] for r, c in UPPER]
+    return [*a, *(-ms).ravel(), *d]
 
 
 def diagonal(values: Sequence[Quantity]) -> list[list[Quantity]]:
@@ -74,10 +53,3 @@ def full(row: Array) -> Array:
         d[r, c] = d[c, r] = row[15 + n]
     b[:] = np.asarray(row[6:15]).reshape(3, 3)
     return np.block([[a, b], [b.T, d]])
-
-
-def _product(first: list[list[Polynomial]], second: list[list[Polynomial]]) -> list[list[Polynomial]]:
-    return [
-        [sum((first[r][k] * second[k][c] for k in range(3)), Polynomial.of(0.0)) for c in range(3)]
-        for r in range(3)
-    ]

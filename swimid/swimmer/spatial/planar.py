@@ -11,35 +11,20 @@ from scipy.spatial.transform import Rotation
 from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
-from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
-from swimid.swimmer.spatial.assembly import ELEMENTS, NOWHERE, Axis, hinge_row
+from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.spatial import engine
+from swimid.swimmer.spatial.assembly import NOWHERE, hinge_row
 
 
-class Lifted:
-    """The tables of a planar robot as the engine in space reads them.
+class Lifted(Assembly):
+    """A planar robot's links, with their tables as the engine in space reads them.
 
     What a planar file does not say is taken as symmetric: no mass and no force off the plane, inertia about
     the axes in it like that about its normal.
-
-    Parameters
-    ----------
-    body : Multilink
-    fluid : Fluid
-
-    Attributes
-    ----------
-    As of :class:`swimid.swimmer.spatial.assembly.Assembly`.
     """
 
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
-        self.planar = PlanarAssembly(body, fluid)
-        self.names = self.planar.names
-        self.driven, self.passive = (
-            [Axis(a.joint.name, a.column, a.link, a.joint.driven) for a in axes]
-            for axes in (self.planar.driven, self.planar.passive)
-        )
-        self.free_base = self.planar.free_base
-        self.links = len(self.planar.links)
+        super().__init__(body, fluid)
         #: The second axis of the plane, the axis across it, and the turn of the planar angle.
         self.second, self.across = (1, 2) if body.plane == "horizontal" else (2, 1)
         self.normal = np.array([0.0, 0.0, 1.0] if body.plane == "horizontal" else [0.0, -1.0, 0.0])
@@ -47,12 +32,12 @@ class Lifted:
 
     def tables(self, values: Array) -> dict[str, Any]:
         """The arguments of :func:`engine.integrate` from ``topology`` on, by their names."""
-        flat = self.planar.tables(values)
-        topology = np.concatenate([flat["topology"], np.zeros((self.links, 1), dtype=np.int64)], axis=1)
+        flat = super().tables(values)
+        topology = np.concatenate([flat["topology"], np.zeros((len(self.links), 1), dtype=np.int64)], axis=1)
         found: dict[str, Any] = {
             "topology": np.ascontiguousarray(topology),
-            "joint": np.array([self._joint(row) for row in flat["joint"]]),
-            "inertia": np.array([self._inertia(row) for row in flat["inertia"]]),
+            "joint": np.array([self._hinge(row) for row in flat["joint"]]),
+            "inertia": np.array([self._solid(row) for row in flat["inertia"]]),
             "passive": flat["passive"],
         }
         turning = [(i, row) for i, row in zip(flat["drag_link"], flat["drag"], strict=True) if row[6:].any()]
@@ -63,27 +48,22 @@ class Lifted:
             "force": (flat["force_link"], [self._force(row) for row in flat["force"]]),
             "wake": (flat["wake_link"], [self._wake(row) for row in flat["wake"]]),
         }
-        columns = dict(ELEMENTS)
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
-            found[name] = np.array(table).reshape(len(table), len(columns[name]))
+            found[name] = np.array(table).reshape(len(table), len(getattr(engine, name.upper())))
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
-
-    def check(self, values: Array) -> None:
-        """Refuse masses and inertias that no body has."""
-        self.planar.check(values)
 
     def _point(self, x: float, y: float) -> Array:
         point = np.zeros(3)
         point[0], point[self.second] = x, y
         return point
 
-    def _joint(self, row: Array) -> list[float]:
+    def _hinge(self, row: Array) -> list[float]:
         mount = Rotation.from_rotvec(math.atan2(row[3], row[2]) * self.normal)
         return [float(e) for e in hinge_row(list(self._point(row[0], row[1])), self.normal, mount)]  # type: ignore[arg-type]
 
-    def _inertia(self, row: Array) -> Array:
+    def _solid(self, row: Array) -> Array:
         uu, uv, ur, vv, vr, rr = row
         e, o, sign = self.second, self.across, float(self.normal.sum())
         mass, coupling, moment = np.zeros((3, 3)), np.zeros((3, 3)), np.eye(3) * rr

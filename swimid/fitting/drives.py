@@ -1,0 +1,193 @@
+"""What drives joints by command: a tail beat of one waveform, or a stroke of several hinges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from swimid.robots.spatial import Stroke
+
+Array = NDArray[np.float64]
+#: Angle, rate and acceleration at given times.
+Motion = tuple[Array, Array, Array]
+
+
+def eased(time_s: Array, ramp_s: float) -> Array:
+    """Quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
+    s = np.clip(time_s / ramp_s, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
+
+
+def smoothstep(time_s: Array, ramp_s: float) -> Motion:
+    """The ease-in of :func:`eased` with its first two derivatives; a step where ``ramp_s`` is zero."""
+    if ramp_s <= 0:
+        on = (time_s >= 0).astype(float)
+        return on, np.zeros_like(on), np.zeros_like(on)
+    s = np.clip(time_s / ramp_s, 0.0, 1.0)
+    return (
+        eased(time_s, ramp_s),
+        30.0 * s**2 * (1.0 - s) ** 2 / ramp_s,
+        60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / ramp_s**2,
+    )
+
+
+def straight(time_s: Array) -> Motion:
+    """A joint that does not move."""
+    zero = np.zeros_like(time_s)
+    return zero, zero, zero
+
+
+def _ramped(time_s: Array, ramp_s: float, motion: Motion) -> Motion:
+    """A motion eased in from time zero on."""
+    value, rate, bend = motion
+    ease, slope, curve = smoothstep(time_s, ramp_s)
+    return value * ease, rate * ease + value * slope, bend * ease + 2.0 * rate * slope + value * curve
+
+
+@dataclass(frozen=True)
+class Beat:
+    """A commanded tail beat, in SI."""
+
+    #: ``sine``, ``hopf`` or ``a-cpg``.
+    waveform: str
+    frequency_hz: float
+    amplitude_rad: float
+    bias_rad: float = 0.0
+    #: h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
+    asymmetry: float = 0.0
+    #: The whole command is eased in by a quintic smoothstep over this time.
+    ramp_s: float = 1.0
+    #: Phase at time zero.
+    phase_rad: float = 0.0
+
+    def motion(
+        self,
+        time_s: Array,
+        *,
+        gain: float = 1.0,
+        bias_gain: float = 1.0,
+        phase_rad: float = 0.0,
+        cell_s: Array | None = None,
+    ) -> Motion:
+        """Angle, rate and acceleration of a joint, rad, rad/s and rad/s2, shape (n,) each.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (n,)
+            Zero is where the drive starts, with phase zero; the joint is straight before.
+        gain, bias_gain : float
+            The joint's share of amplitude and bias.
+        phase_rad : float
+            Phase ahead of the drive's.
+        cell_s : ndarray, shape (n,), optional
+            Where the acceleration jumps (a-cpg), give its mean over such a stretch around each time
+            (:func:`cells`).
+        """
+        phase = self.phase_rad + phase_rad
+        value, rate, bend = self._wave(time_s, phase)
+        if cell_s is not None and self.waveform == "a-cpg":
+            ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
+            bend = (ends[1] - ends[0]) / cell_s
+        a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
+        return _ramped(time_s, self.ramp_s, (a * value + b, a * rate, a * bend))
+
+    def _wave(self, time_s: Array, phase_rad: float) -> Motion:
+        omega = 2.0 * math.pi * self.frequency_hz
+        if self.waveform == "a-cpg":
+            return hopf(time_s, self.frequency_hz, self.asymmetry, phase_rad)
+        if self.waveform == "hopf":
+            return hopf(time_s, self.frequency_hz, 0.0, phase_rad)
+        angle = omega * time_s + phase_rad
+        return np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
+
+
+def cells(time_s: Array) -> Array:
+    """Stretches around the times of a half-step grid that Runge-Kutta's weights tile the time with.
+
+    A third of a step at its ends, two thirds in its middle: an acceleration averaged over them adds up to
+    the right rate, wherever it jumps.
+    """
+    half = float(time_s[1] - time_s[0])
+    return np.where(np.arange(len(time_s)) % 2 == 0, 2.0 / 3.0 * half, 4.0 / 3.0 * half)
+
+
+def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float = 0.0) -> Motion:
+    """Output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius one.
+
+    Parameters
+    ----------
+    asymmetry : float
+        h_a, between -1 and 1.
+    phase_rad : float
+        Phase of the beat at time zero; with asymmetry it stands for the share of the period.
+
+    Notes
+    -----
+    Tendon fish, Eq 10, with two corrections: the bias belongs to the output (as printed it drops
+    out of alpha), and the radius is one with the amplitude as a gain (as printed it would be the
+    square root of A, reached at a rate that depends on the unit of A). On the limit cycle
+    ``alpha = sin(psi)`` and ``psi' = omega / (1 - h sgn(alpha'))``: the period stays, the angle
+    rises in (1 - h) / 2 of it and falls in (1 + h) / 2; the acceleration jumps at the turns.
+
+    >>> value, rate, _ = hopf(np.array([0.0, 0.25]), 1.0, 0.0)
+    >>> [round(float(v), 12) for v in value]
+    [0.0, 1.0]
+    """
+    omega = 2.0 * math.pi * frequency_hz
+    rising = 0.5 * (1.0 - asymmetry)  # share of the period with alpha rising
+    # share of the period since the last lowest point; the drive starts in the middle of the rise
+    share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
+    up = share < rising
+    psi = np.where(
+        up,
+        -0.5 * math.pi + math.pi * share / rising,
+        0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising),
+    )
+    speed = np.where(up, omega / (1.0 - asymmetry), omega / (1.0 + asymmetry))
+    return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """A stroke as it is commanded in a trial."""
+
+    name: str
+    #: Of the robot file.
+    law: Stroke
+    #: Cycles a second.
+    frequency_hz: float
+    #: What the angles are multiplied with, about those at the start of the cycle.
+    scale: float = 1.0
+    #: The motion is eased in over this time.
+    ramp_s: float = 0.0
+    #: After so many the hinges stay where the cycle begins; infinite: they go on.
+    cycles: float = math.inf
+    #: Phase at time zero.
+    phase_rad: float = 0.0
+
+    def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
+        """Angle, rate and acceleration of a hinge; those the stroke does not name stay straight.
+
+        The stroke begins at time zero; before, the hinge holds its first angle.
+        """
+        from scipy import interpolate
+
+        if hinge not in self.law.angles_deg:
+            return straight(time_s)
+        knots = np.array(self.law.knots_s) / self.law.period_s
+        angles = np.radians(self.law.angles_deg[hinge])
+        spline = interpolate.CubicSpline(knots, angles, bc_type="periodic")
+        begun = self.frequency_hz * time_s
+        share = np.clip(begun, 0.0, self.cycles) + (self.phase_rad + phase_rad) / (2.0 * math.pi)
+        at = np.mod(share, 1.0)
+        f = self.frequency_hz * ((begun >= 0.0) & (begun <= self.cycles))
+        first = float(angles[0])
+        value = self.scale * (spline(at) - first)
+        rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
+        angle, rate, bend = _ramped(time_s, self.ramp_s, (value, rate, bend))
+        return first + angle, rate, bend

@@ -1,0 +1,394 @@
+"""A robot with links as a model, in a plane or in space: parameters in, channels out."""
+
+from __future__ import annotations
+
+import math
+import threading
+from abc import abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import numpy as np
+
+from swimid.fitting import drives
+from swimid.fitting.body import Axis
+from swimid.fitting.drives import Motion
+from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Array, Channel, Parameter, Trial
+from swimid.fitting.swimmer import Swimmer
+from swimid.robots.file import Robot
+from swimid.swimmer.options import STEP_S
+from swimid.swimmer.planar import drive
+from swimid.swimmer.planar.engine import sampled
+from swimid.swimmer.polynomial import Polynomial
+from swimid.swimmer.tree import Tree, coefficients
+
+Kept = TypeVar("Kept")
+#: Trajectories kept per trial: what changes only how they are seen costs no simulation.
+KEPT = 4
+#: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
+TABLES = 12
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A simulated run on its own grid."""
+
+    begin_s: float
+    step_s: float
+    #: Shape (steps + 1, k) each: as the engine's ``integrate`` gives them.
+    states: Array
+    rates: Array
+    #: Shape (steps + 1, driven joints, 3): angle, rate and acceleration.
+    driven: Array
+
+
+class LinkedModel(Swimmer):
+    """A robot with links whose runs are kept as long as only how they are seen changes.
+
+    What is known of a trial is its :attr:`Trial.swim`.
+
+    Parameters
+    ----------
+    robot : Robot
+    max_step : float, s
+        Each sampling interval is cut into equal steps no longer than this.
+    """
+
+    #: The coordinates of the base in a state, and its velocities; those of passive joints follow each.
+    coordinates: int
+    speeds: int
+    #: Words of the pose and of the velocities; parameters of the start are called by them.
+    places: tuple[str, ...]
+    rates: tuple[str, ...]
+    #: Per-trial parameters, beside the clock, that only change how a run of a free base is seen.
+    camera: tuple[Parameter, ...] = ()
+    tree: Tree
+
+    def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
+        self.robot, self.max_step = robot, max_step
+        self.tree = self._tree()
+        self.driven, self.passive = self.tree.driven, self.tree.passive
+        self.free_base, self.coefficients = self.tree.free_base, self.tree.names
+        self.starts = tuple(f"start_{word}" for word in self.places)
+        body = robot.multibody or robot.multilink
+        assert body is not None
+        self.parameters = (*coefficients(body.coefficients), *self._start(), *self._view())
+        self._at = {p.name: i for i, p in enumerate(self.parameters)}
+        self._count = len(self.tree.names)
+        seen = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
+        self._dynamic = [i for i, p in enumerate(self.parameters) if p.name not in seen]
+        self._servos = [_servo(axis) for axis in self.driven]
+        self.channels = self._channels()
+        self._kept: dict[str, OrderedDict[bytes, Trajectory]] = {}
+        self._tables: dict[tuple[Any, ...], Array] = {}
+        self._motions: dict[tuple[Any, ...], list[Motion]] = {}
+        self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
+        self._lock = threading.Lock()
+
+    # -------------------------------------------------------- what it offers
+
+    @abstractmethod
+    def _tree(self) -> Tree:
+        """The robot's links with their tables."""
+
+    @abstractmethod
+    def _offsets(self) -> tuple[str, ...]:
+        """Offsets of the start pose that only change how a run is seen."""
+
+    def _start(self) -> list[Parameter]:
+        found = []
+        if self.free_base:
+            for name, column in zip(self.rates, self.velocity, strict=True):
+                unit, scale = ("m/s", 0.1) if column.endswith("_m_s") else ("rad/s", 0.5)
+                words = f"{name.replace('_', ' ')} at the first sample"
+                found.append(of_trial(f"initial_{name}", unit, scale, words))
+        for axis in self.passive:
+            for word, unit, scale in (("angle", "rad", 0.1), ("rate", "rad/s", 1.0)):
+                words = f"{word} of {axis.name} at the first sample"
+                found.append(of_trial(f"initial_{word}_{axis.name}", unit, scale, words))
+        return [*found, of_trial("drive_phase", "rad", 1.0, "phase of the beat at time zero")]
+
+    def _view(self) -> list[Parameter]:
+        clock = of_trial("clock_offset", "s", 0.01, "the log's clock ahead of the drive's")
+        if not self.free_base:
+            return [clock]
+        found = []
+        for name, word, column in zip(self.starts, self.places, self.pose, strict=True):
+            unit, scale = ("m", 0.01) if column.endswith("_m") else ("rad", 0.05)
+            found.append(of_trial(name, unit, scale, f"{word} of the start against the first sample"))
+        return [*found, clock, *self.camera]
+
+    def _channels(self) -> tuple[Channel, ...]:
+        found = []
+        if self.free_base:
+            for name, word in zip((*self.pose, *self.velocity), (*self.places, *self.rates), strict=True):
+                unit = name.split("_", 1)[1].replace("rate_rad_s", "rad/s").replace("_", "/")
+                found.append(Channel(name, unit, word.replace("_", " ")))
+        for axis in sorted([*self.passive, *self.driven], key=lambda a: (len(a.column), a.column)):
+            found.append(Channel(axis.column, "rad", f"angle of {axis.name}"))
+        for axis in self.passive:
+            found.append(Channel(axis.rate, "rad/s", f"rate of {axis.name}"))
+        return tuple(found)
+
+    @abstractmethod
+    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Velocities at the first sample, by parameter, as channels show them.
+
+        Parameters
+        ----------
+        seen : callable
+            Value (0) or rate (1) of a channel there; None where it does not tell.
+        """
+
+    @abstractmethod
+    def initial(self, measured: Collection[str]) -> list[str]:
+        """The start velocities, angles and rates that these channels can tell."""
+
+    def check(self, values: Array) -> None:
+        """Refuse coefficients that make masses no body has."""
+        self.tree.check(values[: self._count])
+
+    def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
+        """What a driven joint is told to do, rad."""
+        return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
+
+    def refined(self) -> Self:
+        """The same model with half the integration step."""
+        return self._stepping(0.5 * self.max_step)
+
+    def coarser(self) -> Self:
+        """The same model with twice the integration step."""
+        return self._stepping(2.0 * self.max_step)
+
+    def _stepping(self, max_step: float) -> Self:
+        other = type(self)(self.robot, max_step=max_step)
+        other.parameters = self.parameters
+        return other
+
+    def _value(self, values: Array, name: str) -> float:
+        return float(values[self._at[name]]) if name in self._at else 0.0
+
+    # -------------------------------------------------------- simulation
+
+    @abstractmethod
+    def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
+        """Fill in the base's part of the first state."""
+
+    @abstractmethod
+    def _integrate(
+        self,
+        start: Array,
+        step: float,
+        table: Array,
+        tables: dict[str, Any],
+        values: Array,
+        trial: Trial,
+        begin: float,
+        hooks: Hooks,
+    ) -> tuple[Array, Array]:
+        """States and rates of a run."""
+
+    @abstractmethod
+    def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+        """Pose and velocity of the reference point."""
+
+    def _influences(self, hooks: Hooks) -> list[int]:
+        """The parameters that a run depends on."""
+        return self._dynamic
+
+    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+        """Add the water's own motion to what was simulated relative to it."""
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Pose, velocity and joint angles at the trial's samples (see :meth:`Model.simulate`)."""
+        return self.hooked(values, trial, NONE)
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """The same with what else acts on the chain (see :meth:`Model.hooked`)."""
+        run = self.trajectory(values, trial, hooks)
+        time = trial.time_s - self._value(values, "clock_offset") - hooks.clock_s
+        states, _ = sampled(time, run.begin_s, run.step_s, run.states, run.rates)
+        found: dict[str, Array] = {}
+        if self.free_base:
+            found.update(self._seen(values, trial, states))
+            if hooks.flow:
+                self._carried(found, hooks, run.begin_s, time)
+        rates = self.coordinates + len(self.passive) + self.speeds
+        for k, axis in enumerate(self.passive):
+            found[axis.column] = states[:, self.coordinates + k]
+            found[axis.rate] = states[:, rates + k]
+        if self.driven:
+            angles, speeds = (np.ascontiguousarray(run.driven[:, :, k]) for k in range(2))
+            driven, _ = sampled(time, run.begin_s, run.step_s, angles, speeds)
+            for k, axis in enumerate(self.driven):
+                found[axis.column] = driven[:, k]
+        return hooks.seen(found, trial.time_s) if hooks.output else found
+
+    def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
+        """The run on its own step grid, from the world's origin; relative to the water where that flows."""
+        values = self._with_own_coefficients(values, trial)
+        begin, step, steps = self._grid(values, trial, hooks)
+        key = values[self._influences(hooks)].tobytes() + hooks.key + np.array((begin, step, steps)).tobytes()
+        with self._lock:
+            kept = self._kept.setdefault(trial.id, OrderedDict())
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key]
+        table = self._table(values, trial, begin, step, steps, hooks)
+        passives = len(self.passive)
+        start = np.zeros(self.coordinates + self.speeds + 2 * passives)
+        self._begin(start, values, trial, begin, hooks)
+        for k, axis in enumerate(self.passive):
+            start[self.coordinates + k] = self._value(values, f"initial_angle_{axis.name}")
+            speed = self._value(values, f"initial_rate_{axis.name}")
+            start[self.coordinates + passives + self.speeds + k] = speed
+        tables = self.tree.tables(values[: self._count])
+        if hooks.tables:
+            # a table without coefficients is the robot's own: an effect must not write into that
+            own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
+            tables = hooks.changed(own, "tables")
+        states, rates = self._integrate(start, step, table, tables, values, trial, begin, hooks)
+        found = Trajectory(begin, step, states, rates, table[::2, :, :3])
+        with self._lock:
+            kept[key] = found
+            while len(kept) > KEPT:
+                kept.popitem(last=False)
+        return found
+
+    def _with_own_coefficients(self, values: Array, trial: Trial) -> Array:
+        """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
+        own = trial.swim.coefficients
+        if not own:
+            return values
+        values = values.copy()
+        for name, value in own.items():
+            values[self._at[name]] = value
+        return values
+
+    def _grid(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> tuple[float, float, int]:
+        """Begin, step and number of steps; a late clock asks for some beyond the last sample."""
+        known = self._grids.get(trial.id)
+        if known is None or known[0] is not trial.time_s:
+            known = self._grids[trial.id] = (trial.time_s, grid(trial.time_s, self.max_step))
+        begin, step, steps = known[1]
+        late = min(max(-self._value(values, "clock_offset") - hooks.clock_s, 0.0), step * steps)
+        return begin, step, steps + math.ceil(late / step)
+
+    def _table(
+        self, values: Array, trial: Trial, begin: float, step: float, steps: int, hooks: Hooks
+    ) -> Array:
+        """The driven joints on the half-step grid; kept, since no coefficient but a servo's moves them."""
+        if trial.swim.measured:
+            hooks = NONE  # measured joints are what the actuators did
+        phase = self._value(values, "drive_phase")
+        named = dict(zip(self.tree.names, values, strict=False))
+        servos = tuple(s and tuple(q.at(named) for q in s) for s in self._servos)
+        key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
+        return self._cached(
+            self._tables, TABLES, key, lambda: self._moved(trial, begin, step, steps, phase, servos, hooks)
+        )
+
+    def _moved(
+        self, trial: Trial, begin: float, step: float, steps: int, phase: float, servos: Any, hooks: Hooks
+    ) -> Array:
+        half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
+        told = self._told(trial, begin, step, steps, phase)
+        motions = []
+        for k, (motion, servo) in enumerate(zip(told, servos, strict=True)):
+            if servo is None:
+                if hooks.command:
+                    motion = drive.deviated(motion, hooks.actuated(half, motion[0], k), 0.5 * step)
+                motions.append(motion)
+                continue
+            fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
+            command = hooks.actuated(fine, motion[0], k)
+            omega, damping = 2 * math.pi * servo[0], servo[1]
+            answer = drive.servo(np.ascontiguousarray(command), 0.5 * step, omega, damping)
+            motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
+        return drive.table(len(half), motions, self._mounts())
+
+    def _mounts(self) -> list[float]:
+        """Angles between links where a driven joint's own is zero, rad, as the engine's table counts them."""
+        return [0.0] * len(self.driven)
+
+    def _told(self, trial: Trial, begin: float, step: float, steps: int, phase: float) -> list[Motion]:
+        """What each driven joint is told to do, at every half step; where a servo follows, every quarter."""
+
+        def motions() -> list[Motion]:
+            found = []
+            for k, (axis, servo) in enumerate(zip(self.driven, self._servos, strict=True)):
+                part = 0.5 if servo is None else 0.25
+                time = begin + part * step * np.arange(steps / part + 1.0)
+                found.append(joint_motion(axis, k, trial.swim, time, phase))
+            return found
+
+        return self._cached(self._motions, KEPT, (trial.id, begin, step, steps, phase), motions)
+
+    def _cached(
+        self, kept: dict[tuple[Any, ...], Kept], most: int, key: tuple[Any, ...], make: Callable[[], Kept]
+    ) -> Kept:
+        """Something of a trial, whose id begins the key, kept with the latest others of that trial."""
+        known = kept.get(key)
+        if known is None:
+            known = make()
+            with self._lock:
+                for old in [k for k in kept if k[0] == key[0]][: 1 - most or None]:
+                    kept.pop(old, None)
+                kept[key] = known
+        return known
+
+
+def of_trial(name: str, unit: str, scale: float, meaning: str) -> Parameter:
+    """A number of each trial, zero unless it is freed."""
+    return Parameter(name, unit, -math.inf, math.inf, 0.0, scale, False, True, meaning)
+
+
+def grid(time_s: Array, max_step: float) -> tuple[float, float, int]:
+    """Begin, step and number of steps of the integration of a trial.
+
+    The step divides the median sampling interval, so that samples of an even record lie on it, or is
+    a whole multiple of it where samples come faster than steps.
+
+    >>> grid(np.array([0.0, 0.02, 0.04]), 0.005)
+    (0.0, 0.005, 8)
+    >>> grid(np.arange(9) / 1000, 0.005)
+    (0.0, 0.005, 2)
+    """
+    begin, end = float(time_s[0]), float(time_s[-1])
+    if end <= begin:
+        return begin, max_step, 1
+    typical = float(np.median(np.diff(time_s)))
+    even = (end - begin) / max(round((end - begin) / typical), 1)
+    if even > max_step:
+        step = even / math.ceil(even / max_step - 1e-9)
+    else:
+        step = even * math.floor(max_step / even + 1e-9)
+    return begin, step, max(1, math.ceil((end - begin) / step - 1e-6))
+
+
+def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
+    """What a driven joint is told to do: a measured angle, its part of the stroke, its share of the beat."""
+    if swim.joints is not None:
+        return swim.joints[number](time_s)
+    law = axis.driven
+    assert law is not None
+    phase = phase_rad - math.radians(law.phase_lag_deg)
+    if swim.stroke is not None:
+        return swim.stroke.motion(axis.name, time_s, phase_rad=phase)
+    if swim.beat is None:
+        return drives.straight(time_s)
+    bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+    return swim.beat.motion(
+        time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
+    )
+
+
+def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:
+    law = axis.driven
+    if law is None or law.servo is None:
+        return None
+    return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
