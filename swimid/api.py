@@ -205,6 +205,16 @@ RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "Logged")
 def read_robot(name: str | Path) -> Robot:
     """A built-in robot, or one of a robot file.
 
+    Parameters
+    ----------
+    name : str or path
+        One of :func:`built_in_robots`, or the path of a robot file (swimid-robot/1).
+
+    Returns
+    -------
+    Robot
+        ``.body``, ``.fluid``, ``.fins``, ``.multilink`` and others; each field has its unit in its name.
+
     Raises
     ------
     InputError
@@ -221,7 +231,12 @@ def read_robot(name: str | Path) -> Robot:
 
 
 def built_in_robots() -> list[str]:
-    """The built-in robots.
+    """The names of the built-in robots.
+
+    Returns
+    -------
+    list of str
+        For :func:`read_robot`, and wherever a robot is asked for.
 
     Examples
     --------

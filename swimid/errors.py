@@ -16,7 +16,17 @@ from typing import Any
 
 
 class SwimidError(Exception):
-    """Base of every error a user can cause. Anything else that escapes is a bug."""
+    """Base of every error a user can cause. Anything else that escapes is a bug.
+
+    Attributes
+    ----------
+    message : str
+        What is wrong.
+    hint : str or None
+        What to do about it.
+    exit_status : int
+        What the command ends with.
+    """
 
     exit_status = 1
 
@@ -39,7 +49,22 @@ class SwimidError(Exception):
 
 
 class UsageError(SwimidError, ValueError):
-    """The command line asks for something that does not exist or does not fit together."""
+    """The command line asks for something that does not exist or does not fit together; so may arguments.
+
+    Attributes
+    ----------
+    message, hint, exit_status
+        As of :class:`SwimidError`.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> try:
+    ...     swimid.fit_drag("sample_logs/rig/trials.yaml", methods="ml")
+    ... except UsageError as error:
+    ...     print(error.hint)
+    did you mean 'method'?
+    """
 
     exit_status = 2
 
@@ -107,7 +132,13 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """The work ran to its end and gives nothing that should be used."""
+    """The work ran to its end and gives nothing that should be used.
+
+    Attributes
+    ----------
+    message, hint, exit_status
+        As of :class:`SwimidError`.
+    """
 
     exit_status = 4
 

@@ -85,7 +85,25 @@ CODES: dict[str, str] = {
 
 
 class SwimidWarning(UserWarning):
-    """A warning with a code of :data:`CODES`."""
+    """A warning with a code of :data:`CODES`.
+
+    Attributes
+    ----------
+    code : str
+        ``"SWM013"``; ``docs/warnings.md`` explains each.
+    text : str
+        What was found, with its numbers.
+
+    Examples
+    --------
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", SwimidWarning)
+    ...     try:
+    ...         warn("SWM003", "the time steps differ by 12 %")
+    ...     except SwimidWarning as doubt:
+    ...         print(doubt.code)
+    SWM003
+    """
 
     def __init__(self, code: str, text: str) -> None:
         if code not in CODES:

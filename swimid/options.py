@@ -232,24 +232,25 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         rest = [p for p in own if p.kind is p.KEYWORD_ONLY]
         call.__signature__ = signature.replace(parameters=[*positional, *shown, *rest])  # type: ignore[attr-defined]
         call.options = options  # type: ignore[attr-defined]
-        call.__doc__ = _documented(function.__doc__, options)
+        call.__doc__ = _documented(function.__doc__, options, [p.name for p in rest])
         return call
 
     return decorate
 
 
-def _documented(text: str | None, options: type[Options]) -> str | None:
-    """A docstring with the options at the end of its Parameters."""
+def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
+    """A docstring with the options among its Parameters, before those of the function that stand last."""
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
     begin = lines.index("Parameters") + 2
     heads = [k for k in range(begin, len(lines) - 1) if set(lines[k + 1]) == {"-"}]
     end = heads[0] - 1 if heads else len(lines)
+    place = next((k for k in range(begin, end) if lines[k].split(" :")[0] in rest), end)
     entries = []
     for entry in options.declared().values():
         entries += [f"{entry.name} : {entry.type_text()}", f"    {entry.help}"]
-    return "\n".join([*lines[:end], *entries, *lines[end:]])
+    return "\n".join([*lines[:place], *entries, *lines[place:]])
 
 
 def _leaves(kind: Any) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import runpy
 import shutil
@@ -21,6 +22,10 @@ from swimid import api
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_logs"
+#: Sections of a docstring, in the order of numpydoc.
+SECTIONS = (
+    "Parameters", "Attributes", "Returns", "Raises", "Warns", "See Also", "Notes", "References", "Examples",
+)  # fmt: skip
 #: Lines of a provenance that tell of the moment: its time, and what was imported by then.
 MOMENT = re.compile(r"\s+(created|packages):")
 
@@ -63,6 +68,23 @@ class TestNames:
     def test_every_name_has_a_docstring(self) -> None:
         for name in api.NAMES:
             assert (getattr(swimid, name).__doc__ or "").strip(), name
+
+    @pytest.mark.parametrize("name", api.NAMES)
+    def test_every_docstring_is_complete(self, name: str) -> None:
+        public = getattr(swimid, name)
+        told = inspect.getdoc(public) or ""
+        sections = re.findall(r"^([A-Z][A-Za-z ]+)\n-+$", told, re.MULTILINE)
+        assert sections == [section for section in SECTIONS if section in sections]
+        if inspect.isclass(public):
+            assert {"Parameters", "Attributes"} & set(sections)
+            return
+        parameters = inspect.signature(public).parameters
+        missing = {"Returns", "Examples"} - set(sections)
+        if parameters:  # what takes nothing can refuse nothing
+            missing |= {"Parameters", "Raises"} - set(sections)
+        assert not missing
+        for parameter in parameters:
+            assert re.search(rf"^(\*\*)?{parameter}( :|$)", told, re.MULTILINE), parameter
 
     def test_an_unknown_name_is_refused(self) -> None:
         with pytest.raises(AttributeError, match="swimid has no 'fit_dragg'"):

@@ -48,20 +48,60 @@ def rwls(
 
     A trials file may name the columns instead. See :class:`swimid.blackbox.difference.Orders` for the orders,
     :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
-    :func:`swimid.blackbox.working_point.centre` for the means.
+    :func:`swimid.blackbox.working_point.centre` for the means. Where the one-step residuals are not white
+    (SWM013) the coefficients of an ARX model are biased: judge it by its free run, or give ``nc``.
 
     Parameters
     ----------
-    logs : sequence of paths
-        Logs, or trials files of the experiment ``arma``.
+    logs : sequence of path, Log or DataFrame
+        Logs, or trials files of the experiment ``arma``. One row a sample, at one rate.
     output : Path, optional
         Parameter file; its evidence goes beside it.
     progress : Progress
         Shows the order search.
 
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output over that of the input) and
+        ``c1``, ... (1); ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model,
+        ``.data["orders_tried"]`` the orders of a search.
+
     Raises
     ------
-    UsageError, InputError, NoTrustworthyResult
+    InputError
+        For a log that cannot be read, a column that is missing, or rows held out that are fitted too.
+    UsageError
+        For options that do not fit together, or without orders.
+    NoTrustworthyResult
+        When there are too few rows, nothing moves in them, or the search for ``c1``, ... does not converge.
+
+    References
+    ----------
+    .. [1] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
+       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
+       Eq 3: the substitute input; Eqs 4 to 7: the model; Eqs 6 to 9: the recursion.
+    .. [2] G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977), ch. 5: UD
+       factors.
+    .. [3] L. Ljung, *System Identification: Theory for the User*, 2nd ed. (1999), section 11.7: forgetting.
+    .. [4] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
+       (1978) 297-303, doi:10.1093/biomet/65.2.297: the test of whiteness.
+
+    Examples
+    --------
+    A table made by y(k) = 0.8 y(k-1) + 0.5 u(k-1) + e(k):
+
+    >>> import numpy as np, pandas as pd
+    >>> rng = np.random.default_rng(1)
+    >>> u, y = rng.normal(size=400), np.zeros(400)
+    >>> for k in range(1, 400):
+    ...     y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1] + 0.01 * rng.normal()
+    >>> table = pd.DataFrame({"t_s": np.arange(400) / 50, "cmd1_rad": u, "u_m_s": y})
+    >>> fit = rwls([table], input_column="cmd1_rad", output_column="u_m_s", na=1, nb=1)
+    >>> fit.parameters["value"].round(2).to_dict()
+    {'a1': -0.8, 'b1': 0.5}
+    >>> fit["b1"].unit
+    '(m/s)/rad'
     """
     if options.order == "given" and (options.na is None or options.nb is None):
         raise UsageError("give --na and --nb, or --order auto")

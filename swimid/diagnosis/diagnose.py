@@ -45,7 +45,8 @@ def diagnose(
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the robot file's values are where its refit begins, and nothing is taken as known
-    of them. The result does not depend on the number of jobs.
+    of them. The result does not depend on the number of jobs. An effect that the coefficients imitate is not
+    seen, and an explained gap does not exclude an effect outside the catalogue that acts just so.
 
     Parameters
     ----------
@@ -54,6 +55,15 @@ def diagnose(
         Trials of any experiment.
     output : path, optional
         Gap file to write; its evidence goes beside it.
+    progress : Progress
+        Shows the effects tried.
+
+    Returns
+    -------
+    Diagnosis
+        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``; ``.causes`` has the
+        parameters of each cause in their units; ``.shrinkage`` the errors before and after on held-out data
+        (over the measured range); ``.where`` the gap of each channel against its noise floor.
 
     Raises
     ------
@@ -61,6 +71,35 @@ def diagnose(
         For bad files and options.
     NoTrustworthyResult
         When there is nothing to compare: no trial of role ``fit``, or the model cannot be simulated.
+
+    References
+    ----------
+    .. [1] M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63(3),
+       2001: the gap as part of the model.
+    .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error, coloured residuals.
+    .. [3] P. H. Westfall, S. S. Young, *Resampling-Based Multiple Testing*, Wiley, 1993: the threshold over
+       all effects.
+    .. [4] K. R. Rad, A. Maleki, "A scalable estimate of the out-of-sample prediction error via approximate
+       leave-one-out cross-validation", J. R. Stat. Soc. B 82(4), 2020: leaving out by one step.
+    .. [5] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967: the
+       next experiment.
+
+    Examples
+    --------
+    Four drops whose model has no friction of the pulley:
+
+    >>> import swimid
+    >>> drops = [
+    ...     {"id": f"w{g}", "log": swimid.read_log(f"sample_logs/rig/w{g}.csv"), "pulling_mass_kg": g / 1000}
+    ...     for g in (10, 20, 30, 40)
+    ... ]
+    >>> trials = swimid.load(drops, experiment="falling-weight", robot="boxfish")
+    >>> ideal = swimid.fit_drag(trials, fixed={"pulley_friction": 0.0})
+    >>> gap = diagnose(trials, params=ideal, effects=["pulley-friction"])
+    >>> cause = gap.causes.iloc[0]
+    >>> gap.answer, cause["effect"], round(float(cause["value"]), 3), cause["unit"]
+    ('explained', 'pulley-friction', 0.031, 'N')
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(trials, options)

@@ -17,7 +17,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Result):
-    """The gap between trials and a model, and its causes."""
+    """The gap between trials and a model, and its causes, as ``diagnose`` gives it.
+
+    Attributes
+    ----------
+    answer : str
+        ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
+    causes : DataFrame
+        A row for each parameter of each cause, the likeliest cause first: ``effect``, ``probability`` (a
+        weight between 0 and 0.97, no posterior probability), ``parameter``, ``value`` and ``stderr`` (in
+        ``unit``), ``status``.
+    shrinkage : DataFrame
+        By cause and channel, the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
+        over the measured range), and the share ``closed`` with its ``ci95``.
+    where : DataFrame
+        By channel, ``nrmse`` of the model refitted and its ``floor`` (over the measured range), ``share`` of
+        the whole gap, ``rmse`` (in ``unit``).
+    file : GapFile
+        What :meth:`save` writes; it also has rivals, what remains, advice and the scores of all effects.
+    """
 
     format = gap_file.FORMAT
 

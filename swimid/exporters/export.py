@@ -49,20 +49,22 @@ TARGETS = {
 def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
     """Write a parameter file's coefficients as a simulator reads them.
 
-    The robot the parameter file names is looked for beside that file.
+    The robot the parameter file names is looked for beside that file. No simulator carries everything: see
+    the limits before trusting a motion it computes (``docs/export.md``).
 
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
         Parameters of a multi-link robot, a falling weight or a towed body.
     output : path, optional
-        None or ``-`` returns the text as the outcome's summary.
+        The file to write. None or ``-`` gives the text only.
 
     Returns
     -------
     Result
-        Its result has the target, the added-mass choice and the limits. Every limit is also a
-        warning SWM060, every danger of instability a SWM061.
+        ``.document`` is the text (XML, or JSON), in SI units; ``.data`` has ``target``, ``added_mass`` and
+        the lists ``limits`` and ``dangers``. Every limit is also a warning SWM060, every danger of
+        instability a SWM061.
 
     Raises
     ------
@@ -70,6 +72,14 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
         For a broken file, another model, or a robot file without what the target needs.
     UsageError
         For an unknown target, and for one that cannot take this model or this added-mass choice.
+
+    Examples
+    --------
+    >>> import json, swimid
+    >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
+    >>> made = export(drag, to="json")
+    >>> json.loads(made.document)["robot"], made.data["limits"]
+    ('boxfish', [])
     """
     to, added_mass = options.to, options.added_mass
     target = TARGETS[to]

@@ -32,16 +32,20 @@ def fit_model(
 ) -> Fitted:
     """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
 
+    A search that converged says nothing of the model: see ``.verdict``, and ``.checks()`` for its residuals.
+
     Parameters
     ----------
     model : Model
+        Simulates a trial from parameter values.
     trials : sequence of Trial
         Those of role ``validate`` are held out: simulated and scored, not fitted.
     fixed : mapping of name to float, optional
-        Parameters held at a value.
+        Parameters held at a value, in their units.
     freed : sequence of str
         Parameters estimated that are fixed by default.
     bounds : mapping of name to (lower, upper), optional
+        In the place of the model's own, in the parameters' units.
     robot : str
         Whose parameters they are, for the parameter file.
     inputs : sequence of Path or Held
@@ -50,10 +54,14 @@ def fit_model(
         Parameter file to write, its evidence beside it; nothing is written without.
     verb : str
         The command this is the fit of, for the evidence.
+    progress : Progress
+        Shows the search.
 
     Returns
     -------
     Fitted
+        ``.parameters`` has value, standard error and 95 % interval of each, in its unit; ``.correlation``,
+        ``.converged`` and ``.verdict`` say how far to trust them.
 
     Raises
     ------
@@ -67,6 +75,30 @@ def fit_model(
     See Also
     --------
     swimid.fitting.output_error.fit : the estimator, with its method.
+
+    References
+    ----------
+    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error, coloured residuals.
+
+    Examples
+    --------
+    A body that coasts from 1 m/s against a quadratic drag:
+
+    >>> import numpy as np
+    >>> from swimid import Channel, Model, Parameter, Trial
+    >>> class Coasting(Model):
+    ...     name = "coasting"
+    ...     parameters = (Parameter("drag_per_m", "1/m", lower=0.0, upper=10.0, start=1.0, scale=1.0),)
+    ...     channels = (Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
+    >>> t = np.arange(200) / 50
+    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
+    >>> fit = fit_model(Coasting(), [Trial("run 1", "fit", time_s=t, measured={"x_m": way})])
+    >>> round(fit["drag_per_m"].value, 2), fit.verdict
+    (0.5, 'good')
     """
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")

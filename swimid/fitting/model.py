@@ -88,7 +88,22 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured and simulated quantity."""
+    """One measured and simulated quantity.
+
+    Attributes
+    ----------
+    name : str
+        Its column in a log, with the unit as its suffix: ``"u_m_s"``.
+    unit : str
+        In SI: ``"m/s"``.
+    meaning : str
+        For figures and tables.
+
+    Examples
+    --------
+    >>> Channel("u_m_s", "m/s", "surge").unit
+    'm/s'
+    """
 
     name: str
     unit: str
@@ -172,6 +187,39 @@ class Model(ABC):
 
     What models differ in beyond that they say themselves: whether they move on a :attr:`rig` or have a
     :attr:`body` of links, along which :attr:`axes`, on which :meth:`scales` and by which :meth:`commands`.
+    One of your own needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`.
+
+    Attributes
+    ----------
+    name : str
+        In the parameter file.
+    parameters : tuple of Parameter
+        What may be estimated, in the order of the values :meth:`simulate` is given.
+    channels : tuple of Channel
+        What it simulates.
+    abscissa : str
+        What a trial's ``time_s`` counts, for axes.
+    offers : frozenset of str
+        Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` obeys.
+    force_unit : str
+        Unit of the forces in its equation: N, N m of an angle, m/s^2 where it is per mass.
+    timed_runs, has_gaps, in_space : bool
+        Its trials are tables of timed runs; its output may be missing by design; it moves in space.
+    groups : mapping of str to tuple of str
+        Parameters that share one value, by the name of that.
+
+    Examples
+    --------
+    >>> class Drifting(Model):
+    ...     name = "drifting"
+    ...     parameters = (Parameter("drift_m_s", "m/s", lower=-1.0, upper=1.0, start=0.0, scale=0.1),)
+    ...     channels = (Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": values[0] * trial.time_s}
+    >>> run = Trial("run 1", "fit", time_s=np.array([0.0, 1.0, 2.0]), measured={})
+    >>> Drifting().simulate(np.array([0.25]), run)["x_m"].tolist()
+    [0.0, 0.25, 0.5]
     """
 
     #: Name in the parameter file.

@@ -54,9 +54,18 @@ class Log:
     metadata : dict
         The ``# key: value`` lines.
     columns : dict of str to ndarray, each shape (n,)
-        Numbers, NaN where missing; ``t_s`` is among them.
+        Numbers, NaN where missing; ``t_s`` is among them. SI units and radians, named in the columns.
     first_line : int or None
         Line of the file that holds the first sample (0 for Parquet, None for a log in memory).
+    time_s : ndarray, shape (n,)
+        Sample times, s, strictly increasing.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> swum = Log.from_frame(pd.DataFrame({"t_s": [0.0, 0.1, 0.2], "x_m": [0.0, 0.03, 0.07]}))
+    >>> len(swum), "x_m" in swum, float(swum["x_m"][-1])
+    (3, True, 0.07)
     """
 
     path: Path

@@ -24,6 +24,17 @@ class Logged(Result):
     ----------
     table : dict of str to array_like, each shape (n,)
         The columns as they are written, words and whole numbers as such; empty where they are the log's.
+    log : Log
+        The log; hand it to whatever reads logs.
+    frame : DataFrame
+        Its columns, one row a sample; SI units and radians, named in the columns.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> made = swimid.load_result("sample_logs/rig/w10.csv")
+    >>> isinstance(made, Logged), list(made.frame)
+    (True, ['t_s', 'x_m'])
     """
 
     table: Mapping[str, Any] = field(default_factory=dict, repr=False)

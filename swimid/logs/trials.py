@@ -202,12 +202,24 @@ EVERYWHERE = frozenset(
 class TrialSet:
     """Trials of one experiment with one robot: a trials file, or logs in memory.
 
+    :func:`swimid.load` makes it.
+
     Attributes
     ----------
     entries : pydantic model
         What a trials file holds, one of :data:`EXPERIMENTS`.
     path : Path
         The trials file; a name where there is none.
+    experiment : str
+        ``"falling-weight"``, ``"free-swim"``, ...
+    ids : list of str
+        The trials by name; empty for a cruise, which is one table.
+
+    Examples
+    --------
+    >>> trials = TrialSet.read("sample_logs/tfish/trials.yaml")
+    >>> trials.experiment, trials.ids[0], trials.entries.trials[0].drive.frequency_hz
+    ('free-swim', 'f10a20', 1.0)
     """
 
     entries: Any

@@ -20,6 +20,26 @@ class Fitted(Result):
     """Parameters of a model, as ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls`` give them.
 
     ``fitted["added_mass"]`` is one estimate, with ``value``, ``stderr``, ``unit``, ``bounds`` and ``status``.
+    ``value`` is what a simulation uses, whatever the status; only of ``"estimated"`` the data support it.
+
+    Attributes
+    ----------
+    parameters : DataFrame
+        A row for each parameter: ``value``, ``stderr``, ``low95``, ``high95`` (in ``unit``), ``status``.
+    derived : DataFrame
+        Quantities that follow from the parameters, in the same columns.
+    correlation : DataFrame
+        Correlations of the estimates (1).
+    converged : bool
+        Whether the search ended at a minimum.
+    file : ParameterFile
+        What :meth:`save` writes.
+
+    Examples
+    --------
+    >>> fitted = Fitted.load("sample_logs/gap/params.yaml")
+    >>> fitted.parameters.loc["c_ma", "status"], round(fitted["c_ma"].stderr, 3), fitted["d_p"].unit
+    ('estimated', 0.066, 'm')
     """
 
     format = parameters.FORMAT

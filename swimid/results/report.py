@@ -41,12 +41,24 @@ def report(
     progress : Progress
         Steps once per file read and once per figure drawn.
 
+    Returns
+    -------
+    Result
+        ``.document`` is the page (HTML, Markdown or JSON); a notebook shows it. ``.save(path)`` writes it.
+
     Raises
     ------
     InputError
         When a result or its evidence is broken, or the output cannot be written.
     UsageError
         Without inputs, or for an output that is also an input.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> page = report([swimid.fit_drag("sample_logs/rig/trials.yaml")], format="md")
+    >>> print(page.document.splitlines()[0])
+    # Rig identification of boxfish: falling-weight
     """
     if not inputs:
         raise UsageError("name at least one result file")

@@ -47,6 +47,19 @@ class Result:
         Verdict, checks, tables and figures as data; None for what has none (a report, a schema).
     document : object
         What is in the result file: a parameter file, a gap file, a log.
+    verdict : str
+        ``"good"``, ``"caution"`` or ``"bad"``; empty without evidence.
+    warnings : DataFrame
+        The warnings raised on the way: ``code``, ``text``.
+    figure_names : list of str
+        What :meth:`plot` draws.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> result = swimid.fit_drag("sample_logs/rig/trials.yaml")
+    >>> isinstance(result, Result), result.verdict, set(result.checks()["verdict"])
+    (True, 'good', {'pass'})
     """
 
     verb: str

@@ -36,17 +36,29 @@ def fit_drag(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Identify a rig: falling weight, towing or free decay.
+    """Identify drag, added mass and friction of a body on a rig: falling weight, towing or free decay.
 
     Where both can be had, the report shows maximum likelihood and the two-point method (falling weight
-    only) side by side.
+    only) side by side. Where the residuals are coloured (SWM013) the model may lack something that the
+    estimates have taken up: let :func:`swimid.diagnose` say what before they are used.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
+        Trials: a file, or what :func:`swimid.load` gives. Displacements in m (rad of a rotation), forces in N
+        (N m), pulling masses in kg.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
+    progress : Progress
+        Shows the search and the profiles.
+
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has ``drag_coefficient`` (1) or ``quadratic_drag`` (N s^2/m^2), ``added_mass`` (kg)
+        and ``pulley_friction`` (N); of a free decay ``linear_drag`` (N s/m) and ``stiffness`` (N/m) too; of a
+        rotation ``quadratic_damping``, ``linear_damping`` and ``added_inertia``. ``.correlation``,
+        ``.verdict`` and ``.checks()`` say how far to trust them.
 
     Raises
     ------
@@ -54,6 +66,24 @@ def fit_drag(
         For bad files and options.
     NoTrustworthyResult
         When nothing can be identified.
+
+    References
+    ----------
+    .. [1] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
+       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
+       Eqs 7 and 8: the equation of motion; Eqs 9 and 10: its closed form; Eqs 13 to 19: the two-point method.
+    .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error.
+
+    Examples
+    --------
+    Seven drops of the boxfish, pulled through the tank by a weight over a pulley:
+
+    >>> drag = fit_drag("sample_logs/rig/trials.yaml")
+    >>> drag.parameters.loc[["drag_coefficient", "added_mass"], "value"].round(1).to_dict()
+    {'drag_coefficient': 0.7, 'added_mass': 0.7}
+    >>> drag["added_mass"].unit, drag.converged, drag.verdict
+    ('kg', True, 'good')
     """
     with recorded(repeat=True) as notices:
         experiment = rig_experiment.load(trials, coordinate=options.coordinate)

@@ -75,7 +75,27 @@ class Fin(yamlio.Document):
 
 
 class Robot(yamlio.Document):
-    """A robot file."""
+    """A robot file: what is known of a robot before any fit.
+
+    Attributes
+    ----------
+    name, description : str
+    sources : list of str
+        The papers its numbers come from.
+    fluid : Fluid
+        ``density_kg_m3``, ``gravity_m_s2``.
+    body : Body
+        The body as one rigid piece: ``inertial_mass_kg``, ``frontal_area_m2``, ``length_m``, ...
+    rig : Rig
+        The test rig: ``pulley_inertia_kg``, ``stiffness_N_m``, ...
+    fins : dict of str to Fin
+    theory : list of Theory
+        Values that theory gives, to compare estimates with.
+    multilink, multibody : Multilink, Multibody or None
+        Links, joints and elements of a robot in a plane, and of one in space.
+    readings : dict of str to Reading
+        Ambiguities of the sources and how each is read.
+    """
 
     format: Literal["swimid-robot/1"]
     name: str

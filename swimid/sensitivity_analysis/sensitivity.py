@@ -66,7 +66,17 @@ MOST_POINTS = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(FileResult[SensitivityFile]):
-    """Sensitivity indices of coefficients, and outputs over a grid of drives."""
+    """Sensitivity indices of coefficients, and outputs over a grid of drives, as ``sensitivity`` gives them.
+
+    Attributes
+    ----------
+    indices : DataFrame
+        A row for each coefficient of each output (``output``, ``trial``, ``coefficient``; without a trial of
+        all together): ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``; or by
+        Morris ``mu``, ``mu_star``, ``mu_star_ci95`` and ``sigma``, in the unit of the output.
+    file : SensitivityFile
+        What :meth:`save` writes; it also has the ranges, and the ``sweep`` over the grid.
+    """
 
     format = FORMAT
     file_type = SensitivityFile
@@ -132,7 +142,8 @@ def sensitivity(
     """Vary the coefficients of a robot with links over ranges, and its drive over a grid.
 
     By default all coefficients vary that a fit estimates, and those with a range of their own. A parameter
-    file gives values, standard errors, start states and noise.
+    file gives values, standard errors, start states and noise. The indices hold for the ranges given: another
+    range is another answer.
 
     Parameters
     ----------
@@ -141,6 +152,15 @@ def sensitivity(
         Of a free-swim or multibody experiment.
     output : Path, optional
         Sensitivity file to write; its evidence goes beside it.
+    progress : Progress
+        Shows the simulations.
+
+    Returns
+    -------
+    Sensitivity
+        ``.indices`` has a row for each coefficient of each output: Sobol indices (1) with their 95 %
+        intervals, or elementary effects (in the unit of the output, over the whole range). ``.file.sweep``
+        has the outputs over the grid, with standard deviations where a covariance is known.
 
     Raises
     ------
@@ -148,6 +168,30 @@ def sensitivity(
         For bad files and options.
     NoTrustworthyResult
         When more than one in a hundred simulations breaks down.
+
+    References
+    ----------
+    .. [1] Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010), doi:10.1016/j.cpc.2009.09.018: Sobol
+       indices.
+    .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: those of several outputs together.
+    .. [3] Morris (1991), doi:10.2307/1269043: elementary effects.
+    .. [4] Campolongo, Cariboni, Saltelli (2007), doi:10.1016/j.envsoft.2006.10.004: mu*.
+    .. [5] Herman, Usher (2017), doi:10.21105/joss.00097: SALib.
+
+    Examples
+    --------
+    Which of two coefficients of the tendon fish turns its heading more?
+
+    >>> found = sensitivity(
+    ...     "sample_logs/tfish/trials.yaml",
+    ...     method="morris",
+    ...     samples=4,
+    ...     ranges=["20%"],
+    ...     coefficients=["c_ma", "c_d4"],
+    ... )
+    >>> one = found.indices.query("output == 'yaw_amplitude_rad' and trial == 'f10a20'")
+    >>> one.set_index("coefficient")["mu_star"].idxmax()
+    'c_d4'
     """
     method, params, sweep = options.method, options.params, options.sweep
     count = SAMPLES[method] if options.samples is None else options.samples

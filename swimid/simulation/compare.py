@@ -34,7 +34,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(FileResult[ComparisonFile]):
-    """Measured trials against their simulation."""
+    """Measured trials against their simulation, as ``compare`` gives it.
+
+    Attributes
+    ----------
+    scores : DataFrame
+        A row for each channel of each trial: ``trial``, ``role``, ``channel``, ``unit``, ``rmse``, ``bias``,
+        ``peak_error`` (in ``unit``, measured minus simulated), ``nrmse`` (over the measured range), ``vaf``,
+        ``fit_percent`` (%), ``phase_error_rad`` (rad) and others.
+    file : ComparisonFile
+        What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
+    """
 
     format = FORMAT
     file_type = ComparisonFile
@@ -69,7 +79,8 @@ def compare(
 
     By default every logged channel is compared that the model simulates, and surge, sway and turning rate
     from the pose where they are not logged. A start state that is estimated is estimated from its trial, all
-    shared parameters held.
+    shared parameters held. Errors on trials that were fitted say how well the model describes them, not how
+    well it predicts: for that, compare trials that no fit has seen.
 
     Parameters
     ----------
@@ -77,6 +88,15 @@ def compare(
         Trials: a file, or what :func:`swimid.load` gives.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
+    progress : Progress
+        Shows the trials.
+
+    Returns
+    -------
+    Comparison
+        ``.scores`` has a row for each channel of each trial: ``rmse`` and ``bias`` (in ``unit``, that of the
+        channel), ``nrmse`` (over the measured range), ``vaf``, ``fit_percent`` (%), ``peak_error``,
+        ``phase_error_rad``. ``.verdict`` is by ``nrmse`` and mean speeds.
 
     Raises
     ------
@@ -84,6 +104,22 @@ def compare(
         For bad files and options.
     NoTrustworthyResult
         When a simulation breaks down, or nothing can be compared.
+
+    References
+    ----------
+    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
+       Eqs 13 and 14: errors of speed and turning rate.
+    .. [2] S. Kadapa, N. Marcouiller, A. Drago, J. L. Tangorra, H. G. Kwatny, "Tuning hydrodynamic
+       coefficients using a genetic algorithm for a numerical model of a bio-robotic sea lion".
+       Tables I and II: speeds and angles of each stroke.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
+    >>> against = compare("sample_logs/rig/trials.yaml", params=drag)
+    >>> bool((against.scores["nrmse"] < 0.002).all()), against.verdict
+    (True, 'good')
     """
     with recorded(repeat=True) as notices:
         experiment, applied = catalogue.load(trials, options)

@@ -190,7 +190,28 @@ def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Simulation(Result):
-    """Simulated runs, as ``simulate`` gives them: one, or one for each recorded trial."""
+    """Simulated runs, as ``simulate`` gives them: one, or one for each recorded trial.
+
+    Attributes
+    ----------
+    frame : DataFrame
+        The log of the only run, one row a sample; SI units and radians, named in the columns.
+    quantities : dict of str to Quantity
+        What the only run comes to, each with ``value``, ``unit`` and ``stderr`` (None where the uncertainty
+        of the coefficients is not known).
+    frames : dict of str to DataFrame
+        The log of each run by its name.
+    runs : dict of str to Simulated
+        Each run by its name, with ``columns``, ``quantities`` and ``step``, the check of the integration
+        step.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> made = swimid.simulate(robot="tfish", frequency_hz=1.4, amplitude_deg=20.0, duration_s=6.0)
+    >>> list(made.frame)[:4], round(made.quantities["mean_speed_m_s"].value, 2)
+    (['t_s', 'x_m', 'y_m', 'yaw_rad'], 0.11)
+    """
 
     ending = ".csv"
 

@@ -33,10 +33,12 @@ def simulate(
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Simulation:
-    """Simulate a robot.
+    """Simulate a robot with given coefficients: its motion over time, and what the run comes to.
 
     The beat is given as ``drive`` of a trials file gives it. An input log has joint angles or commands that
     drive a robot, a force, or the input column of a discrete-time model; the run is then as long as the log.
+    Standard errors are those of the coefficients alone; how far the model itself is off,
+    :func:`swimid.compare` says.
 
     Parameters
     ----------
@@ -45,6 +47,14 @@ def simulate(
     allow : callable
         Called with every file before it is written; raises where that must not be.
     progress : Progress
+        Shows the runs, and the pictures of a film.
+
+    Returns
+    -------
+    Simulation
+        ``.frame`` has a row a sample: ``t_s`` (s), position (m), angles (rad), speeds (m/s, rad/s), joints
+        and commands (rad). ``.quantities`` has mean speed (m/s), stride (body lengths), amplitudes (rad) and
+        others, each with ``value``, ``unit`` and ``stderr``. Of several trials ``.frames`` and ``.runs``.
 
     Raises
     ------
@@ -52,6 +62,33 @@ def simulate(
         For options that do not fit together and for bad files.
     NoTrustworthyResult
         When the simulation breaks down.
+
+    References
+    ----------
+    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
+       Eqs 1 to 7: the model in the horizontal plane; Eq 10: the asymmetric oscillator.
+    .. [2] D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu, "Performance Optimization for Bionic Robotic
+       Dolphin with Active Variable Stiffness Control".
+       Eqs 3 to 9: the model in the vertical plane.
+    .. [3] W. L. Chan, G. Lee, B. Kim, J. M. Choi, T. Kang, "Experimental Parameter Identification and
+       Performance Analysis of a Fish Robot with Ostraciiform Swimming Mode using Rigid Caudal Fins".
+       Eqs 3 to 10 and 25 to 27: rig and cruise.
+    .. [4] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic underwater
+       vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159.
+       Eqs 4 to 7: the discrete-time model.
+
+    Examples
+    --------
+    The boxfish as its drops describe it, pulled by 20 g:
+
+    >>> import swimid
+    >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
+    >>> made = simulate(params=drag, pulling_mass_kg=0.020, duration_s=3.0)
+    >>> list(made.frame)
+    ['t_s', 'x_m', 'u_m_s']
+    >>> terminal = made.quantities["terminal_speed_m_s"]
+    >>> round(terminal.value, 2), terminal.unit
+    (0.26, 'm/s')
     """
     if options.trials is None:
         if options.trial is not None:

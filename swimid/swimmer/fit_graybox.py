@@ -52,7 +52,8 @@ def fit_graybox(
 
     Or by a Pareto front and a point chosen on it, or by output error that starts on the front. Of several
     starts over the bounds the first is the given one. What a subset leaves out is fixed, least identifiable
-    first.
+    first. Do not use a coefficient by itself whose status is ``"unidentifiable"`` (the trials tell it only
+    together with others) or ``"at-bound"`` (its bound stopped it).
 
     Parameters
     ----------
@@ -61,6 +62,15 @@ def fit_graybox(
         Of a free-swim or multibody experiment with a robot that has links.
     output : path, optional
         Parameter file to write; its evidence goes beside it.
+    progress : Progress
+        Shows the search.
+
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has the coefficients of the robot file, each in the unit that stands there (mostly 1),
+        and the start of each trial, ``start_x[f10a20]`` (m), ``start_yaw[f10a20]`` (rad). ``.correlation``,
+        ``.converged`` and ``.verdict`` say how far to trust them.
 
     Raises
     ------
@@ -69,6 +79,41 @@ def fit_graybox(
     NoTrustworthyResult
         When nothing can be identified. Also when the search did not converge, or was interrupted
         (:class:`Interrupted`): what it has is then written first, marked so.
+
+    References
+    ----------
+    .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
+       Eqs 1 to 7: the model in the horizontal plane; Table III: its hydrodynamic parameters.
+    .. [2] D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu, "Performance Optimization for Bionic Robotic
+       Dolphin with Active Variable Stiffness Control".
+       Eqs 3 to 9: the model in the vertical plane; Table 3: its hydrodynamic parameters.
+    .. [3] S. Kadapa, N. Marcouiller, A. Drago, J. L. Tangorra, H. G. Kwatny, "Tuning hydrodynamic
+       coefficients using a genetic algorithm for a numerical model of a bio-robotic sea lion".
+       Section II: the genetic search.
+    .. [4] K. Deb et al. (2002), doi:10.1109/4235.996017: NSGA-II.
+    .. [5] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error.
+
+    Examples
+    --------
+    Two runs of the tendon fish, its friction coefficients held:
+
+    >>> import swimid
+    >>> beats = {"f10a20": (1.0, 20), "f14a25": (1.4, 25)}
+    >>> runs = [
+    ...     {
+    ...         "id": name,
+    ...         "log": swimid.read_log(f"sample_logs/tfish/{name}.csv"),
+    ...         "drive": {"frequency_hz": frequency, "amplitude_deg": amplitude},
+    ...     }
+    ...     for name, (frequency, amplitude) in beats.items()
+    ... ]
+    >>> trials = swimid.load(runs, experiment="free-swim", robot="tfish")
+    >>> fit = fit_graybox(trials, fixed={"c_f0": 0.014, "c_f13": 0.014, "c_f4": 0.014})
+    >>> fit.converged, fit["c_f4"].status, fit["c_ma"].unit
+    (True, 'fixed', '1')
+    >>> round(fit["c_ma"].value, 1)
+    1.0
     """
     with recorded(repeat=True) as notices:
         experiment = swimmer.load(
