@@ -133,13 +133,15 @@ class TestSobol:
 
         path = tmp_path / "kept"
         with pytest.raises(KeyboardInterrupt):
-            method(stopping, -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+            method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines()) - 1
-        assert 49 <= kept < 64 * 4
+        # what was evaluated together is kept together
+        assert 49 - indices.TOGETHER <= kept < 64 * 4
         before = count
-        again = method(stopping, -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
-        whole = method(ishigami, -SIDE, SIDE, samples=64)
+        again = method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+        whole = method(each(ishigami), -SIDE, SIDE, samples=64)
         assert count == before + whole.evaluations - kept
+        assert kept % indices.TOGETHER == 0
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 
@@ -293,7 +295,7 @@ class TestCommand:
     ) -> None:
         options = ("--samples", "4", "--coefficients", "c_d4,c_ma", "--sweep", "frequency_hz=1:1.4:2")
         whole = _run(swimid, tfish, tmp_path / "whole.yaml", *options)
-        plain, calls = sensitivity_outputs.outputs, 0
+        plain, calls = sensitivity_outputs.of_columns, 0
 
         def stopping(*given: Any) -> Any:
             nonlocal calls
@@ -303,7 +305,7 @@ class TestCommand:
             return plain(*given)
 
         out = tmp_path / "again.yaml"
-        monkeypatch.setattr(sensitivity_outputs, "outputs", stopping)
+        monkeypatch.setattr(sensitivity_outputs, "of_columns", stopping)
         ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
         assert ran.status == 130
         assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import pickle
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Literal
@@ -20,6 +21,11 @@ Trials = Sequence[Trial]
 Parameters = tuple[Parameter, ...]
 #: Sizes at which an effect is tried, in units of its parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
+
+
+#: Numbers of effects that hold what cannot be compared; none is given twice.
+_NUMBERS: weakref.WeakKeyDictionary[Effect, int] = weakref.WeakKeyDictionary()
+_COUNT = itertools.count()
 
 
 class Effect(ABC):
@@ -98,7 +104,13 @@ class Effect(ABC):
     def content(self) -> bytes:
         """What tells it from others: two of one class and with the same attributes act alike."""
         kind = type(self)
-        return pickle.dumps((kind.__module__, kind.__qualname__, sorted(vars(self).items())))
+        try:
+            return pickle.dumps((kind.__module__, kind.__qualname__, sorted(vars(self).items())))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            # it holds a function of its own: like none but itself
+            if self not in _NUMBERS:
+                _NUMBERS[self] = next(_COUNT)
+            return f"{kind.__qualname__} {_NUMBERS[self]}".encode()
 
     def __repr__(self) -> str:
         return f"<effect {self.name}>"

@@ -109,7 +109,7 @@ class Problem:
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: dict[str, list[Array]] = {}
-        self._typical_s = 0.0
+        self._typical_s = math.inf
         self._pool: ThreadPoolExecutor | None = None
 
     def close(self) -> None:
@@ -317,16 +317,19 @@ class Problem:
         self.evaluations += len(points)
         runs = [(self.vector(theta, k), self.trials[k]) for theta, k in points]
         begun = time.perf_counter()
-        if self.jobs > 1 and len(runs) > 1 and self._typical_s > WORTH_A_THREAD:
+        # the least so far: the first may have compiled the model
+        if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
             share = math.ceil(len(runs) / self.jobs)
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
             found = [one for part in self._pool.map(self.model.simulate_many, parts) for one in part]
-            self._typical_s = (time.perf_counter() - begun) * self.jobs / len(runs)
+            shared = self.jobs
         else:
             found = self.model.simulate_many(runs)
-            self._typical_s = (time.perf_counter() - begun) / max(len(runs), 1)
+            shared = 1
+        if runs:
+            self._typical_s = min(self._typical_s, (time.perf_counter() - begun) * shared / len(runs))
         return [
             {c: y for c, y in one.items() if c in trial.measured}
             for one, (_, trial) in zip(found, runs, strict=True)
