@@ -168,6 +168,17 @@ def test_the_whole_chain_of_the_boxfish(empty: Path, drag: swimid.Fitted) -> Non
     assert course.frame["mean_speed_m_s"].iloc[0] > 0
 
 
+def test_several_runs_are_saved_into_a_folder(tmp_path: Path, drag: swimid.Fitted) -> None:
+    """Into a new one and into the one that is there; one log cannot take them."""
+    runs = swimid.simulate(params=drag, trials=SAMPLES / "rig" / "trials.yaml")
+    for _ in range(2):
+        saved = runs.save(tmp_path / "simulated")
+        assert sorted(p.stem for p in saved.outputs) == sorted(runs.runs)
+        assert all(p.is_file() for p in saved.outputs)
+    with pytest.raises(swimid.UsageError, match="do not fit into one log"):
+        runs.save(tmp_path / "simulated.csv")
+
+
 def test_black_box_models_of_tables(empty: Path) -> None:
     logs = [SAMPLES / "longfin" / f"longfin_{name}.csv" for name in ("marching", "validation")]
     tables = [pd.read_csv(path, comment="#") for path in logs]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -250,5 +250,14 @@ class Simulation(Result):
             raise UsageError(f"there are {len(runs)} runs", hint=f"take one of .{several}")
         return next(iter(runs.values()))
 
-    def _write(self, path: Path) -> list[Path]:
-        return write(path, self.document)
+    def save(self, path: str | Path) -> Self:
+        """Write the run as a log; several into a folder, each as a log named after its trial.
+
+        Raises
+        ------
+        InputError
+            When a log cannot be written.
+        UsageError
+            When the path is neither the log of one run nor a folder.
+        """
+        return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
