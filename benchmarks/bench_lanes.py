@@ -139,27 +139,27 @@ def bench_commands(count: int = 6) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         play = swim_actuation.servo_backlash(rng, 2.0, "tfish")
-        gap_trials.write(folder, "tfish", [play], settings=settings(count), duration_s=DURATION_S, seed=SEED)
-        (folder / "one").mkdir()
-        gap_trials.write(
-            folder / "one", "tfish", [play], settings=settings(1), duration_s=DURATION_S, seed=SEED
-        )
+        for part, effects, trials in (("one", [], 1), ("fit", [], count), ("gap", [play], count)):
+            (folder / part).mkdir()
+            own = settings(trials)
+            gap_trials.write(folder / part, "tfish", effects, settings=own, duration_s=DURATION_S, seed=SEED)
         start = [sys.executable, "-m", "swimid"]
         commands = {
             "fit-graybox, one trial": ["fit-graybox", "one/trials.yaml", "-o", "one.yaml", "-q", "--force"],
-            "fit-graybox": ["fit-graybox", "trials.yaml", "-o", "fit.yaml", "-q", "--force"],
+            "fit-graybox": ["fit-graybox", "fit/trials.yaml", "-o", "fit.yaml", "-q", "--force"],
             "fit-graybox --method nsga2, 10 generations": [
-                "fit-graybox", "trials.yaml", "--method", "nsga2", "--generations", "10", "-q",
+                "fit-graybox", "fit/trials.yaml", "--method", "nsga2", "--generations", "10", "-q",
             ],
             "sensitivity, Sobol, 64 rows": [
-                "sensitivity", "trials.yaml", "--params", "params.yaml", "--samples", "64", "-q",
+                "sensitivity", "fit/trials.yaml", "--params", "fit/params.yaml", "--samples", "64", "-q",
             ],
-            "diagnose": ["diagnose", "trials.yaml", "--params", "params.yaml", "-o", "gap.yaml", "-q"],
+            "diagnose": ["diagnose", "gap/trials.yaml", "--params", "gap/params.yaml", "-o", "gap.yaml", "-q"],
         }  # fmt: skip
         print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
+        model, _ = model_of("tfish")
+        Kernel(model.engine, model.tree.tables, len(model.coefficients)).compiled()
         for what, words in commands.items():
             command = [*start, *words]
-            child([*start, *commands["fit-graybox, one trial"]], folder, SWIMID_LANES="always")
             scalar, lanes = (child(command, folder, SWIMID_LANES=mode) for mode in ("never", "always"))
             print(
                 f"  {what:<44}{scalar[1]:>8.1f} ({scalar[0]:.1f}){lanes[1]:>9.1f} ({lanes[0]:.1f})"
