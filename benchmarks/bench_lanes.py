@@ -153,7 +153,7 @@ def bench_commands(count: int = 6) -> None:
             "sensitivity, Sobol, 64 rows": [
                 "sensitivity", "fit/trials.yaml", "--params", "fit/params.yaml", "--samples", "64", "-q",
             ],
-            "diagnose": ["diagnose", "gap/trials.yaml", "--params", "gap/params.yaml", "-o", "gap.yaml", "-q"],
+            "diagnose": ["diagnose", "gap/trials.yaml", "--params", "gap/params.yaml", "-q"],
         }  # fmt: skip
         print(f"{count} trials of {DURATION_S:g} s, s CPU (wall){'scalar':>22}{'lanes':>16}{'ratio':>8}")
         model, _ = model_of("tfish")
