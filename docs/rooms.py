@@ -24,6 +24,8 @@ def modules(package: Path = PACKAGE) -> dict[str, Path]:
     """Every module by its dotted name below the package (``rig.model``), a room by its own (``rig``)."""
     found = {}
     for path in sorted(package.rglob("*.py")):
+        if "__pycache__" in path.parts:
+            continue  # generated kernels
         parts = path.relative_to(package).with_suffix("").parts
         found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
