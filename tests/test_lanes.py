@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
@@ -386,6 +389,20 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
     assert kernels.on_disk(text)
     assert not list(tmp_path.glob("*.compiling"))
     assert module.integrate(2.0) == 4.0
+
+
+def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> None:
+    code = (
+        "from swimid.swimmer.lanes import kernel\n"
+        "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
+        "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
+        "before = kernel.on_disk(text)\n"
+        "kernel.compile_file(kernel.imported(text).__file__)\n"
+        "print(before, kernel.on_disk(text))"
+    )
+    told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    ran = subprocess.run([sys.executable, "-c", code], env=told, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["False", "True"]
 
 
 @pytest.mark.skipif(

@@ -304,7 +304,7 @@ def _path(text: str) -> Path:
 def on_disk(text: str) -> bool:
     """Whether the module of this text is compiled on this machine."""
     path = _path(text)
-    base = path.parent if numba.config.CACHE_DIR else path.parent / "__pycache__"
+    base = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else path.parent / "__pycache__"
     return any(base.rglob(f"{path.stem}.integrate-*.nbc"))
 
 
