@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from swimid.effects.base import Effect
 from swimid.fitting import hooks as hook_places
 from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Trial
-from swimid.progress import Progress, silent
+from swimid.fitting.model import Array, Model, Trial, unless_broken
 
 
 class Affected(Model):
@@ -74,23 +72,17 @@ class Affected(Model):
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
         """Simulate several runs (see :meth:`Model.simulate_many`)."""
         own = len(self.model.parameters)
-        requests, broken = [], set()
-        for number, (values, trial) in enumerate(runs):
-            hooks = hook_places.NONE
-            try:
-                hooks = self.hooks(values, trial)
-            except (ArithmeticError, np.linalg.LinAlgError):
-                broken.add(number)
-            requests.append((values[:own], trial, hooks))
-        simulated = self.model.hooked_many(requests)
+        acting = [unless_broken(self.hooks, values, trial) for values, trial in runs]
+        asked = zip(runs, acting, strict=True)
+        simulated = iter(
+            self.model.hooked_many(
+                [(values[:own], trial, h) for (values, trial), h in asked if h is not None]
+            )
+        )
         return [
-            self.broken_down(trial) if number in broken else one
-            for number, (one, (_, trial)) in enumerate(zip(simulated, runs, strict=True))
+            self.broken_down(trial) if h is None else next(simulated)
+            for (_, trial), h in zip(runs, acting, strict=True)
         ]
-
-    def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """As the model without effects (see :meth:`Model.prepare`)."""
-        self.model.prepare(progress, **how)
 
     def refined(self) -> Affected | None:
         """The same with half the integration step."""

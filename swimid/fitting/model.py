@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Entry = TypeVar("Entry")
+Outcome = TypeVar("Outcome")
 
 
 @dataclass(frozen=True)
@@ -353,17 +354,14 @@ class Model(ABC):
 
         A model that runs faster side by side overrides this.
         """
-        found = []
+        simulated = []
         for values, trial, hooks in runs:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                try:
-                    simulated = (
-                        self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
-                    )
-                except (ArithmeticError, np.linalg.LinAlgError):
-                    simulated = self.broken_down(trial)
-            found.append(simulated)
-        return found
+            if hooks is NONE:
+                one = unless_broken(self.simulate, values, trial)
+            else:
+                one = unless_broken(self.hooked, values, trial, hooks)
+            simulated.append(self.broken_down(trial) if one is None else one)
+        return simulated
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
         """The channels of a simulation that came to nothing."""
@@ -417,6 +415,15 @@ class Model(ABC):
             hint = suggestion(name, names, "it has")
             raise UsageError(f"the model {self.name} has no parameter '{name}'", hint=hint)
         return names.index(name)
+
+
+def unless_broken(compute: Callable[..., Outcome], *arguments: Any) -> Outcome | None:
+    """What a function computes, without numpy's warnings; None where a simulation breaks down in it."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        try:
+            return compute(*arguments)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return None
 
 
 def chosen(

@@ -18,7 +18,7 @@ from swimid.fitting.body import Axis
 from swimid.fitting.drives import Motion
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import SwimInput
-from swimid.fitting.model import Array, Channel, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Parameter, Trial, unless_broken
 from swimid.fitting.swimmer import Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
@@ -263,20 +263,16 @@ class LinkedModel(Swimmer):
         """Several runs, side by side where the robot's kernel is compiled (see :meth:`Model.hooked_many`)."""
         if not self.side_by_side:
             return super().hooked_many(runs)
-        asked: list[Run | None] = []
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for run in runs:
-                try:
-                    asked.append(self._asked(*run))
-                except (ArithmeticError, np.linalg.LinAlgError):
-                    asked.append(None)
-            trajectories = iter(self._trajectories([one for one in asked if one is not None]))
-            return [
-                self.broken_down(trial)
-                if one is None
-                else self._at_samples(values, trial, hooks, next(trajectories))
-                for one, (values, trial, hooks) in zip(asked, runs, strict=True)
-            ]
+        asked = [unless_broken(self._asked, *run) for run in runs]
+        trajectories = iter(self._trajectories([one for one in asked if one is not None]))
+        simulated = [
+            None if one is None else unless_broken(self._at_samples, *run, next(trajectories))
+            for one, run in zip(asked, runs, strict=True)
+        ]
+        return [
+            self.broken_down(trial) if one is None else one
+            for one, (_, trial, _) in zip(simulated, runs, strict=True)
+        ]
 
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """The channels of a run."""
@@ -328,7 +324,7 @@ class LinkedModel(Swimmer):
 
     def _trajectories(self, runs: Sequence[Run]) -> list[Trajectory]:
         """Of each run; what is asked twice is run once."""
-        found = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
+        trajectories = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
         missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
         together = [(at, run) for at, run in missing.items() if self._beside_others(run)]
         if together:
@@ -340,11 +336,11 @@ class LinkedModel(Swimmer):
                 [run.tables for _, run in together],
             )
             for (at, run), (states, rates) in zip(together, motions, strict=True):
-                found[at] = self._keep(run, states, rates)
+                trajectories[at] = self._keep(run, states, rates)
         for at, run in missing.items():
-            if at not in found:
-                found[at] = self._keep(run, *self._integrate(run))
-        return [found[run.trial.id, run.key] for run in runs]
+            if at not in trajectories:
+                trajectories[at] = self._keep(run, *self._integrate(run))
+        return [trajectories[run.trial.id, run.key] for run in runs]
 
     def _beside_others(self, run: Run) -> bool:
         """Whether a run goes into the lanes: no force from outside, and the robot's own structure."""
@@ -353,13 +349,13 @@ class LinkedModel(Swimmer):
         return not run.hooks.tables or self.kernel.fits(run.tables)
 
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
-        found = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)
+        trajectory = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)
         with self._lock:
             kept = self._kept[run.trial.id]
-            kept[run.key] = found
+            kept[run.key] = trajectory
             while len(kept) > KEPT:
                 kept.popitem(last=False)
-        return found
+        return trajectory
 
     def _with_own_coefficients(self, values: Array, trial: Trial) -> Array:
         """The parameters with the coefficients the trial sets for itself in place of the shared ones."""
