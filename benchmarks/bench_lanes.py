@@ -82,11 +82,16 @@ def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     )
 
 
+def operations_in(kernel: Kernel, run: Any) -> float:
+    """Traced operations that a run takes: four evaluations a step."""
+    return 4.0 * (len(run.drive.table) // 2) * len(kernel.traced().operations)
+
+
 def bench_engine() -> None:
     """One run and eight, scalar and in lanes."""
     print(
         f"{DURATION_S:g} s at 5 ms a step, ms CPU a run{'scalar':>12}{'one run':>10}{'ratio':>7}"
-        f"{'of eight':>10}{'ratio':>7}"
+        f"{'of eight':>10}{'ratio':>7}{'operations':>12}{'scalar, ns each':>17}"
     )
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
@@ -103,6 +108,7 @@ def bench_engine() -> None:
         print(
             f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"
             f"{1e3 * eight / LANES:>10.2f}{LANES * scalar / eight:>7.1f}"
+            f"{len(kernel.traced().operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
         )
 
 
@@ -118,7 +124,7 @@ def child(words: Sequence[str], folder: Path, **environment: str) -> tuple[float
 
 def bench_compile() -> None:
     """Cold and warm start of a kernel."""
-    print("a kernel's start, s CPU             cold    warm")
+    print("a kernel's start, s CPU             cold    warm   cold, ms an operation")
     for name in ("tfish", "dolphin", "sealion"):
         with tempfile.TemporaryDirectory() as cache:
             code = (
@@ -130,7 +136,9 @@ def bench_compile() -> None:
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        print(f"  {name:<32}{cold:>6.1f}{warm:>8.2f}")
+        model, _ = model_of(name)
+        kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+        print(f"  {name:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / len(kernel.traced().operations):>12.1f}")
 
 
 def bench_commands(count: int = 6) -> None:

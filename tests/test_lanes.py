@@ -37,6 +37,7 @@ from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.planar import Lifted
 from tests import lanes_forms
 from tests.generators import lagrange
 
@@ -322,6 +323,44 @@ def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -
     assert not fish.kernel.fits({**tables, "drag": filled})
     assert not fish.kernel.fits({**tables, "drag": tables["drag"][:-1]})
     assert not fish.kernel.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
+
+
+def test_a_coefficient_at_zero_changes_no_structure() -> None:
+    """Also of a planar robot lifted into space, whose damping of rotation is a coefficient at its bound."""
+    robot = robot_format.read("tfish")
+    body = robot.multilink
+    assert body is not None
+    drag = {"kind": "damping", "link": body.links[0].name, "linear_N_m_s_rad": "c_ma"}
+    changed = Multilink.model_validate(
+        {**body.model_dump(), "elements": [*body.model_dump()["elements"], drag]}
+    )
+    for tree in (PlanarAssembly(changed, robot.fluid), Lifted(changed, robot.fluid)):
+        form = MultibodyModel if isinstance(tree, Lifted) else MultilinkModel
+        kernel = Kernel(form.engine, tree.tables, len(tree.names))
+        for k in range(len(tree.names)):
+            values = np.full(len(tree.names), 0.8)
+            values[k] = 0.0
+            assert kernel.fits(tree.tables(values)), tree.names[k]
+
+
+def test_threads_share_whole_batches(fish: MultilinkModel) -> None:
+    """Six runs fill one batch: two half-empty ones would take twice the time of the processor."""
+    parts: list[int] = []
+
+    class Counted(Tied):
+        def simulate_many(self, runs: Any) -> Any:
+            parts.append(len(runs))
+            return super().simulate_many(runs)
+
+    model = Counted(fish, {"c_f": ("c_f0", "c_f4")})
+    problem = Problem(model, model.parameters, trials(), jobs=2)
+    problem._typical_s = 1.0
+    problem.simulated([(problem.start, k % 3) for k in range(6)])
+    assert parts == [6]
+    problem._typical_s = 1.0
+    problem.simulated([(problem.start, k % 3) for k in range(20)])
+    problem.close()
+    assert sorted(parts[1:]) == [4, 16]
 
 
 def test_sine_and_cosine_of_symbols() -> None:

@@ -30,7 +30,7 @@ from swimid.simulation.catalogue import Loaded
 
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
-#: Simulations of each trial that a diagnosis takes, about.
+#: Simulations of each trial that a diagnosis takes, about: 2,160 of each of six (``sample_logs/gap``).
 RUNS = 2000
 
 

@@ -69,6 +69,11 @@ class Affected(Model):
             return self.model.simulate(own, trial)
         return self.model.hooked(own, trial, hooks)
 
+    @property
+    def together(self) -> int:
+        """As of the model without effects."""
+        return self.model.together
+
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
         """Simulate several runs (see :meth:`Model.simulate_many`)."""
         own = len(self.model.parameters)

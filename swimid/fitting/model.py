@@ -349,6 +349,11 @@ class Model(ABC):
         """Simulate several runs, each as :meth:`simulate`; NaN throughout where one breaks down."""
         return self.hooked_many([(values, trial, NONE) for values, trial in runs])
 
+    @property
+    def together(self) -> int:
+        """How many runs take no longer than one."""
+        return 1
+
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """The same with what else acts on the chain of each.
 

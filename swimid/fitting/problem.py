@@ -321,7 +321,9 @@ class Problem:
         if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.jobs)
-            share = math.ceil(len(runs) / self.jobs)
+            # in whole batches of what the model runs at once
+            together = self.model.together
+            share = math.ceil(len(runs) / self.jobs / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
             found = [one for part in self._pool.map(self.model.simulate_many, parts) for one in part]
             shared = self.jobs

@@ -77,6 +77,11 @@ class Tied(Model):
         """Simulate with every member at its group's value (see :meth:`Model.simulate`)."""
         return self.model.simulate(self.members(values), trial)
 
+    @property
+    def together(self) -> int:
+        """As of the untied model."""
+        return self.model.together
+
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Several runs (see :meth:`Model.hooked_many`)."""
         return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])

@@ -1,8 +1,11 @@
-"""A choice by sign that the compiler and the tracer of the engines both understand."""
+"""What the engines and their traced form share: the choice by sign, and when a run has broken down."""
 
 from __future__ import annotations
 
 import numba
+
+#: A state farther out than this has broken down.
+BROKEN = 1e6
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -36,7 +36,7 @@ from swimid.swimmer.front import Found
 from swimid.swimmer.options import FitGrayboxOptions
 from swimid.swimmer.profiles import Profiles
 
-#: Jacobians that a fit takes, about.
+#: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
 
 

@@ -23,6 +23,7 @@ from swimid.fitting.swimmer import Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.lanes.kernel import Engine, Kernel
+from swimid.swimmer.lanes.source import LANES
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import sampled
@@ -258,6 +259,11 @@ class LinkedModel(Swimmer):
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """The same with what else acts on the chain (see :meth:`Model.hooked`)."""
         return self._at_samples(values, trial, hooks, self.trajectory(values, trial, hooks))
+
+    @property
+    def together(self) -> int:
+        """As many as there are lanes (see :attr:`Model.together`)."""
+        return LANES if self.side_by_side else 1
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Several runs, side by side where the robot's kernel is compiled (see :meth:`Model.hooked_many`)."""

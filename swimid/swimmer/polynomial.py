@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.fitting.model import Array
 from swimid.robots.planar import factors
@@ -90,6 +91,11 @@ class Table:
         self.gains = np.array([[entry.terms.get(m, 0.0) for m in monomials] for entry in entries]).reshape(
             len(entries), len(monomials)
         )
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """Entries that are not zero whatever the coefficients, shape (rows, columns)."""
+        return np.asarray(((self.constant != 0.0) | (self.gains != 0.0).any(axis=1)).reshape(self.shape))
 
     def __call__(self, values: Array) -> Array:
         """The table at the coefficients' values, shape (rows, columns); it may be the object's own."""

@@ -31,10 +31,10 @@ from swimid.swimmer.lanes.source import LANES, Traced
 
 Array = NDArray[np.float64]
 
-#: What one traced operation takes in the scalar engine, and to compile, s: of the built-in robots, by
-#: ``benchmarks/bench_multilink.py``.
-OPERATION_S, COMPILING_S = 3.5e-10, 5.5e-3
-#: Compiling pays when the scalar engine would take this many times as long.
+#: What one traced operation takes in the scalar engine, and to compile, s: of the built-in robots, printed
+#: by ``python -m benchmarks.bench_lanes --only engine compile``.
+OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
+#: Compiling pays when the scalar engine would take this many times as long: the work ahead is known to half.
 PAYS = 2.0
 #: Arrays of results whose memory is used again.
 ROOMS = 8
@@ -127,15 +127,11 @@ class Kernel:
         driven = int(self._example["topology"][:, 1].max()) + 1
         state = symbols.array(tracer, "state", (self.size,))
         row = symbols.array(tracer, "row", (driven, 5))
-        scratch = [np.zeros(shape, dtype=object) for shape in self._scratch]
-        for array in scratch:
-            array[...] = 0.0
+        scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
         rate = np.zeros(self.size, dtype=object)
         symbols.on_symbols(self.engine.derivative)(state, row, *arguments, *self.engine.extra, *scratch, rate)
         after = symbols.Tracer()
-        settled = (
-            symbols.array(after, "state", (self.size,)) if self.engine.settled else np.empty(0, dtype=object)
-        )
+        settled = symbols.array(after, "state", (self.size if self.engine.settled else 0,))
         if self.engine.settled:
             symbols.on_symbols(self.engine.settled)(settled)
         used = _used(tracer.operations, rate)
@@ -171,9 +167,7 @@ class Kernel:
         """The module, compiled where this machine does not have it yet."""
         with self._lock:
             if self._module is None:
-                module = imported(source.text(self.traced()))
-                compile_all(module)
-                self._module = module
+                self._module = _compiled(imported(source.text(self.traced())))
             return self._module
 
     def run(
@@ -262,14 +256,14 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
     """Entries that are 0, 1 or -1 whatever the coefficients, NaN for the rest; of the tables of numbers."""
     draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
     samples = [tables(draw) for draw in draws]
-    found = {}
+    fixed = {}
     for name, first in samples[0].items():
         values = np.array([s[name] for s in samples], dtype=object if isinstance(first, bool) else None)
         if values.dtype.kind != "f":
             continue
         same = (values == values[0]).all(axis=0) & np.isin(values[0], (0.0, 1.0, -1.0))
-        found[name] = np.where(same, values[0], np.nan)
-    return found
+        fixed[name] = np.where(same, values[0], np.nan)
+    return fixed
 
 
 def _used(operations: Sequence[symbols.Symbol], results: Any) -> list[symbols.Symbol]:
@@ -325,9 +319,10 @@ def imported(text: str) -> ModuleType:
     return module
 
 
-def compile_all(module: ModuleType) -> None:
-    """Compile a module, or load what was compiled before."""
+def _compiled(module: ModuleType) -> ModuleType:
+    """The module, compiled or loaded as it was compiled before."""
     module.integrate.compile(module.SIGNATURE)
+    return module
 
 
 def later(text: str) -> None:
@@ -356,6 +351,6 @@ def compile_file(path: str) -> None:
     try:
         if hasattr(os, "nice"):
             os.nice(10)
-        compile_all(imported(Path(path).read_text(encoding="utf-8")))
+        _compiled(imported(Path(path).read_text(encoding="utf-8")))
     finally:
         mark.unlink(missing_ok=True)

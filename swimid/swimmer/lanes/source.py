@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from swimid.swimmer.choice import BROKEN
 from swimid.swimmer.lanes.symbols import Symbol
 
 #: Runs side by side: eight doubles fill a register of AVX-512, two of AVX2, four of NEON.
 LANES = 8
-#: A state farther out than this has broken down (as in the engines).
-BROKEN = 1e6
 
 
 @dataclass(frozen=True)

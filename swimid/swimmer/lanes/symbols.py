@@ -210,8 +210,8 @@ def _plain(function: Any, known: dict[Any, Any]) -> Any:
     return known[function]
 
 
-def array(tracer: Tracer, kind: str, shape: tuple[int, ...], first: int = 0) -> np.ndarray[Any, Any]:
-    """An array of input symbols, numbered from ``first``."""
-    found = np.empty(shape, dtype=object)
-    found.reshape(-1)[:] = [tracer.symbol(kind, first + i) for i in range(found.size)]
-    return found
+def array(tracer: Tracer, kind: str, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """An array of input symbols, numbered from 0."""
+    inputs = np.empty(shape, dtype=object)
+    inputs.reshape(-1)[:] = [tracer.symbol(kind, i) for i in range(inputs.size)]
+    return inputs

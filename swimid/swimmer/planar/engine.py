@@ -28,7 +28,7 @@ import numba
 import numpy as np
 
 from swimid.fitting.hooks import MOST_FORCES, Force, no_force
-from swimid.swimmer.choice import positive
+from swimid.swimmer.choice import BROKEN, positive
 
 #: Columns of the tables the kernels read.
 TOPOLOGY = ("parent", "driven", "passive")
@@ -51,8 +51,6 @@ DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadrat
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
 WAKE = ("x", "y", "half_mass")
-#: A state farther out than this has broken down.
-BROKEN = 1e6
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

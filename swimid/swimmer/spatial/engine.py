@@ -29,7 +29,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.choice import positive
+from swimid.swimmer.choice import BROKEN, positive
 from swimid.swimmer.planar.engine import passive_torque, solve
 
 #: Columns of the tables the kernels read.
@@ -69,8 +69,6 @@ FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
 WAKE = (
     "x", "y", "z", "half_mass", "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z",
 )  # fmt: skip
-#: A state farther out than this has broken down.
-BROKEN = 1e6
 
 #: Columns of the work table: turn to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6), turn to the
 # world (9), place in the world (3)

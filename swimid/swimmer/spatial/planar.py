@@ -29,6 +29,8 @@ class Lifted(Assembly):
         self.second, self.across = (1, 2) if body.plane == "horizontal" else (2, 1)
         self.normal = np.array([0.0, 0.0, 1.0] if body.plane == "horizontal" else [0.0, -1.0, 0.0])
         self.reference = self._point(-body.reference.station_m, body.reference.offset_m)
+        drag = next(table for name, _, table in self._elements if name == "drag")
+        self._turning = np.flatnonzero(drag.occupied[:, 6:].any(axis=1))
 
     def tables(self, values: Array) -> dict[str, Any]:
         """The arguments of :func:`engine.integrate` from ``topology`` on, by their names."""
@@ -40,7 +42,8 @@ class Lifted(Assembly):
             "inertia": np.array([self._solid(row) for row in flat["inertia"]]),
             "passive": flat["passive"],
         }
-        turning = [(i, row) for i, row in zip(flat["drag_link"], flat["drag"], strict=True) if row[6:].any()]
+        # by the file, not by the values: a coefficient may come to zero
+        turning = [(flat["drag_link"][k], flat["drag"][k]) for k in self._turning]
         rows: dict[str, tuple[Any, list[Array]]] = {
             "drag": (flat["drag_link"], [self._drag(row) for row in flat["drag"]]),
             "damping": ([i for i, _ in turning], [self._damping(row) for _, row in turning]),
