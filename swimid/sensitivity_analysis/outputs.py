@@ -105,12 +105,13 @@ def of_columns(model: Swimmer, columns: Mapping[str, Array], run: Run) -> dict[s
     for axis in model.passive:
         angle = columns[axis.column][run.last]
         quantities[f"amplitude_{axis.name}_rad"] = Quantity(0.5 * float(np.ptp(angle)), "rad")
-    for name, (times, measured, scale, unit) in run.measured.items():
-        simulated = columns[name]
+    if run.measured:
+        simulated = np.stack([columns[name] for name in run.measured], axis=1)
+        curves = CubicSpline(run.trial.time_s, simulated) if np.isfinite(simulated).all() else None
+    for k, (name, (times, measured, scale, unit)) in enumerate(run.measured.items()):
         error = math.nan
-        if np.isfinite(simulated).all():
-            there = CubicSpline(run.trial.time_s, simulated)(times)
-            error = math.sqrt(float(np.mean((measured - there) ** 2)))
+        if curves is not None:
+            error = math.sqrt(float(np.mean((measured - curves(times)[:, k]) ** 2)))
         quantities[f"misfit_{name}"] = Quantity(error / scale, unit)
     return quantities
 

@@ -129,6 +129,8 @@ class LinkedModel(Swimmer):
         self._motions: dict[tuple[Any, ...], list[Motion]] = {}
         self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
         self._lock = threading.Lock()
+        #: Coefficients that were not refused, the last of them.
+        self._sound: bytes | None = None
         #: The compiled form for several runs side by side, and whether runs take it (:meth:`prepare`).
         self.kernel: Kernel | None = None
         self.side_by_side = False
@@ -194,7 +196,10 @@ class LinkedModel(Swimmer):
 
     def check(self, values: Array) -> None:
         """Refuse coefficients that make masses no body has."""
-        self.tree.check(values[: self._count])
+        own = values[: self._count].tobytes()
+        if own != self._sound:
+            self.tree.check(values[: self._count])
+            self._sound = own
 
     def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
         """What a driven joint is told to do, rad."""

@@ -6,6 +6,7 @@ import math
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.fitting.model import Array
@@ -13,7 +14,7 @@ from swimid.robots.file import Fluid
 from swimid.robots.planar import Joint, Link, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.elements import Row, Tables, adders
-from swimid.swimmer.polynomial import Polynomial
+from swimid.swimmer.polynomial import Polynomial, Table
 from swimid.swimmer.tree import Tree, quantities
 
 #: A radius of gyration outside these multiples of a link's length is taken for a slip of units.
@@ -52,10 +53,24 @@ class Assembly(Tree):
 
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
         super().__init__(body)
+        self._sizes = self._sized()
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         rows = Tables(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
         self.fill(rows, adders(), engine)
         self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
+
+    def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
+        """Paths of the quantities, the power of a length each is, which have one sign, their values."""
+        named = quantities(self.body, "multilink")
+        paths = [path for path, _ in named]
+        keys = [path.rsplit(".", 1)[-1] for path in paths]
+        powers = [2 if key.endswith("area_m2") else 1 if LENGTH.fullmatch(key) else 0 for key in keys]
+        losses = [
+            path.startswith("multilink.elements") and LOSS.search(key) is not None
+            for path, key in zip(paths, keys, strict=True)
+        ]
+        table = Table([[Polynomial.of(quantity)] for _, quantity in named], 1, self.names)
+        return paths, np.array(powers), np.array(losses), table
 
     @property
     def unknowns(self) -> int:
@@ -70,7 +85,7 @@ class Assembly(Tree):
         InputError
         """
         rigid, apparent = self._rigid(values), self._inertia(values)
-        _check_sizes(self.body, dict(zip(self.names, values, strict=True)))
+        self._check_sizes(values)
         span = sum(link.length_m for link in self.links)
         for link, own, whole in zip(self.links, rigid, apparent, strict=True):
             _check_link(link, own, span)
@@ -88,6 +103,25 @@ class Assembly(Tree):
                         f"{law[column]:g} is negative; it must not be",
                         column=f"multilink.joints.{axis.joint.name}.passive.{key}",
                     )
+
+    def _check_sizes(self, values: Array) -> None:
+        """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
+        paths, powers, one_sign, table = self._sizes
+        numbers, span = table(values)[:, 0], sum(link.length_m for link in self.links)
+        far = np.where(powers > 0, FAR * span**powers, np.inf)
+        sound = (np.abs(numbers) < HUGE) & (np.abs(numbers) <= far) & ~(one_sign & (numbers < 0))
+        for k in np.flatnonzero(~sound)[:1]:
+            number, power = float(numbers[k]), powers[k]
+            if not abs(number) < HUGE:
+                raise InputError(f"{number:g} is out of all proportion", column=paths[k])
+            if abs(number) > far[k]:
+                unit = ("m", "m2")[power - 1]
+                raise InputError(
+                    f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
+                    column=paths[k],
+                    hint=f"lengths are in m, areas in m2: is it in {'mm' if power == 1 else 'cm2'}?",
+                )
+            raise InputError(f"{number:g} is negative; it must not be", column=paths[k])
 
     def _add_rigid(self, link: Link, rows: Tables) -> None:
         mass = Polynomial.of(link.mass_kg)
@@ -136,26 +170,6 @@ def _check_link(link: Link, own: Array, span: float) -> None:
             column=f"{where}.inertia_kg_m2",
             hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
         )
-
-
-def _check_sizes(body: Multilink, values: dict[str, float]) -> None:
-    """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
-    span = sum(link.length_m for link in body.links)
-    for path, quantity in quantities(body, "multilink"):
-        number = Polynomial.of(quantity).at(values)
-        key = path.rsplit(".", 1)[-1]
-        if not abs(number) < HUGE:
-            raise InputError(f"{number:g} is out of all proportion", column=path)
-        power = 2 if key.endswith("area_m2") else 1 if LENGTH.fullmatch(key) else 0
-        if power and abs(number) > FAR * span**power:
-            unit = ("m", "m2")[power - 1]
-            raise InputError(
-                f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
-                column=path,
-                hint=f"lengths are in m, areas in m2: is it in {'mm' if power == 1 else 'cm2'}?",
-            )
-        if number < 0 and LOSS.search(key) and path.startswith("multilink.elements"):
-            raise InputError(f"{number:g} is negative; it must not be", column=path)
 
 
 def _full(row: Array) -> Array:
