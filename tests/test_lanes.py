@@ -466,3 +466,19 @@ def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     packed = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?pd\b", assembly))
     single = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?sd\b", assembly))
     assert packed > 10 * max(single, 1)
+
+
+def test_what_an_effect_gives_a_passive_joint_fits_the_kernel() -> None:
+    """Stiffness, damping and rest angle of a joint without any: side by side as every other run."""
+    robot = robot_format.read("tfish")
+    body = robot.multilink
+    assert body is not None
+    for tree in (PlanarAssembly(body, robot.fluid), Lifted(body, robot.fluid)):
+        form = MultibodyModel if isinstance(tree, Lifted) else MultilinkModel
+        kernel = Kernel(form.engine, tree.tables, len(tree.names))
+        tables = {name: np.copy(t) for name, t in tree.tables(np.ones(len(tree.names))).items()}
+        for column in range(5):
+            tables["passive"][0, column] += 0.01
+            assert kernel.fits(tables)
+        tables["passive"][0, 9] = 0.01  # dry friction is a case of its own in the equations
+        assert not kernel.fits(tables)

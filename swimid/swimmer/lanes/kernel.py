@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -58,12 +58,15 @@ class Engine:
         Arguments of ``derivative`` between the tables and the scratch arrays.
     settled : compiled function or None
         Done to a state after each step.
+    filled : mapping of table to columns
+        Entries that stay numbers of a run also where the robot has a zero there: effects fill them.
     """
 
     derivative: Any
     shapes: Callable[[Mapping[str, Any]], tuple[int, Sequence[tuple[int, ...]]]]
     extra: tuple[Any, ...] = ()
     settled: Any = None
+    filled: Mapping[str, slice] = field(default_factory=dict)
 
 
 class Kernel:
@@ -82,6 +85,8 @@ class Kernel:
         self._example = tables(np.ones(coefficients))
         self.size, self._scratch = engine.shapes(self._example)
         self._fixed = _fixed(tables, coefficients)
+        for name, columns in engine.filled.items():
+            self._fixed[name][:, columns] = np.nan
         self._taken = {name: np.isnan(fixed) for name, fixed in self._fixed.items()}
         self._places = [
             (name, np.flatnonzero(taken.reshape(-1))) for name, taken in self._taken.items() if taken.any()

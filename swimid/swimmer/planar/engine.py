@@ -47,6 +47,8 @@ PASSIVE = (
     "friction",
     "friction_below",
 )
+#: What effects give a passive joint that the robot's file leaves at zero, by table.
+FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")

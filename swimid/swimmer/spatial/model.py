@@ -14,6 +14,7 @@ from swimid.logs.rotation import angles, from_angles
 from swimid.robots.spatial import Hydrostatics
 from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.model import LinkedModel, Run
+from swimid.swimmer.planar.engine import FILLED
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
 from swimid.swimmer.spatial.planar import Lifted
@@ -39,7 +40,7 @@ class MultibodyModel(LinkedModel):
     offers = frozenset({"command", "tables", "output", "clock"})
     in_space = True
     coordinates, speeds = 7, 6
-    engine = Engine(engine.derivative, engine.shapes, settled=engine.settled)
+    engine = Engine(engine.derivative, engine.shapes, settled=engine.settled, filled=FILLED)
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     places = ("x", "y", "z", "roll", "pitch", "yaw")
