@@ -208,11 +208,11 @@ class ArxModel(Model):
             column = hooks.actuated(time, self.input_of(trial, time))
             trial = replace(trial, inputs={**trial.inputs, self.source: column})
         channels = self.simulate(values, trial)
-        if hooks.clock_s:
+        if hooks.late:
             run = channels[self.output]
             there = np.isfinite(run)
             if there.any():
-                late = np.interp(time - hooks.clock_s, time[there], run[there])
+                late = np.interp(hooks.happened(time), time[there], run[there])
                 channels[self.output] = np.where(there, late, np.nan)
         return hooks.seen(channels, trial.time_s)
 

@@ -145,6 +145,17 @@ class Body(ABC):
     def joint_inertia(self, tables: dict[str, Any], joint: int) -> float:
         """Inertia about a passive joint of the link it carries, water included, kg m2."""
 
+    @abstractmethod
+    def carried(self, tables: dict[str, Any], joint: int) -> tuple[float, float]:
+        """What a driven joint turns, all joints beyond it straight: inertia and quadratic drag about it.
+
+        In kg m2, water included, and N m s2/rad2, of still water.
+        """
+
+    @abstractmethod
+    def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
+        """The points where drag acts across links: link of each; place (x, y) and gain on ``|w| w``."""
+
     # -------------------------------------------------------- what changes them
 
     @abstractmethod
@@ -162,6 +173,17 @@ class Body(ABC):
     @abstractmethod
     def drag_times(self, tables: dict[str, Any], factor: float) -> None:
         """Multiply every quadratic drag coefficient of the links."""
+
+    @abstractmethod
+    def lift(self, tables: dict[str, Any], links: NDArray[np.int64], points: Array) -> None:
+        """Add forces ``-k V w`` across links, V the speed of a point and w that across.
+
+        Parameters
+        ----------
+        links : ndarray of int, shape (n,)
+        points : ndarray, shape (n, 3)
+            Place (x, y) in the link's axes, m, and k, N s2/m2.
+        """
 
     @abstractmethod
     def shed(self, tables: dict[str, Any], mass_kg_m: float) -> None:

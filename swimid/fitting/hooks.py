@@ -43,7 +43,7 @@ class Force:
     #: axes, N and N m. It is given the time (s), the ``pose`` (x, y of the reference point of the base in the
     #: world, heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
     #: axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one coordinate:
-    #: pose[0], velocity[0], wrench[0].
+    #: pose[0], velocity[0], wrench[0]; velocity[1] is its speed over ground.
     function: Any
     #: Shape (c,).
     constants: Array
@@ -98,8 +98,10 @@ class Hooks:
     flow: tuple[Flow, ...] = ()
     #: Sensing.
     output: tuple[Output, ...] = ()
-    #: The log shows what happened this much earlier.
+    #: The log shows what happened this much earlier ...
     clock_s: float = 0.0
+    #: ... and earlier by this share of its time.
+    clock_drift: float = 0.0
     #: Tells one motion from another; two hooks of one key move the robot alike.
     key: bytes = b""
     #: The same of the commands alone.
@@ -132,6 +134,15 @@ class Hooks:
         for change in getattr(self, hooks):
             change(values)
         return values
+
+    @property
+    def late(self) -> bool:
+        """Whether the clock of the log is not the drive's."""
+        return self.clock_s != 0.0 or self.clock_drift != 0.0
+
+    def happened(self, time_s: Array) -> Array:
+        """When what a log shows at these times happened, s."""
+        return time_s - (self.clock_s + self.clock_drift * time_s)
 
     def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
         """The channels after all sensing hooks."""

@@ -285,7 +285,7 @@ class Model(ABC):
         return iter(())
 
     def onset(self, trial: Trial) -> float:
-        """When the actuators begin to move, s: a drive at time zero, a recorded command with its log."""
+        """When the run begins, s: a drive at time zero, a recorded command with its log."""
         return float(trial.time_s[0]) if trial.swim.beat is None else 0.0
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
@@ -342,7 +342,7 @@ class Model(ABC):
 
         A model that offers more than sensing and a late clock overrides this.
         """
-        late = replace(trial, time_s=trial.time_s - hooks.clock_s) if hooks.clock_s else trial
+        late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
         return hooks.seen(self.simulate(values, late), trial.time_s)
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:

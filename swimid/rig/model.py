@@ -121,6 +121,10 @@ class RigModel(Model):
         """Typical sizes of trials."""
         return RigScales(self, trials)
 
+    def onset(self, trial: Trial) -> float:
+        """The release, s."""
+        return trial.rig.begin_s
+
     def origin(self, trial: Trial) -> dict[str, float]:
         """Where a trial's displacement starts."""
         return {self.coordinate: trial.rig.x0}
@@ -218,8 +222,8 @@ class RigModel(Model):
             For more than :data:`swimid.fitting.hooks.MOST_FORCES` forces.
         """
         late = trial
-        if hooks.clock_s:
-            time = trial.time_s - hooks.clock_s
+        if hooks.late:
+            time = hooks.happened(trial.time_s)
             inputs = {name: np.interp(time, trial.time_s, data) for name, data in trial.inputs.items()}
             late = replace(trial, time_s=time, inputs=inputs)
         if not np.isfinite(values).all():

@@ -287,7 +287,7 @@ class LinkedModel(Swimmer):
 
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """The channels of a run."""
-        time = trial.time_s - self._value(values, "clock_offset") - hooks.clock_s
+        time = hooks.happened(trial.time_s - self._value(values, "clock_offset"))
         states, _ = sampled(time, run.begin_s, run.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
         if self.free_base:
@@ -384,7 +384,9 @@ class LinkedModel(Swimmer):
         if known is None or known[0] is not trial.time_s:
             known = self._grids[trial.id] = (trial.time_s, grid(trial.time_s, self.max_step))
         begin, step, steps = known[1]
-        late = min(max(-self._value(values, "clock_offset") - hooks.clock_s, 0.0), step * steps)
+        offset = self._value(values, "clock_offset")
+        ahead = offset + hooks.clock_s + hooks.clock_drift * (float(trial.time_s[-1]) - offset)
+        late = min(max(-ahead, 0.0), step * steps)
         return begin, step, steps + math.ceil(late / step)
 
     def _drive(

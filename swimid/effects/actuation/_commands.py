@@ -5,6 +5,7 @@ from abc import ABC
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numba
 import numpy as np
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trial, Trials
@@ -49,6 +50,33 @@ class Actuation(Effect, ABC):
             command=(command,) if model.commanded(trial) else (),
             stroke=(beaten,) if "stroke" in self.needs else (),
         )
+
+
+def held_back(signal: Array, half: Array) -> Array:
+    """What follows a signal only where it is farther away than friction holds: the play operator.
+
+    A position servo of stiffness k against a dry friction T stands still while ``k |command - angle| < T``.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+    half : ndarray, shape (n,)
+        The distance ``T / k``; it may change in time.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        It starts on the signal.
+    """
+    return np.asarray(_play(signal, half))
+
+
+@numba.njit(cache=True, nogil=True)
+def _play(signal, half):  # type: ignore[no-untyped-def]
+    output = signal.copy()
+    for i in range(1, len(signal)):
+        output[i] = min(max(output[i - 1], signal[i] - half[i]), signal[i] + half[i])
+    return output
 
 
 def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:

@@ -1,6 +1,5 @@
 """Play between servo and joint."""
 
-import numba
 import numpy as np
 
 from swimid.effects.actuation import _commands
@@ -27,15 +26,14 @@ class ServoBacklash(_commands.Actuation):
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Play in the command."""
-        return np.asarray(play(angle, value))
+        return play(angle, value)
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Half the play less."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def play(signal, width):  # type: ignore[no-untyped-def]
+def play(signal: Array, width: float) -> Array:
     """Output of a play of the given whole width that starts in its middle.
 
     Parameters
@@ -47,8 +45,4 @@ def play(signal, width):  # type: ignore[no-untyped-def]
     -------
     ndarray, shape (n,)
     """
-    output = signal.copy()
-    half = 0.5 * width
-    for i in range(1, len(signal)):
-        output[i] = min(max(output[i - 1], signal[i] - half), signal[i] + half)
-    return output
+    return _commands.held_back(signal, np.full(len(signal), 0.5 * width))

@@ -1,14 +1,12 @@
 """A log whose clock is late."""
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.scales import MEAN_SPEED, POSITIONS
+from swimid.effects.sensing import _channels
+from swimid.fitting.scales import MEAN_SPEED
 
-#: Channels of a camera.
-POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0
 
@@ -43,9 +41,7 @@ class TimeOffset(Effect):
             return [self]
         if model.estimates("clock_offset"):
             return []
-        measured = {c for t in trials for c in t.measured}
-        apart = measured & set(POSES) and any(c.endswith("_rate_rad_s") for c in measured)
-        alone = [TimeOffset(camera=True)] if apart and "output" in model.offers else []
+        alone = [TimeOffset(camera=True)] if _channels.clocks_apart(model, trials) else []
         return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -58,14 +54,7 @@ class TimeOffset(Effect):
         """A late clock; longer times of cruising runs."""
         offset = float(values[0])
         if self.camera:
-
-            def late(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-                then = np.maximum(time_s - offset, time_s[0])
-                poses = [c for c in POSES if c in channels]
-                seen = _at(time_s, np.column_stack([channels[c] for c in poses]), then)
-                return {**channels, **dict(zip(poses, seen.T, strict=True))}
-
-            return Hooks(output=(late,) if offset != 0.0 and len(trial.time_s) > 3 else ())
+            return _channels.poses_at(trial, lambda time_s: time_s - offset) if offset != 0.0 else Hooks()
         if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]
@@ -78,11 +67,3 @@ class TimeOffset(Effect):
             return {**channels, MEAN_SPEED: speed / longer}
 
         return Hooks(output=(seen,))
-
-
-def _at(time_s: Array, values: Array, then: Array) -> Array:
-    """Channels at other times, shape (n, channels); one whose simulation broke down is missing altogether."""
-    sound = np.isfinite(values).all(axis=0)
-    shifted = np.full((len(then), values.shape[1]), np.nan)
-    shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
-    return shifted

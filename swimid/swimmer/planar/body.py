@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.fitting.body import Array, Body, Frames, Point
 from swimid.fitting.scales import Scales
@@ -136,6 +137,42 @@ class PlanarBody(Body):
         """Inertia about a passive joint of the link it carries, water included, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
 
+    def carried(self, tables: dict[str, Any], joint: int) -> tuple[float, float]:
+        """What a driven joint turns, all joints beyond it straight: inertia and quadratic drag about it.
+
+        In kg m2, water included, and N m s2/rad2, of still water.
+        """
+        root, topology = self.driven[joint].link, tables["topology"]
+        straight = {a.column: np.zeros(1) for a in (*self.driven, *self.passive)}
+        straight |= {name: np.zeros(1) for name in self.pose}
+        start = np.array([p.start for p in self._model.parameters])
+        x, y, heading = (part[:, 0] for part in self.frames(start, straight))
+        inertia, drag = 0.0, 0.0
+        moved = np.zeros(len(x), dtype=bool)
+        for link in range(root, len(x)):
+            moved[link] = link == root or moved[topology[link, 0]]
+            if not moved[link]:
+                continue
+            c, s = np.cos(heading[link]), np.sin(heading[link])
+            dx, dy = x[link] - x[root], y[link] - y[root]
+            # velocity of the link at one rad/s: along, across and turning
+            along, across = s * dx - c * dy, c * dx + s * dy
+            uu, uv, ur, vv, vr, rr = tables["inertia"][link]
+            inertia += uu * along**2 + vv * across**2 + rr
+            inertia += 2.0 * (uv * along * across + ur * along + vr * across)
+            own = tables["drag"][tables["drag_link"] == link]
+            drag += own[:, 2] @ np.abs(along - own[:, 1]) ** 3 + own[:, 3] @ np.abs(across + own[:, 0]) ** 3
+            drag += own[:, 6].sum()
+            fin = tables["foil"][tables["foil_link"] == link]
+            flat = fin[:, 2] * (fin[:, 4] + 2.0 * fin[:, 5])
+            drag += flat @ np.hypot(along - fin[:, 1], across + fin[:, 0]) ** 3
+        return float(inertia), float(drag)
+
+    def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
+        """The points where drag acts across links: link of each; place (x, y) and gain on ``|w| w``."""
+        there = tables["drag"][:, 3] > 0
+        return tables["drag_link"][there], tables["drag"][there][:, [0, 1, 3]]
+
     # -------------------------------------------------------- what changes them
 
     def weigh(self, tables: dict[str, Any], link: int, at: Point, along: float, across: float) -> None:
@@ -165,6 +202,18 @@ class PlanarBody(Body):
     def drag_times(self, tables: dict[str, Any], factor: float) -> None:
         """Multiply every quadratic drag coefficient of the links."""
         tables["drag"][:, QUADRATIC] *= factor
+
+    def lift(self, tables: dict[str, Any], links: NDArray[np.int64], points: Array) -> None:
+        """Add forces ``-k V w`` across links, V the speed of a point and w that across (m/s, k in N s2/m2).
+
+        A fin whose lift and drag coefficients ``C_L sin(2 a)`` and ``C_L (1 - cos(2 a))`` have no resultant
+        along its chord: across it, ``2 C_L sin(a)``.
+        """
+        one = np.ones(len(points))
+        half = 0.5 * one
+        rows = np.column_stack([points, half, 0.0 * one, half, one, 0.0 * one])
+        tables["foil_link"] = np.append(tables["foil_link"], links)
+        tables["foil"] = np.vstack([tables["foil"], rows])
 
     def shed(self, tables: dict[str, Any], mass_kg_m: float) -> None:
         """Add a trailing edge at the rear end of the last link, added mass per length in kg/m."""
