@@ -43,7 +43,7 @@ class Force:
     #: axes, N and N m. It is given the time (s), the ``pose`` (x, y of the reference point of the base in the
     #: world, heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
     #: axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one coordinate:
-    #: pose[0], velocity[0], wrench[0]; velocity[1] is its speed over ground.
+    #: pose[0], velocity[0], wrench[0]; velocity[2] is its speed over ground.
     function: Any
     #: Shape (c,).
     constants: Array

@@ -53,7 +53,7 @@ def _acceleration(t, x, v, side, force, w, dw, c, extra):  # type: ignore[no-unt
     through = v - w
     scratch, acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4) = extra
     pose, velocity, wrench = scratch[0], scratch[1], scratch[2]
-    pose[0], velocity[0], velocity[1], wrench[0] = x, through, v, 0.0
+    pose[0], velocity[0], velocity[2], wrench[0] = x, through, v, 0.0
     if acting > 0:
         f1(t, pose, velocity, c1, wrench)
     if acting > 1:

@@ -34,7 +34,7 @@ def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def
         share = min(max((t - begin) / (end - begin), 0.0), 1.0) if end > begin else 0.0
         first, second = constants[4 + count + low], constants[4 + count + high]
         load += first + share * (second - first)
-    v = velocity[1]
+    v = velocity[2]
     wrench[0] -= constants[0] * abs(load) * v / math.sqrt(v * v + constants[1] * constants[1])
 
 

@@ -14,7 +14,7 @@ from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 @cfunc(FORCE_SIGNATURE, cache=True)
 def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """What a body in motion is spared of its friction at rest; constants the rise and the Stribeck speed."""
-    v = velocity[1]
+    v = velocity[2]
     share = v / constants[1]
     wrench[0] += math.copysign(constants[0] * (1.0 - math.exp(-share * share)), v)
 
