@@ -14,11 +14,13 @@ from tests.toy_models import DECAY, Toy, decay
 
 #: Names that reports, files and other programs rely on.
 PINNED = {
-    "actuation": "servo-lag servo-delay servo-backlash amplitude-loss rate-limit amplitude-offset",
-    "structure": "fin-flexibility joint-stiffness joint-damping joint-locked water-ingress com-offset",
-    "fluid": "linear-drag drag-reynolds added-mass wake-lift",
+    "actuation": "servo-lag servo-delay servo-backlash amplitude-loss rate-limit amplitude-offset slip",
+    "structure": "fin-flexibility joint-stiffness joint-damping joint-locked water-ingress com-offset "
+    "hardening stribeck load-friction",
+    "fluid": "linear-drag drag-reynolds added-mass wake-lift lift-damping",
     "environment": "current waves tether wall surface-breach buoyancy",
-    "sensing": "camera-scale camera-rotation time-offset marker-dropout marker-offset imu-tilt imu-bias",
+    "sensing": "camera-scale camera-rotation time-offset clock-rate marker-dropout marker-offset imu-tilt "
+    "imu-bias",
     "rig": "pulley-friction pulley-viscous pulley-inertia string-stretch start-offset initial-speed",
 }
 OWN = """

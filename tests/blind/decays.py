@@ -82,11 +82,27 @@ def _waves(size: float, rng: np.random.Generator) -> Act:
     return act
 
 
-def _cubic(size: float, rng: np.random.Generator) -> Act:
-    sign = rng.choice([-0.6, 1.0])
-    return lambda decay: decay.moments.append(
-        lambda _, angle, __: -0.6 * sign * size * decay.stiffness * angle**3 / np.radians(20.0) ** 2 * 0.2
-    )
+def _hardening(size: float, rng: np.random.Generator) -> Act:
+    """A moment with the hyperbolic sine of the angle, or with the sine of a multiple of it."""
+    soft = rng.random() < 0.4
+    bend = np.sqrt(6.0 * 0.2 * min(size, 2.0 if soft else 3.0)) / np.radians(20.0)
+
+    def act(decay: Decay) -> None:
+        law = np.sin if soft else np.sinh
+        decay.moments.append(lambda _, angle, __: -decay.stiffness * (law(bend * angle) / bend - angle))
+
+    return act
+
+
+def _stribeck(size: float, rng: np.random.Generator) -> Act:
+    """Friction that falls algebraically with the rate."""
+    slow = rng.uniform(0.15, 0.4)
+
+    def act(decay: Decay) -> None:
+        level = np.radians(0.4) * size * decay.stiffness
+        decay.moments.append(lambda _, __, w: -level / (1.0 + (abs(w) / slow) ** 3) * np.tanh(w / 0.01))
+
+    return act
 
 
 def _loose_ballast(size: float, _: np.random.Generator) -> Act:
@@ -110,8 +126,10 @@ EFFECTS: Catalogue = {
     "pulley-friction": (_dry, SIZES),
     "linear-drag": (_viscous, SIZES),
     "waves": (_waves, SIZES),
+    "hardening": (_hardening, SIZES),
+    "stribeck": (_stribeck, SIZES),
 }
-OUTSIDE: Catalogue = {"cubic-stiffness": (_cubic, SIZES), "loose-ballast": (_loose_ballast, SIZES)}
+OUTSIDE: Catalogue = {"loose-ballast": (_loose_ballast, SIZES)}
 
 
 def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.Generator) -> dict:

@@ -230,6 +230,35 @@ def _time_offset(size: float, rng: np.random.Generator) -> Act:
     return act
 
 
+def _clock_rate(size: float, rng: np.random.Generator) -> Act:
+    """The stamps run fast or slow, by a fifth less while the clock warms up."""
+    rate, warm = 0.015 * size * rng.choice([-1.0, 1.0]), rng.uniform(1.0, 4.0)
+
+    def seen(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.interp(t - rate * (t - 0.2 * warm * -np.expm1(-t / warm)), t, x)
+
+    return lambda rig: rig.seen.append(seen)
+
+
+def _stribeck(size: float, rng: np.random.Generator) -> Act:
+    """Friction that falls algebraically with speed."""
+    level, slow = 900.0 * size, rng.uniform(3.0, 6.0)
+    return lambda rig: rig.forces.append(
+        lambda _, __, v: -level / (1.0 + (abs(v) / slow) ** 3) * np.tanh(v / 0.02)
+    )
+
+
+def _load_friction(size: float, _: np.random.Generator) -> Act:
+    """A share of the string's tension, which is that of a weight that falls."""
+    share = 0.04 * size
+
+    def act(rig: Rig) -> None:
+        rig.forces.append(lambda _, __, v: -share * rig.weight * GRAVITY * np.tanh(v / 0.02))
+        rig.inertia.append(lambda _: -share * rig.weight)
+
+    return act
+
+
 def _marker_dropout(size: float, rng: np.random.Generator) -> Act:
     kind = rng.choice(["frozen", "jump", "bursts"])
 
@@ -296,6 +325,9 @@ EFFECTS: Catalogue = {
     "wall": (_wall, SIZES),
     "camera-scale": (_camera_scale, SIZES),
     "time-offset": (_time_offset, SIZES),
+    "clock-rate": (_clock_rate, SIZES),
+    "stribeck": (_stribeck, SIZES),
+    "load-friction": (_load_friction, SIZES),
     "marker-dropout": (_marker_dropout, SIZES),
 }
 OUTSIDE: Catalogue = {

@@ -5,13 +5,15 @@ Every function takes and returns (3, joints, n) on a uniform grid that starts wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
 from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lsim
 
+from tests.blind import swim_body
 from tests.blind.swim_case import Act, Trial
 
 Joints = np.ndarray
@@ -170,6 +172,96 @@ def amplitude_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
         return out
 
     return Act(joints=joints)
+
+
+def slip(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """The tendons slip from about the same moment of every trial on, by unlike shares."""
+    loss = min(0.15 * size, 0.8) * shared(rng, 4, 0.2)
+    when, width = rng.uniform(0.35, 0.65), rng.uniform(0.1, 0.3)
+
+    def joints(trial: Trial, t: np.ndarray, q: Joints) -> Joints:
+        at = (t - when * trial.duration_s) / width
+        lost = loss[: q.shape[1], None]
+        bell = 1.0 / np.cosh(at) ** 2
+        s, d, dd = 0.5 * (1.0 + np.tanh(at)), 0.5 * bell / width, -bell * np.tanh(at) / width**2
+        left, rate, bend = 1.0 - lost * s, -lost * d, -lost * dd
+        return np.array([left * q[0], left * q[1] + rate * q[0], left * q[2] + 2 * rate * q[1] + bend * q[0]])
+
+    return Act(joints=joints, facts={"share": when, "loss": float(loss.mean())})
+
+
+@njit(cache=True)
+def dragged(command, level, step, lag, slow):  # type: ignore[no-untyped-def]
+    """A servo of little damping against a friction that goes with tanh: angle by the implicit Euler rule.
+
+    Solved for the rate by bisection: ``lag rate + level tanh(rate / slow) = command - angle``.
+    """
+    out = np.empty(len(command))
+    out[0] = command[0]
+    for i in range(1, len(command)):
+        ahead = command[i] - out[i - 1]
+        low, high = min(0.0, ahead / (lag + step)), max(0.0, ahead / (lag + step))
+        for _ in range(50):
+            rate = 0.5 * (low + high)
+            if (lag + step) * rate + level[i] * np.tanh(rate / slow) < ahead:
+                low = rate
+            else:
+                high = rate
+        out[i] = out[i - 1] + step * 0.5 * (low + high)
+    return out
+
+
+def held(q: Joints, levels: Callable[[int, np.ndarray], np.ndarray], step: float) -> Joints:
+    """Joints that friction holds back; ``levels(joint, motion)`` is how far, rad."""
+    out = q.copy()
+    for j in range(q.shape[1]):
+        if np.ptp(q[0, j]) > 0:
+            rough = dragged(q[0, j].copy(), levels(j, q[:, j]), step, 0.002, 0.02)
+            # a joint has inertia: its rate has no steps
+            out[0, j] = gaussian_filter1d(rough, 0.006 / step, mode="nearest")
+            out[1, j] = np.gradient(out[0, j], step)
+            out[2, j] = np.gradient(out[1, j], step)
+    return out
+
+
+def stribeck(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """Servos held back by less the faster they turn, with an algebraic fall."""
+    stick = size * np.radians({"tfish": 1.2, "dolphin": 2.5}[robot])
+    slow = {"tfish": 0.4, "dolphin": 1.2}[robot] * rng.uniform(0.8, 1.25)
+
+    def level(joint: int, motion: np.ndarray) -> np.ndarray:
+        return stick / (1.0 + np.abs(motion[1] / slow) ** 3)
+
+    return Act(joints=lambda trial, t, q: held(q, level, t[1]), facts={"stick_rad": stick, "slow": slow})
+
+
+def tails(robot: str) -> list[tuple[float, float]]:
+    """Inertia (kg m2) and drag (N m s2) of the straight tail about each driven joint."""
+    body = swim_body.of(robot, {})
+    found = []
+    for joint in range(len(body.gain)):
+        start = np.concatenate([np.zeros(joint + 1), np.cumsum([0.0, *body.length[joint + 1 : -1]])])
+        own, wet = body.mass_link > joint, body.link > joint
+        reach = (start[body.mass_link] + body.mass_at.real)[own]
+        inertia = body.mass[own] @ reach**2 + body.inertia[joint + 1 :].sum()
+        drag = body.across[wet] @ (start[body.link] + body.behind)[wet] ** 3
+        if body.foil[1] > 0.0:
+            flat = body.foil[1] * (body.foil[3] + 2.0 * body.foil[4])
+            drag += flat * (start[-1] + body.foil[0]) ** 3
+        found.append((float(inertia), float(drag)))
+    return found
+
+
+def load_friction(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """Servos held back in proportion to the torque of the tail behind them."""
+    per = {"tfish": 0.3, "dolphin": 0.08}[robot] * size
+    behind = tails(robot)
+
+    def level(joint: int, motion: np.ndarray) -> np.ndarray:
+        inertia, drag = behind[joint]
+        return per * np.abs(inertia * motion[2] + drag * motion[1] * np.abs(motion[1]))
+
+    return Act(joints=lambda trial, t, q: held(q, level, t[1]), facts={"held_rad_N_m": per})
 
 
 def battery_droop(rng: np.random.Generator, size: float, robot: str) -> Act:

@@ -36,7 +36,7 @@ TYPICAL = {
 def _law(body: Body, robot: str, **terms: float) -> None:
     row = body.passive[TYPICAL[robot].passive]
     for name, value in terms.items():
-        row[LAWS.index(name)] = value if name in ("power", "play") else row[LAWS.index(name)] + value
+        row[LAWS.index(name)] = value if name in ("power", "play", "bend") else row[LAWS.index(name)] + value
 
 
 # ---------------------------------------------------------------- structure
@@ -64,6 +64,21 @@ def joint_stiffness(rng: np.random.Generator, size: float, robot: str) -> Act:
         _law(b, robot, linear=0.6 * more, cubic=4.0 * abs(more))
 
     return Act(body=body)
+
+
+#: Stiffness of the passive joint at small angles, N m/rad, and how far it bends, rad.
+SPRING = {"tfish": (85.0 * 0.030 * 0.032 * 0.020 / 0.012, 0.35), "dolphin": (0.31, 0.12)}
+
+
+def hardening(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """A spring whose torque goes with the hyperbolic sine of its angle."""
+    stiffness, usual = SPRING[robot]
+    bend = np.sqrt(6.0 * 0.4 * size) / usual
+
+    def body(trial: Trial, b: Body) -> None:
+        _law(b, robot, firm=stiffness, bend=bend)
+
+    return Act(body=body, facts={"hardening_rad_2": bend**2 / 6.0})
 
 
 def joint_damping(rng: np.random.Generator, size: float, robot: str) -> Act:
@@ -168,6 +183,12 @@ def wake_lift(rng: np.random.Generator, size: float, robot: str) -> Act:
     """Reactive force at the trailing edge, its sideways part behind a first-order wake."""
     water = {"edge": size * TYPICAL[robot].shed_mass, "edge_lag": rng.uniform(0.05, 0.15)}
     return Act(water=lambda trial: water)
+
+
+def lift_damping(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """Lift of every slice that levels off towards large angles of attack."""
+    slope = {"tfish": 0.3, "dolphin": 0.3}[robot] * size
+    return Act(water=lambda trial: {"slope": slope}, facts={"slope": slope})
 
 
 def vortex_shedding(rng: np.random.Generator, size: float, robot: str) -> Act:

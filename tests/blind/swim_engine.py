@@ -24,6 +24,8 @@ def passive_torque(law, angle, rate):  # type: ignore[no-untyped-def]
         torque -= law[4] * (law[5] + reach - arm + crank) * arm * crank * np.sin(angle) / reach
     if law[8] > 0.0:
         torque -= law[8] * (angle - law[9] * np.tanh(angle / law[9]))
+    if law[10] > 0.0:
+        torque -= law[10] * (np.sinh(law[11] * angle) / law[11] - angle)
     return torque
 
 
@@ -118,6 +120,9 @@ def drag(t, fin, near, flow, chain, water, work):  # type: ignore[no-untyped-def
         local = through * work.e[k].conjugate()
         u, w = local.real, local.imag
         fu, fw = -chain.along[p] * near * abs(u) * u, -chain.across[p] * near * abs(w) * w
+        if water.slope != 0.0:
+            attack = np.arctan2(w, abs(u))
+            fw -= water.slope * chain.across[p] * abs(through) ** 2 * np.tanh(attack)
         if water.friction != 0.0:
             factor = friction_line(abs(through), water.friction_length, water.friction)
             fu, fw = factor * fu, factor * fw

@@ -50,6 +50,17 @@ def time_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
     return Act(clock=lambda trial, t: t - late - drift * t)
 
 
+def drifted(t: np.ndarray, rate: float, warm_s: float) -> np.ndarray:
+    """True time of a clock whose rate settles as its oscillator warms up: a fifth less at first."""
+    return t - rate * (t - 0.2 * warm_s * -np.expm1(-t / warm_s))
+
+
+def clock_rate(rng: np.random.Generator, size: float, robot: str) -> Act:
+    """The camera's clock runs fast or slow."""
+    rate, warm = 0.010 * size * rng.choice([-1.0, 1.0]), rng.uniform(1.0, 4.0)
+    return Act(clock=lambda trial, t: drifted(t, rate, warm))
+
+
 def marker_offset(rng: np.random.Generator, size: float, robot: str) -> Act:
     """The tracked marker is not on the nose."""
     off = {"tfish": 0.05, "dolphin": 0.02}[robot] * size * np.exp(1j * rng.uniform(-np.pi, np.pi))

@@ -21,6 +21,8 @@ LAWS = (
     "crank",
     "lock",
     "play",
+    "firm",
+    "bend",
 )
 
 
@@ -57,7 +59,8 @@ class Water(NamedTuple):
     line; ``edge`` and ``edge_lag``: mass per length shed at the trailing edge and the time its lift takes to
     build up; ``image`` and ``image_drag``: pull and added drag of a wall at ``wall_at`` along a unit normal;
     ``torn``: share of the fin lost at ``torn_at``; ``memory``: thrust per squared speed of the fin, felt
-    late; ``uneven``: the fin's force is that much larger to one side; ``bend``: of a foil's chord, rad/N.
+    late; ``uneven``: the fin's force is that much larger to one side; ``bend``: of a foil's chord, rad/N;
+    ``slope``: of the lift of a slice against its drag across, per rad of attack.
     """
 
     low: float = 0.0
@@ -99,6 +102,7 @@ class Water(NamedTuple):
     memory_damping: float = 0.5
     bend: float = 0.0
     bend_lag: float = 0.03
+    slope: float = 0.0
 
 
 class Work(NamedTuple):
