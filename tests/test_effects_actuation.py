@@ -15,6 +15,7 @@ from swimid.blackbox.model import ArxModel
 from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_backlash, servo_delay
 from swimid.effects.actuation import rate_limit as limit
 from swimid.effects.actuation import servo_lag as lag
+from swimid.effects.actuation import slip as slipping
 from swimid.effects.affected import Affected
 from swimid.fitting import drives
 from swimid.fitting.hooks import Hooks, Stroke
@@ -150,7 +151,7 @@ class TestOperators:
 
 
 class TestNull:
-    @pytest.mark.parametrize("effect", EFFECTS, ids=repr)
+    @pytest.mark.parametrize("effect", [*EFFECTS, slipping.Slip()], ids=repr)
     @pytest.mark.parametrize("kind", ["recoil", "surge", "black box", "fish"])
     def test_vanishes_at_its_start_and_nowhere_else(self, effect, kind, fish):
         model, trial = {"recoil": recoil, "surge": surge, "black box": black_box, "fish": lambda: fish}[
@@ -207,6 +208,23 @@ class TestFish:
         off = self.angles(fish, EFFECTS[5], [0.03]) - self.told(fish, fish[1].time_s)
         assert np.all(np.abs(off[:, 0]) < 1e-6)
         np.testing.assert_allclose(off[:, fish[1].time_s > 0.55], 0.03, atol=1e-5)
+
+    def test_slip_of_every_joint_begins_at_its_moment(self, fish):
+        time = fish[1].time_s
+        told, found = self.told(fish, time), self.angles(fish, slipping.Slip(), [0.3, 1.6])
+        ramp = slipping.RAMP / 1.5
+        before, after = time < 1.6 - 0.5 * ramp - 0.03, time > 1.6 + 0.5 * ramp + 0.03
+        np.testing.assert_allclose(found[:, before], told[:, before], atol=1e-9)
+        np.testing.assert_allclose(found[:, after], 0.7 * told[:, after], atol=2e-4)
+
+    def test_the_moment_of_a_slip_has_a_derivative(self, fish):
+        """The change to first order is half that to both sides, also from a quarter of the trial away."""
+        at = [
+            self.angles(fish, slipping.Slip(), [0.3, 1.6 + step]) for step in (-2e-3, -1e-3, 0.0, 1e-3, 2e-3)
+        ]
+        one, two = (at[3] - at[1]) / 2e-3, (at[4] - at[0]) / 4e-3
+        assert np.abs(one).max() > 0.05
+        np.testing.assert_allclose(one, two, atol=2e-3 * np.abs(one).max())
 
     def test_measured_joints_are_past_the_actuator(self, fish):
         model, trial = fish

@@ -12,6 +12,7 @@ from swimid.effects.base import Effect
 from swimid.effects.environment.tether import Tether
 from swimid.effects.fluid.added_mass import AddedMass
 from swimid.effects.fluid.drag_reynolds import DragReynolds
+from swimid.effects.fluid.lift_damping import LiftDamping
 from swimid.effects.fluid.linear_drag import LinearDrag
 from swimid.effects.fluid.quadratic_drag import QuadraticDrag
 from swimid.effects.fluid.wake_lift import WakeLift
@@ -22,7 +23,7 @@ from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
 from swimid.robots.planar import AddedMass as AddedMassElement
-from swimid.robots.planar import TrailingEdge
+from swimid.robots.planar import Foil, TrailingEdge
 from tests.effect_cases import (
     INERTIA,
     TIME,
@@ -38,7 +39,7 @@ from tests.effect_cases import (
     weight_trial,
 )
 
-ALL = [AddedMass(), DragReynolds(), LinearDrag(), WakeLift()]
+ALL = [AddedMass(), DragReynolds(), LinearDrag(), WakeLift(), LiftDamping()]
 
 
 @pytest.mark.parametrize("robot", ["tfish", "dolphin"])
@@ -239,3 +240,53 @@ def _held(model: rig.RigModel) -> rig.RigModel:
         replace(p, free=False) if p.name == "quadratic_drag" else p for p in model.parameters
     )
     return model
+
+
+def test_lift_of_the_links_is_that_of_plates_in_the_robot_file() -> None:
+    """With lift and drag of a plate that has no force along it; shared as its drag across is."""
+
+    def plates(body: Any) -> None:
+        known = {name: c.value for name, c in body.coefficients.items()}
+        across = {"head": 0.028909 * known["c_d0"], "fin": 0.006853 * known["c_d4"]}
+        for link, area in (("tail1", 0.009047), ("tail2", 0.009099), ("tail3", 0.008621)):
+            across[link] = area * known["c_d13"]
+        middle = {"head": 0.135, "tail1": 0.016, "tail2": 0.016, "tail3": 0.016, "fin": 0.05}
+        for link, share in across.items():
+            body.elements.append(
+                Foil(
+                    kind="foil",
+                    name=f"{link}-plate",
+                    link=link,
+                    at_m=middle[link],
+                    area_m2=20.0 * share / sum(across.values()) / 500.0,
+                    lift_coefficient=0.5,
+                    drag_coefficient_1=0.5,
+                )
+            )
+
+    model, built = swimmer("tfish"), changed(robots.read("tfish"), plates)
+    trial = swim(model)
+    seen, expected = acted(model, trial, [(LiftDamping(), 20.0)]), built.simulate(start(built), trial)
+    for name in ("x_m", "y_m", "yaw_rad"):
+        np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
+
+
+def test_lift_acts_across_a_link_alone() -> None:
+    """``-k V w`` of a glide at an angle: the polar of the added plates has no part along them."""
+    body = swimmer("tfish").body
+    tables = body.tables()
+    plain = len(tables["foil"])
+    body.lift(tables, np.array([0]), np.array([[-0.1, 0.0, 3.0]]))
+    (_, _, half, cl, cd0, cd1, *_) = tables["foil"][plain]
+    u, w = 0.4, -0.3
+    speed, attack = np.hypot(u, w), np.arctan2(w, u)
+    lift, drag = cl * np.sin(2 * attack), cd0 + cd1 * (1 - np.cos(2 * attack))
+    along = half * speed * (lift * w - drag * u)
+    across = half * speed * (-lift * u - drag * w)
+    assert along == pytest.approx(0.0, abs=1e-12)
+    assert across == pytest.approx(-3.0 * speed * w)
+
+
+def test_lift_of_the_links_does_not_apply_without_drag_across_them() -> None:
+    assert not LiftDamping().variants(dry_fish(), [])
+    assert not LiftDamping().variants(weight_model(), [weight_trial()])

@@ -14,6 +14,7 @@ from swimid.effects.affected import Affected
 from swimid.effects.sensing import (
     camera_rotation,
     camera_scale,
+    clock_rate,
     imu_bias,
     imu_tilt,
     marker_dropout,
@@ -32,7 +33,8 @@ from tests import effect_cases
 SCALE, TURN, LATE = camera_scale.CameraScale(), camera_rotation.CameraRotation(), time_offset.TimeOffset()
 LOST, OFF = marker_dropout.MarkerDropout(), marker_offset.MarkerOffset()
 TILT, BIAS = imu_tilt.ImuTilt(), imu_bias.ImuBias()
-EFFECTS = [SCALE, TURN, LATE, LOST, OFF, TILT, BIAS]
+RATE = clock_rate.ClockRate()
+EFFECTS = [SCALE, TURN, LATE, RATE, LOST, OFF, TILT, BIAS]
 POSE = (0.3, -0.2, 0.5)
 
 
@@ -115,25 +117,25 @@ class TestWhereTheyApply:
         assert names(dolphin) == every - {"imu-tilt", "imu-bias"}
         model, trial = fish
         gyro = replace(trial, measured={"yaw_rate_rad_s": trial.time_s})
-        assert names((model, gyro)) == {"time-offset", "imu-tilt", "imu-bias"}
+        assert names((model, gyro)) == {"time-offset", "clock-rate", "imu-tilt", "imu-bias"}
         empty = replace(trial, measured={"yaw_rate_rad_s": np.full(len(trial.time_s), np.nan)})
-        assert names((model, empty)) == {"time-offset"}
+        assert names((model, empty)) == {"time-offset", "clock-rate"}
 
     def test_other_models(self):
-        assert names(weight()) == {"camera-scale", "time-offset"}
-        assert names(roll()) == {"time-offset"}
+        assert names(weight()) == {"camera-scale", "time-offset", "clock-rate"}
+        assert names(roll()) == {"time-offset", "clock-rate"}
         assert names(cruise()) == {"camera-scale", "time-offset"}
         assert names(surge()) == {"camera-scale"}
-        assert names(black_box("u_m_s")) == {"camera-scale", "time-offset"}
-        assert names(black_box("yaw_rate_rad_s")) == {"time-offset", "imu-tilt", "imu-bias"}
-        assert names(black_box("depth")) == {"time-offset"}
+        assert names(black_box("u_m_s")) == {"camera-scale", "time-offset", "clock-rate"}
+        assert names(black_box("yaw_rate_rad_s")) == {"time-offset", "clock-rate", "imu-tilt", "imu-bias"}
+        assert names(black_box("depth")) == {"time-offset", "clock-rate"}
 
     def test_not_where_the_model_estimates_it(self):
         model, trial = swimmer("tfish")
         model.parameters = tuple(
             replace(p, free=p.free or p.name in ("clock_offset", "camera_rotation")) for p in model.parameters
         )
-        assert names((model, trial)) == {"camera-scale", "marker-offset"}
+        assert names((model, trial)) == {"camera-scale", "clock-rate", "marker-offset"}
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=repr)
@@ -285,3 +287,72 @@ def test_a_run_that_broke_down_is_missing_at_other_times_too(fish):
     assert np.isnan(found["x_m"]).all()
     assert np.isfinite(found["y_m"]).all()
     np.testing.assert_array_equal(found["u_m_s"], time)
+
+
+# ---------------------------------------------------------------- clocks that run fast
+
+
+def shown(model, trial, effect, value):
+    return model.hooked(starts(model), trial, effect.hooks(np.array([value]), trial, model))
+
+
+@pytest.mark.parametrize("rate", [0.05, -0.05])
+def test_a_fast_clock_shows_what_was_before(fish, rate):
+    """A slow one what comes after the last sample, too."""
+    model, trial = fish
+    seen = shown(model, trial, RATE, rate)
+    expected = model.simulate(starts(model), replace(trial, time_s=trial.time_s / (1 + rate)))
+    for name in model.pose:
+        # the integration steps differ, and samples lie between them
+        np.testing.assert_allclose(seen[name], expected[name], atol=2e-6)
+
+
+def test_a_fast_clock_agrees_with_the_drive_where_that_begins():
+    """On a rig at the release, of a recorded input at its first sample."""
+    known = RigInput(1.2, 0.2, pulley=True, release_s=1.0)
+    time = np.linspace(0.0, 4.0, 101)
+    weight = effect_cases.weight_model()
+    trial = Trial("w", "fit", time, {"x_m": time}, rig=known)
+    fallen = np.maximum(time - 1.0, 0.0) / 1.02
+    np.testing.assert_allclose(
+        shown(weight, trial, RATE, 0.02)["x_m"], 0.5 * 0.2 / 1.2 * fallen**2, atol=1e-12
+    )
+    start = np.array([-1.5, 0.7, 0.5, 0.25])
+    model = ArxModel(Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=start)
+    time = 7.0 + np.arange(200) * 0.05
+    source = np.sin(0.8 * time)
+    run = Trial("a", "fit", time, {"u_m_s": np.zeros(200)}, inputs={"cmd1_rad": source})
+    plain = model.simulate(starts(model), run)["u_m_s"]
+    then = 7.0 + (time - 7.0) / 1.02
+    np.testing.assert_allclose(shown(model, run, RATE, 0.02)["u_m_s"], np.interp(then, time, plain))
+
+
+def test_a_fast_clock_is_no_late_one(fish):
+    """No offset imitates it: their changes are at an angle in every channel of a pose."""
+    model, trial = fish
+    plain = model.simulate(starts(model), trial)
+    fast, late = shown(model, trial, RATE, 0.01), shown(model, trial, LATE, 0.01)
+    for name in model.pose:
+        one, other = fast[name] - plain[name], late[name] - plain[name]
+        assert abs(one @ other) < 0.97 * np.linalg.norm(one) * np.linalg.norm(other)
+
+
+def test_a_camera_alone_runs_fast(fish):
+    model, trial = fish
+    whole, camera = RATE.variants(model, [trial])
+    assert (whole.camera, camera.camera) == (False, True)
+    (parameter,) = camera.parameters(model, [trial])
+    assert parameter.name == "camera_rate"
+    fast = {e.camera: shown(model, trial, e, 0.02) for e in (whole, camera)}
+    plain = model.simulate(starts(model), trial)
+    # the fast clock interpolates samples, the other simulates between them
+    for name in model.pose:
+        np.testing.assert_allclose(fast[True][name], fast[False][name], atol=2e-4)
+    np.testing.assert_array_equal(fast[True]["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])
+
+
+def test_an_averaged_beat_has_no_clock_that_drifts():
+    surge = SurgeModel(amplitudes_rad=[0.2], frequencies_hz=[1.0], speed_m_s=0.2)
+    cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    assert not RATE.variants(surge, [])
+    assert not RATE.variants(cruise, [])

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from swimid.effects.base import Effect
+from swimid.effects.environment.current import Current
+from swimid.effects.rig.initial_speed import InitialSpeed
 from swimid.effects.structure.com_offset import ComOffset
 from swimid.effects.structure.fin_flexibility import FinFlexibility, bent_fin
+from swimid.effects.structure.hardening import Hardening
 from swimid.effects.structure.joint_damping import JointDamping
 from swimid.effects.structure.joint_locked import JointLocked
 from swimid.effects.structure.joint_stiffness import JointStiffness
+from swimid.effects.structure.load_friction import LoadFriction
+from swimid.effects.structure.stribeck import Stribeck
 from swimid.effects.structure.water_ingress import WaterIngress
 from swimid.fitting.hooks import Stroke
 from swimid.fitting.inputs import CruiseInput, RigInput
@@ -23,11 +30,13 @@ from swimid.rig import model as rig
 from swimid.robots import file as robots
 from swimid.robots.planar import Hydrostatics
 from tests.effect_cases import (
+    FORCE,
     INERTIA,
     TIME,
     acted,
     changed,
     check_null,
+    dry_fish,
     start,
     swim,
     swimmer,
@@ -35,7 +44,29 @@ from tests.effect_cases import (
     weight_trial,
 )
 
-ALL = [ComOffset(), FinFlexibility(), JointDamping(), JointLocked(), JointStiffness(), WaterIngress()]
+ALL = [
+    ComOffset(),
+    FinFlexibility(),
+    Hardening(),
+    JointDamping(),
+    JointLocked(),
+    JointStiffness(),
+    LoadFriction(),
+    Stribeck(),
+    WaterIngress(),
+]
+ROLL = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
+RELEASED = Trial("d", "fit", TIME, {"roll_rad": 0.3 * np.cos(10 * TIME)}, rig=RigInput(inertia=0.01, x0=0.3))
+UNDAMPED = {"quadratic_damping": 0.0, "linear_damping": 0.0}
+TOW = rig.towed(mass_kg=INERTIA, force_N=0.2, area_known=False)
+TOWED = Trial(
+    "t",
+    "fit",
+    TIME,
+    {"x_m": 0.1 * TIME},
+    inputs={"force_N": 0.1 * TIME},
+    rig=RigInput(inertia=INERTIA, release_s=0.0),
+)
 
 
 @pytest.mark.parametrize("robot", ["tfish", "dolphin"])
@@ -175,3 +206,140 @@ def test_a_fin_that_bends_loses_thrust_by_its_load() -> None:
     trial = Trial("a", "fit", np.arange(2.0), {})
     bent = effect.hooks(np.array([0.5]), trial, cruise).beaten(stroke)
     np.testing.assert_allclose(bent.thrust, [1 / 1.5, 1 / 3.0])
+
+
+# ---------------------------------------------------------------- hardening
+
+
+@pytest.mark.parametrize("effect", [Hardening(), LoadFriction(), Stribeck()], ids=lambda e: e.name)
+def test_null_and_tries_of_a_decay(effect: Effect) -> None:
+    check_null(ROLL, RELEASED, effect)
+
+
+@pytest.mark.parametrize("effect", [LoadFriction(), Stribeck()], ids=lambda e: e.name)
+def test_null_and_tries_of_pulled_bodies(effect: Effect) -> None:
+    check_null(weight_model(quadratic_drag=2.0, added_mass=0.4), weight_trial(), effect)
+    check_null(TOW, TOWED, effect)
+
+
+def test_where_hardening_and_frictions_do_not_apply() -> None:
+    cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    for effect in (Hardening(), LoadFriction(), Stribeck()):
+        assert not effect.variants(cruise, [])
+    assert not Hardening().variants(TOW, [TOWED])
+    held = swim(swimmer("tfish"))
+    measured = replace(held, swim=replace(held.swim, beat=None, joints=[lambda t: (t, t, t)] * 3))
+    for effect in (LoadFriction(), Stribeck()):
+        assert not effect.variants(swimmer("tfish"), [measured])
+
+
+def test_a_spring_that_hardens_is_the_cubic_one_of_the_robot_file() -> None:
+    def cubic(body: Any) -> None:
+        body.joints[2].passive.cubic_N_m_rad3 = 0.31 * 40.0
+
+    _like("dolphin", cubic, Hardening(), 40.0)
+
+
+def test_a_decay_that_hardens_swings_in_duffings_period() -> None:
+    """From the energy: ``T = 4 int dphi / sqrt(1 + h/2 A^2 (1 + sin^2 phi)) / omega`` over a quarter."""
+    h, size = 4.0, 0.3
+    period = 0.4 * quad(lambda p: 1 / np.sqrt(1 + 0.5 * h * size**2 * (1 + np.sin(p) ** 2)), 0, np.pi / 2)[0]
+    time = period * np.arange(7)
+    trial = replace(RELEASED, time_s=time, measured={"roll_rad": 0 * time})
+    seen = acted(ROLL.refined().refined(), trial, [(Hardening(), h)], **UNDAMPED)
+    np.testing.assert_allclose(seen["roll_rad"], size, atol=2e-5)
+
+
+# ---------------------------------------------------------------- friction
+
+
+def test_stribeck_friction_holds_what_pulls_less_and_lets_go_of_the_rest() -> None:
+    rest = acted(weight_model(), weight_trial(), [(Stribeck(), (FORCE * 1.01, 0.05))])
+    np.testing.assert_array_equal(rest["x_m"], 0.0)
+    # far beyond the Stribeck speed as without friction: the speed lags by the impulse lost meanwhile
+    seen = acted(weight_model(), weight_trial(), [(Stribeck(), (0.1, 0.02))])
+    late = TIME > 2.0
+    assert np.ptp((seen["u_m_s"] - FORCE / INERTIA * TIME)[late]) < 1e-9
+
+
+def test_stribeck_friction_takes_the_energy_it_says() -> None:
+    """Coasting from v0 to v1: ``x = int M v / (rise exp(-(v / v_s)^2)) dv``, in closed form."""
+    rise, slow, v0 = 0.05, 0.1, 0.08
+    seen = acted(weight_model(), weight_trial(force=0.0), [(Stribeck(), (rise, slow)), (InitialSpeed(), v0)])
+    gone = 0.5 * INERTIA * slow**2 / rise * (np.exp((v0 / slow) ** 2) - np.exp((seen["u_m_s"] / slow) ** 2))
+    np.testing.assert_allclose(seen["x_m"], gone, atol=1e-7)
+    assert seen["u_m_s"][-1] == 0.0
+
+
+def test_friction_in_a_current_is_against_the_ground() -> None:
+    """A body at rest on its slide stays there, whatever water passes by."""
+    model, trial = weight_model(), weight_trial(force=0.0)
+    seen = acted(model, trial, [(Stribeck(), (0.1, 0.05)), (Current(), 0.3)])
+    np.testing.assert_allclose(seen["x_m"], 0.0, atol=1e-12)
+
+
+def test_friction_under_load_takes_its_share_of_the_pull() -> None:
+    seen = acted(weight_model(), weight_trial(), [(LoadFriction(), 0.1)])
+    np.testing.assert_allclose(seen["x_m"], 0.5 * 0.9 * FORCE / INERTIA * TIME**2, atol=1e-12)
+    free = acted(weight_model(), weight_trial(pulley=False), [(LoadFriction(), 0.1)])
+    np.testing.assert_allclose(free["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
+    still = {"quadratic_drag": 0.0, "added_mass": 0.0}
+    towed = acted(TOW, TOWED, [(LoadFriction(everywhere=True), 0.1)], **still)
+    # while the body is slower than 2 % of its speed the rounded sign lets some of the friction go
+    np.testing.assert_allclose(towed["x_m"], 0.9 * 0.1 * TIME**3 / (6 * INERTIA), atol=1e-3)
+    assert np.ptp(towed["x_m"]) > 0.7
+
+
+def test_friction_under_the_load_of_a_spring_leaves_a_share_of_each_swing() -> None:
+    """Reid: the spring is ``1 - mu`` as stiff on the way in and ``1 + mu`` on the way out."""
+    mu, time = 0.03, np.linspace(0.0, 4.0, 4001)
+    trial = replace(RELEASED, time_s=time, measured={"roll_rad": 0.3 * np.cos(10 * time)})
+    seen = acted(ROLL, trial, [(LoadFriction(everywhere=True), mu)], **UNDAMPED)["roll_rad"]
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(seen)))) + 1
+    assert len(turns) == 12
+    left = ((1 - mu) / (1 + mu)) ** (0.5 * np.arange(1, 13))
+    # the sign is rounded off: each turn keeps half a per mille more
+    np.testing.assert_allclose(np.abs(seen[turns]) / 0.3, left, rtol=0.006)
+
+
+def test_a_servo_carries_what_is_behind_it() -> None:
+    """The tail of the fish without water, and a plate in water, about the first joint."""
+    body = dry_fish().body
+    masses, places = (0.081, 0.081, 0.081, 0.096), (0.016, 0.048, 0.080, 0.123)
+    inertia = 2.3e-4 + 2.3e-4 + 2.1e-4 + 8.0e-5 + np.dot(masses, np.square(places))
+    assert body.carried(body.tables(), 0) == pytest.approx((inertia, 0.0))
+    bodies = swimmer("tfish", c_d13=0.0, c_d4=2.0).body
+    drag = 500.0 * 0.006853 * 2.0 * (3 * 0.032 + 0.05) ** 3
+    assert bodies.carried(bodies.tables(), 0)[1] == pytest.approx(drag, rel=1e-9)
+
+
+def servo(effect: Effect, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rate of a joint's command, how far it is held back along that, its greatest angle over that told."""
+    model = swimmer("tfish")
+    trial = swim(model, duration_s=4.0)
+    told = model.simulate(start(model), trial)["joint2_rad"]
+    done = acted(model, trial, [(effect, values)])["joint2_rad"]
+    late = trial.time_s > 1.5
+    rate = np.gradient(told, trial.time_s)[late]
+    return rate, ((told - done)[late] * np.sign(rate)), done[late].max() / told[late].max()
+
+
+def test_a_servo_sticks_where_its_command_turns_round() -> None:
+    rate, back, top = servo(Stribeck(), (0.02, 0.3))
+    fast, slow = (
+        np.abs(back[m]).mean() for m in (abs(rate) > 0.8 * rate.max(), abs(rate) < 0.2 * rate.max())
+    )
+    # in full motion all but nothing is left of it: exp(-(0.8 w / w_s)^2) with w / w_s = 3.3
+    assert fast < 5e-4
+    assert slow > 0.005
+    assert 0.8 < top < 0.95
+
+
+def test_a_servo_under_load_is_held_back_by_its_torque() -> None:
+    """In full motion the torque is that of drag, ``D q'^2``; just before and after inertia adds and takes."""
+    share, body = 0.4, swimmer("tfish").body
+    _, drag = body.carried(body.tables(), 1)
+    rate, back, top = servo(LoadFriction(), share)
+    full = np.abs(rate) > 0.98 * rate.max()
+    assert back[full].mean() == pytest.approx((share * drag * rate[full] ** 2).mean(), rel=0.05)
+    assert top < 0.97

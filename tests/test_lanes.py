@@ -224,6 +224,9 @@ def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
         ("linear-drag",),
         ("current",),
         ("added-mass",),
+        ("clock-rate", "slip"),
+        ("stribeck", "hardening"),
+        ("load-friction", "lift-damping"),
     ):
         effects = [names[n] for n in chosen]
         one, many = Affected(plain, effects, own), Affected(fish, effects, own)

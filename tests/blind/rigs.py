@@ -26,6 +26,8 @@ CONFOUNDED = (
     "drag-reynolds",
     "added-mass",
     "camera-scale",
+    "clock-rate",
+    "load-friction",
 )
 
 CATALOGUE: dict[str, Catalogue] = {"falling-weight": rig_effects.EFFECTS, "free-decay": decays.EFFECTS}
