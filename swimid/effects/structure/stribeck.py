@@ -55,8 +55,8 @@ class Stribeck(Effect):
         """The rise, N or N m, of the size of a friction one begins to see, and the Stribeck speed.
 
         Of servos: the angle by which the rise holds a joint back, and the rate, both against the command.
-        The latter is at most the typical or largest speed: a friction that falls more slowly is one that is
-        as large throughout.
+        The latter is at most half the typical speed of a rig, or half the fastest command: a friction of
+        which more than 2 % are left there has not fallen, and is that of ``pulley-friction`` or play.
         """
         if model.rig is not None:
             scales = model.scales(trials)
@@ -73,7 +73,7 @@ class Stribeck(Effect):
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
             common.parameter(rise, unit, size, what, lower=0.0, upper=most),
-            common.parameter(word, rates, 0.1 * top, over, lower=least, upper=top, start=0.2 * top),
+            common.parameter(word, rates, 0.1 * top, over, lower=least, upper=0.5 * top, start=0.2 * top),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
