@@ -106,7 +106,7 @@ def diagnose(
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
         effects, own, seed = options.effects, options.own_effects, options.seed
-        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.catalogue()
+        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.unasked()
         known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
         given = _given(loaded)
         refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
@@ -118,7 +118,7 @@ def diagnose(
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
         # what differs between trials by chance does so whatever effects are tried
-        every = effect_catalogue.applicable(effect_catalogue.catalogue(), model, fitted) if effects else tried
+        every = effect_catalogue.applicable(effect_catalogue.unasked(), model, fitted) if effects else tried
         same = _own_data(loaded)
         prior = nominal.prior(refitted, given, own_data=same)
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())

@@ -23,7 +23,8 @@ class DiagnoseOptions(Options):
         (),
         separated=True,
         metavar="A,B",
-        help="Try these effects of the catalogue only. Repeatable. Default: all that apply to the model.",
+        help="Try these effects of the catalogue only. Repeatable. "
+        "Default: all that apply to the model, but for those tried by name only.",
     )
     own_effects: tuple[Path, ...] = option(
         (),

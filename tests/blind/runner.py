@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+#: Effects that a diagnosis tries only where they are asked for: no case without asking for them either.
+BY_NAME = frozenset({"slip", "hardening", "stribeck", "load-friction", "lift-damping", "clock-rate"})
 #: Modules of generators, each with CATALOGUE, OUTSIDE and make_case.
 GENERATORS = ("rigs", "cruises", "swimmers")
 #: Share of the cases; a family's robots divide its share evenly unless they have their own.
@@ -89,7 +91,9 @@ def plan(
     rng = np.random.default_rng([seed, 0])
     cases = []
     for robot, number in counts(total, shares).items():
-        catalogue = [e for e in modules[robot].CATALOGUE[robot] if not effects or e in effects]
+        catalogue = [
+            e for e in modules[robot].CATALOGUE[robot] if (e in effects if effects else e not in BY_NAME)
+        ]
         outside = list(modules[robot].OUTSIDE[robot])
         singles = itertools.cycle(rng.permutation(catalogue).tolist())
         others = itertools.cycle(rng.permutation(outside).tolist())
