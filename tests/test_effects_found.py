@@ -81,7 +81,8 @@ HIDDEN: dict[str, Callable[[Act], dict[str, tuple[float, float]]]] = {
     "slip": lambda act: {"loss": (act.facts["loss"], 0.1), "begin_s": (10.0 * act.facts["share"], 0.05)},
     "stribeck": lambda act: {
         "stick_rad": (act.facts["stick_rad"], 0.25),
-        "stribeck_rad_s": (act.facts["slow"], 0.25),
+        # the generator's friction has a longer tail than a Gaussian: a rate of the same order
+        "stribeck_rad_s": (act.facts["slow"], 0.6),
     },
     # the generator's torques are those of the published coefficients, too
     "load-friction": lambda act: {"held_rad_N_m": (act.facts["held_rad_N_m"], 0.35)},
