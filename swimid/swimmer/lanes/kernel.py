@@ -46,7 +46,7 @@ LEAST_S = 0.5
 
 @dataclass(frozen=True)
 class Engine:
-    """What tracing asks of an engine.
+    """What a model and its kernel ask of an engine.
 
     Attributes
     ----------
@@ -58,12 +58,15 @@ class Engine:
         Arguments of ``derivative`` between the tables and the scratch arrays.
     settled : compiled function or None
         Done to a state after each step.
+    energetics : compiled function or None
+        Inverse dynamics of a finished run: joint torques and powers.
     """
 
     derivative: Any
     shapes: Callable[[Mapping[str, Any]], tuple[int, Sequence[tuple[int, ...]]]]
     extra: tuple[Any, ...] = ()
     settled: Any = None
+    energetics: Any = None
 
 
 class Kernel:
