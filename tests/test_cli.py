@@ -156,6 +156,7 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "comparison",
         "gap",
         "sensitivity",
+        "map",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

@@ -38,7 +38,7 @@ def values_of(model: LinkedModel) -> np.ndarray:
 def swum(model: LinkedModel, swim: SwimInput, duration_s: float, last_s: float) -> Energetics:
     time = np.arange(round(duration_s * 100) + 1) / 100
     trial = Trial("run", "fit", time, {}, swim=swim)
-    columns, found = model.with_energetics([(values_of(model), trial)], last_s=last_s)[0]
+    columns, found = model.with_energetics([(values_of(model), trial)], [last_s])[0]
     assert found is not None
     simulated = model.simulate(values_of(model), trial)
     assert all(np.array_equal(columns[name], simulated[name]) for name in simulated)
@@ -130,7 +130,7 @@ def test_a_run_that_breaks_down_has_none() -> None:
     values = values_of(model)
     values[model.index("c_d4")] = -1e6
     trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(Beat("sine", 2.0, 0.5)))
-    columns, found = model.with_energetics([(values, trial)], last_s=1.0)[0]
+    columns, found = model.with_energetics([(values, trial)], [1.0])[0]
     assert found is None
     assert np.isnan(columns["u_m_s"]).all()
 

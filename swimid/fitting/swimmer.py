@@ -53,14 +53,14 @@ class Swimmer(Model):
 
     @abstractmethod
     def with_energetics(
-        self, runs: Sequence[tuple[Array, Trial]], *, last_s: float
+        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
-        """Several runs, each as :meth:`simulate`, with torques and powers over its last stretch.
+        """Several runs, each as :meth:`simulate`, with torques and powers over its last stretch each.
 
         Parameters
         ----------
-        last_s : float
-            Length of that stretch, s; rounded to whole integration steps.
+        last_s : sequence of float
+            Length of that stretch of each, s; rounded to whole integration steps.
 
         Returns
         -------

@@ -359,10 +359,9 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
     steady = Steady.of(model, trial, frequency)
     if steady is None:
         return None
-    last_s = steady.window.end_s - steady.window.begin_s
 
     def compute(values: Array) -> dict[str, Quantity]:
-        columns, energetics = model.with_energetics([(values, steady.trial)], last_s=last_s)[0]
+        columns, energetics = model.with_energetics([(values, steady.trial)], [steady.window.length_s])[0]
         return steady.quantities(model, values, columns, energetics)
 
     return compute

@@ -48,6 +48,11 @@ class Window:
     beats: int
     frequency_hz: float
 
+    @property
+    def length_s(self) -> float:
+        """From its begin to its end."""
+        return self.end_s - self.begin_s
+
     def times(self) -> Array:
         """Even times over the window, both ends included."""
         return np.linspace(self.begin_s, self.end_s, self.beats * PER_BEAT + 1)
@@ -160,6 +165,43 @@ class Steady:
         if energetics is not None and model.driven:
             found |= powers(energetics, found.get("mean_speed_m_s"))
         return found
+
+
+def known(model: Swimmer) -> dict[str, str]:
+    """Every quantity a run of this robot may come to, with its unit."""
+    units: dict[str, str] = {}
+    if model.in_space:
+        units |= stroke_cycles.QUANTITIES
+    elif model.free_base:
+        turn = model.pose[2].removesuffix("_rad")
+        units |= {
+            "mean_speed_m_s": "m/s",
+            "mean_speed_BL_s": "BL/s",
+            "stride_BL": "BL",
+            "strouhal": "1",
+            "tail_excursion_m": "m",
+            "turning_radius_m": "m",
+            f"mean_{turn}_rate_rad_s": "rad/s",
+            f"peak_{turn}_rate_rad_s": "rad/s",
+            f"{turn}_rate_range_rad_s": "rad/s",
+            f"{turn}_range_in_beat_rad": "rad",
+            "mean_surge_m_s": "m/s",
+            "largest_surge_m_s": "m/s",
+            "mean_surge_from_start_m_s": "m/s",
+            "speed_change_per_beat_m_s": "m/s",
+            "settling_time_s": "s",
+        }
+    if not model.in_space:
+        units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
+    if model.driven:
+        units |= {
+            "cost_of_transport_J_m": "J/m",
+            "mean_positive_power_W": "W",
+            "mean_power_W": "W",
+            "peak_torque_N_m": "N m",
+            "peak_joint_rate_rad_s": "rad/s",
+        }
+    return units
 
 
 def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:

@@ -282,19 +282,19 @@ class LinkedModel(Swimmer):
         ]
 
     def with_energetics(
-        self, runs: Sequence[tuple[Array, Trial]], *, last_s: float
+        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
         """Several runs with torques and powers (see :meth:`Swimmer.with_energetics`)."""
         asked = [unless_broken(self._asked, values, trial, NONE) for values, trial in runs]
         trajectories = iter(self._trajectories([one for one in asked if one is not None]))
         found: list[tuple[dict[str, Array], Energetics | None]] = []
-        for one, (values, trial) in zip(asked, runs, strict=True):
+        for one, (values, trial), length_s in zip(asked, runs, last_s, strict=True):
             run = None if one is None else next(trajectories)
             if one is None or run is None or not np.isfinite(run.states[-1]).all():
                 found.append((self.broken_down(trial), None))
                 continue
             columns = self._at_samples(values, trial, NONE, run)
-            found.append((columns, self._energetics(one.values, run, last_s)))
+            found.append((columns, self._energetics(one.values, run, length_s)))
         return found
 
     def _energetics(self, values: Array, run: Trajectory, last_s: float) -> Energetics:
@@ -410,7 +410,7 @@ class LinkedModel(Swimmer):
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
         trajectory = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)
         with self._lock:
-            kept = self._kept[run.trial.id]
+            kept = self._kept.setdefault(run.trial.id, OrderedDict())
             kept[run.key] = trajectory
             while len(kept) > KEPT:
                 kept.popitem(last=False)
@@ -541,6 +541,7 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
     if swim.beat is None:
         return drives.straight(time_s)
     bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+    phase -= number * swim.beat.lag_rad
     return swim.beat.motion(
         time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
     )
