@@ -45,6 +45,7 @@ NAMES = {
     "diagnose": "swimid.diagnosis.diagnose",
     "sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "performance_map": "swimid.optimisation.performance_map",
+    "optimise_stiffness": "swimid.optimisation.optimise_stiffness",
     "export": "swimid.exporters.export",
     "report": "swimid.results.report",
     "plot": "swimid.logs.plot",
@@ -57,6 +58,7 @@ NAMES = {
     "Diagnosis": "swimid.diagnosis.diagnosed",
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "PerformanceMap": "swimid.optimisation.performance_map",
+    "StiffnessRule": "swimid.optimisation.optimise_stiffness",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",
@@ -165,7 +167,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : path
-        A parameter, comparison, gap, sensitivity or map file, or a log.
+        A parameter, comparison, gap, sensitivity, map or rule file, or a log.
 
     Returns
     -------
@@ -201,7 +203,7 @@ def load_result(path: str | Path) -> Result:
 
 
 #: Results that can be read back.
-RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "PerformanceMap", "Logged")
+RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "PerformanceMap", "StiffnessRule", "Logged")
 
 
 def read_robot(name: str | Path) -> Robot:

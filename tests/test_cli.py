@@ -157,6 +157,7 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "gap",
         "sensitivity",
         "map",
+        "rule",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

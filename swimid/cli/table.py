@@ -12,6 +12,7 @@ from swimid.errors import UsageError, suggestion
 PAGES = {verb.name: f"{verb.name}.md" for verb in VERBS} | {
     "plot": "import.md",
     "map": "optimise.md",
+    "optimise stiffness": "optimise.md",
     "track video": "tracking.md",
     "track setup": "tracking.md",
     "track imu": "imu.md",

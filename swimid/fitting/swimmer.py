@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from swimid.fitting.body import Axis
 from swimid.fitting.energetics import Energetics
@@ -71,6 +71,14 @@ class Swimmer(Model):
     @abstractmethod
     def forget(self, trials: Sequence[Trial]) -> None:
         """Let go of what is kept of trials that will not be simulated again."""
+
+    @abstractmethod
+    def yielding(self) -> list[str]:
+        """The coefficients that stand in the law of a passive joint."""
+
+    @abstractmethod
+    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Velocities, passive angles and rates at the end of a run, by the parameters of a start."""
 
     def with_buoyancy(self, factor: float) -> Swimmer | None:
         """The same model with every volume that displaces water multiplied; None where none does."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal
 
 from swimid.fitting import options as fits
@@ -51,3 +52,39 @@ class MapOptions(GaitOptions):
     trials: Source = option(
         None, help="Trials file: its measured speeds are set beside the map, and its region is marked."
     )
+
+
+class OptimiseStiffnessOptions(GaitOptions):
+    """What ``optimise stiffness`` can be told."""
+
+    over: Mapping[str, tuple[float, float, int]] = option(
+        metavar="NAME=LOW:HIGH:COUNT",
+        help="frequency_hz, and amplitude_deg where the rule depends on it.",
+    )
+    coefficient: str | None = option(
+        None, metavar="NAME", help="The stiffness: by default the one coefficient in a passive joint's law."
+    )
+    between: tuple[float, float] | None = option(
+        None, metavar="LOW,HIGH", help="Where it is searched; default the coefficient's bounds."
+    )
+    objective: Literal["speed", "cost-of-transport", "effort"] = option(
+        "speed",
+        help="speed: mean speed from rest against the range of the turning rate (T-Fish, Eq 12). "
+        "cost-of-transport, or effort (power): against mean speed.",
+    )
+    reach_speed_m_s: float | None = option(
+        None, gt=0, help="effort: the least power among stiffnesses that reach this speed."
+    )
+    pick: Literal["best", "knee"] = option(
+        "best", help="Of each front, the point best in the objective, or nearest to the best of both."
+    )
+    reference: float | None = option(
+        None, help="Stiffness the gain is told against; default the parameters' own value."
+    )
+    population: int = option(24, ge=4, help="NSGA-II: population size.")
+    generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
+    seed: int = option(0, ge=0, help="Of the search: the same seed gives the same file.")
+    header: Path | None = option(
+        None, written=True, recorded=False, help="C header of the rule to write (.h)."
+    )
+    table: Path | None = option(None, written=True, recorded=False, help="Table of the rule to write (.csv).")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -120,7 +120,7 @@ class Performance:
         return {**drive, **shared}
 
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Refuse what cannot be varied over these ranges, and a drive with something missing.
+        """Refuse what cannot be varied over these ranges.
 
         Raises
         ------
@@ -140,13 +140,21 @@ class Performance:
                 least, most = parameters[name].lower, parameters[name].upper
             if low < least or high > most or (name == "frequency_hz" and low == 0):
                 raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
+        if self.waveform != "a-cpg" and ("asymmetry" in varied or self.drive.get("asymmetry")):
+            raise UsageError("asymmetry belongs to --waveform a-cpg")
+
+    def check_drive(self, varied: Collection[str], option: str) -> None:
+        """Refuse a drive with something missing that is not varied either.
+
+        Raises
+        ------
+        UsageError
+        """
         # a stroke has a frequency and a size of its own
         for name in ("frequency_hz", "amplitude_deg") if self.stroke is None else ():
             if name not in varied and name not in self.drive:
                 flag = name.replace("_", "-")
                 raise UsageError(f"the drive needs --{flag}, or {name} among what is varied ({option})")
-        if self.waveform != "a-cpg" and ("asymmetry" in varied or self.drive.get("asymmetry")):
-            raise UsageError("asymmetry belongs to --waveform a-cpg")
 
     def swim(self, point: Point) -> tuple[SwimInput, float]:
         """The drive at a point, and its frequency in Hz."""

@@ -29,7 +29,7 @@ from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import PASSIVE, sampled
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Tree, coefficients
+from swimid.swimmer.tree import Tree, coefficients, law_of
 
 Kept = TypeVar("Kept")
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
@@ -320,6 +320,24 @@ class LinkedModel(Swimmer):
             weight_W=flow[:, 2],
             dissipated_W=lost,
         )
+
+    def yielding(self) -> list[str]:
+        """The coefficients that stand in the law of a passive joint (see :meth:`Swimmer.yielding`)."""
+        used = {
+            factor for axis in self.passive for q in law_of(axis.joint) for term in q.terms for factor in term
+        }
+        return [name for name in self.coefficients if name in used]
+
+    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
+        """The end of a run as a start (see :meth:`Swimmer.final_state`)."""
+        found = {}
+        if self.free_base:
+            for name, column in zip(self.rates, self.velocity, strict=True):
+                found[f"initial_{name}"] = float(columns[column][-1])
+        for axis in self.passive:
+            found[f"initial_angle_{axis.name}"] = float(columns[axis.column][-1])
+            found[f"initial_rate_{axis.name}"] = float(columns[axis.rate][-1])
+        return found
 
     def forget(self, trials: Sequence[Trial]) -> None:
         """Let go of what is kept of trials (see :meth:`Swimmer.forget`)."""
