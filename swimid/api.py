@@ -44,6 +44,8 @@ NAMES = {
     "compare": "swimid.simulation.compare",
     "diagnose": "swimid.diagnosis.diagnose",
     "sensitivity": "swimid.sensitivity_analysis.sensitivity",
+    "performance_map": "swimid.optimisation.performance_map",
+    "optimise_stiffness": "swimid.optimisation.optimise_stiffness",
     "export": "swimid.exporters.export",
     "report": "swimid.results.report",
     "plot": "swimid.logs.plot",
@@ -55,6 +57,8 @@ NAMES = {
     "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.diagnosed",
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
+    "PerformanceMap": "swimid.optimisation.performance_map",
+    "StiffnessRule": "swimid.optimisation.optimise_stiffness",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",
@@ -163,7 +167,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : path
-        A parameter, comparison, gap or sensitivity file, or a log.
+        A parameter, comparison, gap, sensitivity, map or rule file, or a log.
 
     Returns
     -------
@@ -199,7 +203,7 @@ def load_result(path: str | Path) -> Result:
 
 
 #: Results that can be read back.
-RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "Logged")
+RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "PerformanceMap", "StiffnessRule", "Logged")
 
 
 def read_robot(name: str | Path) -> Robot:

@@ -26,7 +26,7 @@ LEVELS = (
     {"tracking", "inertial", "fitting"},
     {"rig", "propulsion", "swimmer", "blackbox", "effects"},
     {"simulation", "exporters"},
-    {"diagnosis", "sensitivity_analysis"},
+    {"diagnosis", "sensitivity_analysis", "optimisation"},
     {"cli"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}

@@ -156,6 +156,8 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "comparison",
         "gap",
         "sensitivity",
+        "map",
+        "rule",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 import swimid
+from swimid.cli.optimise import optimise
 from swimid.cli.track import track
 from swimid.cli.verbs import HELPERS, SECTIONS, VERBS
 
@@ -38,6 +39,7 @@ def main() -> None:
 
 
 main.add_command(track)
+main.add_command(optimise)
 for verb in (*VERBS, *HELPERS):
     if " " not in verb.name:
         main.add_command(verb.command())

@@ -12,6 +12,7 @@ from swimid.diagnosis import gap_file as gap
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.logs import mapping, trials
+from swimid.optimisation import map_file, rule
 from swimid.results import evidence, parameters
 from swimid.results.result import Result
 from swimid.robots import file as robot
@@ -31,6 +32,8 @@ def schemas() -> dict[str, dict[str, Any]]:
         "comparison": comparison.ComparisonFile,
         "gap": gap.GapFile,
         "sensitivity": sensitivity.SensitivityFile,
+        "map": map_file.MapFile,
+        "rule": rule.RuleFile,
         "evidence": evidence.Evidence,
     }
     return {

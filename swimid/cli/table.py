@@ -11,6 +11,8 @@ from swimid.errors import UsageError, suggestion
 #: The page of each verb.
 PAGES = {verb.name: f"{verb.name}.md" for verb in VERBS} | {
     "plot": "import.md",
+    "map": "optimise.md",
+    "optimise stiffness": "optimise.md",
     "track video": "tracking.md",
     "track setup": "tracking.md",
     "track imu": "imu.md",

@@ -34,6 +34,7 @@ SECTIONS: list[tuple[str, list[str]]] = [
     ("Identify", ["fit-drag", "fit-propulsion", "rwls", "fit-graybox"]),
     ("Simulate and compare", ["simulate", "compare"]),
     ("Diagnose", ["diagnose", "sensitivity"]),
+    ("Put to work", ["map", "optimise"]),
     ("Publish", ["plot", "report", "export"]),
     ("Help yourself", ["schema", "doctor"]),
 ]
@@ -186,6 +187,51 @@ VERBS = (
           swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
           swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
           swimid report gap.yaml -o gap.html
+        """,
+    ),
+    Verb(
+        "map",
+        function="swimid.optimisation.performance_map:performance_map",
+        options="swimid.optimisation.options:MapOptions",
+        output="Map file to write (YAML).",
+        argument="",
+        short="Speed, cost of transport and turning over a grid of gaits.",
+        help="""Map what a robot comes to over a grid of gaits.
+
+        Speed, cost of transport, Strouhal number, turning, power and torque over one or two of frequency,
+        amplitude, bias, asymmetry and any coefficient. Recorded trials are set beside it, and the range they
+        cover is marked. A run that was stopped goes on where it was when it is started again.
+
+        \b
+        Examples:
+          swimid map --robot dolphin --amplitude-deg 27 \\
+              --over frequency_hz=1:5:9 --over K_s=0.2:3.0:15 -o map.yaml
+          swimid map --params tfish.yaml --trials trials.yaml --over frequency_hz=0.6:2:8 \\
+              --over amplitude_deg=15:35:5 -o map.yaml
+          swimid map --robot tfish --waveform a-cpg --frequency-hz 1 --amplitude-deg 35 \\
+              --over bias_deg=25:35:3 --over asymmetry=0:0.4:2 --duration-s 20 -o steering.yaml
+        """,
+    ),
+    _verb(
+        "optimisation",
+        "optimise stiffness",
+        output="Rule file to write (YAML).",
+        argument="",
+        short="The stiffness of a passive joint as a rule over frequency and amplitude.",
+        help="""Find the best stiffness of a passive joint over frequency and amplitude.
+
+        At every point of the grid NSGA-II searches the stiffness; a quadratic function of the frequency for
+        each amplitude is the rule, which a controller reads as YAML, as a C header or as a table. A run that
+        was stopped goes on where it was when it is started again.
+
+        \b
+        Examples:
+          swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \\
+              --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h --table rule.csv
+          swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
+              --between 0.1,3 --objective cost-of-transport -o rule.yaml
+          swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
+              --between 0.1,3 --objective effort --reach-speed-m-s 0.6 -o rule.yaml
         """,
     ),
     _verb(

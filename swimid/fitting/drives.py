@@ -64,6 +64,8 @@ class Beat:
     ramp_s: float = 1.0
     #: Phase at time zero.
     phase_rad: float = 0.0
+    #: Phase by which each driven joint lags the one before it, beyond what the robot file says.
+    lag_rad: float = 0.0
 
     def motion(
         self,

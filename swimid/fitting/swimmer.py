@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from swimid.fitting.body import Axis
+from swimid.fitting.energetics import Energetics
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
@@ -49,6 +50,35 @@ class Swimmer(Model):
     @abstractmethod
     def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
         """What a driven joint is told to do, rad."""
+
+    @abstractmethod
+    def with_energetics(
+        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
+    ) -> list[tuple[dict[str, Array], Energetics | None]]:
+        """Several runs, each as :meth:`simulate`, with torques and powers over its last stretch each.
+
+        Parameters
+        ----------
+        last_s : sequence of float
+            Length of that stretch of each, s; rounded to whole integration steps.
+
+        Returns
+        -------
+        list of (channels, Energetics)
+            NaN throughout, and None, where a run breaks down.
+        """
+
+    @abstractmethod
+    def forget(self, trials: Sequence[Trial]) -> None:
+        """Let go of what is kept of trials that will not be simulated again."""
+
+    @abstractmethod
+    def yielding(self) -> list[str]:
+        """The coefficients that stand in the law of a passive joint."""
+
+    @abstractmethod
+    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Velocities, passive angles and rates at the end of a run, by the parameters of a start."""
 
     def with_buoyancy(self, factor: float) -> Swimmer | None:
         """The same model with every volume that displaces water multiplied; None where none does."""

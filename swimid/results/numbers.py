@@ -47,6 +47,7 @@ _SUFFIXES = {
     "rad_s": "rad/s",
     "deg_s": "deg/s",
     "N_m": "N m",
+    "J_m": "J/m",
     "m_s": "m/s",
     "rad": "rad",
     "deg": "deg",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NoReturn, TypeVar
@@ -16,6 +14,7 @@ from scipy.stats import ks_2samp, qmc, sobol_indices
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
+from swimid.fitting.threads import in_threads
 from swimid.progress import Progress, silent
 
 #: Share of the evaluations that may break down.
@@ -354,44 +353,3 @@ class Runs:
             f"all of them have {names[k]} between {low[k]:.3g} and {high[k]:.3g}, as have {100 * also:.0f} % "
             "of the others"
         )
-
-
-@contextmanager
-def in_threads(
-    work: Callable[[Item], Result], items: Iterable[Item], jobs: int
-) -> Iterator[Iterator[Result]]:
-    """Results of work on items, in the items' order.
-
-    Parameters
-    ----------
-    work : callable
-        Called with one item, in any thread. The first failure, an interrupt too, is that of every item
-        which has not begun by then.
-    items : iterable
-        What to work on.
-    jobs : int
-        Threads; at least one.
-
-    Yields
-    ------
-    iterator
-        Waits for each result. What has not begun when the block is left is cancelled.
-    """
-    failures: list[BaseException] = []
-
-    def one(item: Item) -> Result:
-        # Whoever waits for the results may hear of a failure late, and the queue would go on till then.
-        if failures:
-            raise failures[0]
-        try:
-            return work(item)
-        except BaseException as failure:
-            failures.append(failure)
-            raise
-
-    pool = ThreadPoolExecutor(max(jobs, 1))
-    try:
-        waiting = [pool.submit(one, item) for item in items]
-        yield (future.result() for future in waiting)
-    finally:
-        pool.shutdown(cancel_futures=True)

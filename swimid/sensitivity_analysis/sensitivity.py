@@ -18,6 +18,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
+from swimid.fitting.threads import in_threads
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -558,7 +559,7 @@ def _sweep(
     computed = []
     with (
         progress("sweep", total=len(grid)) as step,
-        indices.in_threads(kept, range(len(grid)), jobs) as rows,
+        in_threads(kept, range(len(grid)), jobs) as rows,
     ):
         for row in rows:
             computed.append(row)

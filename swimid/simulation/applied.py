@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -190,21 +190,40 @@ class Applied:
         compute : callable
             From a parameter vector to quantities by name.
         """
-        centre = dict(compute(values))
+        sides = [tuple(compute(end) for end in ends) for ends in self.neighbours(values)]
+        return self.carried(values, compute(values), sides)
+
+    def neighbours(self, values: Array) -> list[tuple[Array, Array]]:
+        """Parameter vectors to either side of each uncertain parameter, for central differences."""
         names, covariance = self.uncertain()
-        if not names:
-            return centre
-        slopes = np.zeros((len(centre), len(names)))
+        found = []
         for k, name in enumerate(names):
             index = self.model.index(name)
             p = self.model.parameters[index]
             size = max(abs(values[index]), p.scale)
             step = min(STEP * math.sqrt(covariance[k, k]), SMALLEST * size)
             low, high = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
-            before, after = (compute(_with(values, index, end)) for end in (low, high))
+            found.append((_with(values, index, float(low)), _with(values, index, float(high))))
+        return found
+
+    def carried(
+        self,
+        values: Array,
+        centre: Mapping[str, Quantity],
+        sides: Sequence[tuple[Mapping[str, Quantity], ...]],
+    ) -> dict[str, Quantity]:
+        """Quantities with standard errors from those at the :meth:`neighbours`."""
+        names, covariance = self.uncertain()
+        if not names:
+            return dict(centre)
+        slopes = np.zeros((len(centre), len(names)))
+        ends = self.neighbours(values)
+        for k, ((before, after), (low, high)) in enumerate(zip(sides, ends, strict=True)):
+            index = self.model.index(names[k])
+            width = float(high[index] - low[index])
             for row, key in enumerate(centre):
-                if key in before and key in after and high > low:
-                    slopes[row, k] = (after[key].value - before[key].value) / float(high - low)
+                if key in before and key in after and width > 0:
+                    slopes[row, k] = (after[key].value - before[key].value) / width
         result = {}
         for (key, quantity), slope in zip(centre.items(), slopes, strict=True):
             variance = float(slope @ covariance @ slope)

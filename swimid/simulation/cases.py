@@ -29,10 +29,11 @@ from swimid.results.parameters import ParameterFile
 from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.simulation import catalogue, swim_quantities
+from swimid.simulation import catalogue
 from swimid.simulation.applied import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.run import Case, Quantities
+from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.planar import drive
@@ -353,24 +354,15 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
-    body, beat = model.body, trial.swim.beat
-    if body is None:
+    if model.body is None:
         return _stroke_quantities(model, trial, frequency)
-    begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
-    ramp = max(begin, beat.ramp_s) if beat is not None else begin
-    window = swim_quantities.last_beats(ramp, end, frequency)
-    if window is None:
+    steady = Steady.of(model, trial, frequency)
+    if steady is None:
         return None
-    times = window.times()
-    # the run itself begins where the trial does
-    lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
-    fine = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
-    turning = beat is not None and bool(beat.bias_rad or beat.asymmetry)
 
     def compute(values: Array) -> dict[str, Quantity]:
-        columns = model.attempt(values, fine)
-        last = {name: v[len(lead) :] for name, v in columns.items()}
-        return swim_quantities.quantities(body, values, last, window, told_to_turn=turning)
+        columns, energetics = model.with_energetics([(values, steady.trial)], [steady.window.length_s])[0]
+        return steady.quantities(model, values, columns, energetics)
 
     return compute
 

@@ -1,4 +1,8 @@
-"""What a swimming robot's run comes to: speed, stride, turning, amplitudes."""
+"""What a swimming robot's run comes to: speed, stride, turning, amplitudes, power.
+
+The one place where the performance of a swim is measured: ``simulate``, ``map`` and ``optimise`` give the
+quantities computed here.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.fitting.body import Body
-from swimid.fitting.model import Array
+from swimid.fitting.energetics import Energetics
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Array, Trial
+from swimid.fitting.swimmer import Swimmer
 from swimid.simulation.applied import Quantity
+from swimid.swimmer import stroke_cycles
 
 #: Whole beats at the end of a run over which it is judged, and samples of each.
 BEATS, PER_BEAT = 4, 64
@@ -20,6 +28,8 @@ SLOWEST = 0.05
 STRAIGHT = math.radians(15.0)
 #: A turning radius is given where the robot turns faster than this without being told to, rad/s.
 TURNING = math.radians(2.0)
+#: A run has settled where its mean surge over a beat stays within this share of its last.
+SETTLED = 0.05
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,11 @@ class Window:
     beats: int
     frequency_hz: float
 
+    @property
+    def length_s(self) -> float:
+        """From its begin to its end."""
+        return self.end_s - self.begin_s
+
     def times(self) -> Array:
         """Even times over the window, both ends included."""
         return np.linspace(self.begin_s, self.end_s, self.beats * PER_BEAT + 1)
@@ -53,6 +68,182 @@ def last_beats(begin_s: float, end_s: float, frequency_hz: float) -> Window | No
     """
     count = min(BEATS, int((end_s - begin_s) * frequency_hz + 1e-9))
     return None if count < 1 else Window(end_s - count / frequency_hz, end_s, count, frequency_hz)
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A run under a beat or a stroke, sampled so that its end can be judged by whole beats.
+
+    Attributes
+    ----------
+    trial : Trial
+        The run at :data:`PER_BEAT` samples a beat from its start on.
+    window : Window
+        Its last whole beats; of a robot in space its last whole cycle.
+    told_to_turn : bool
+        The drive has a bias or an asymmetry.
+    """
+
+    trial: Trial
+    window: Window
+    told_to_turn: bool
+
+    @classmethod
+    def of(cls, model: Swimmer, trial: Trial, frequency_hz: float) -> Steady | None:
+        """A trial's drive over the trial's time; None where not one beat fits."""
+        begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+        beat = trial.swim.beat
+        if model.in_space:
+            cycles = stroke_cycles.windows(trial.time_s, frequency_hz)
+            if not cycles:
+                return None
+            window = Window(cycles[-1].begin_s, cycles[-1].end_s, 1, frequency_hz)
+        else:
+            ramp = max(begin, beat.ramp_s) if beat is not None else begin
+            found = last_beats(ramp, end, frequency_hz)
+            if found is None:
+                return None
+            window = found
+        times = window.times()
+        # the run itself begins where the trial does
+        lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
+        return cls(
+            Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim),
+            window,
+            beat is not None and bool(beat.bias_rad or beat.asymmetry),
+        )
+
+    @classmethod
+    def driven(
+        cls, model: Swimmer, name: str, swim: SwimInput, frequency_hz: float, duration_s: float
+    ) -> Steady:
+        """A run from rest of at least a time, rounded up to whole beats.
+
+        Parameters
+        ----------
+        name : str
+            A model keeps what it simulated by this name: another drive needs another.
+        """
+        beats = max(math.ceil(duration_s * frequency_hz - 1e-9), 1)
+        if swim.beat is not None:
+            beats = max(beats, math.ceil(swim.beat.ramp_s * frequency_hz) + 1)
+        time = np.arange(beats * PER_BEAT + 1) / (PER_BEAT * frequency_hz)
+        made = cls.of(model, Trial(name, "fit", time, {}, swim=swim), frequency_hz)
+        assert made is not None
+        return made
+
+    def quantities(
+        self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
+    ) -> dict[str, Quantity]:
+        """What the run comes to.
+
+        Parameters
+        ----------
+        columns : mapping of str to ndarray
+            The model's channels at the samples of :attr:`trial`.
+        energetics : Energetics or None
+            Of the window.
+        """
+        body, time = model.body, self.trial.time_s
+        if body is None:
+            last = stroke_cycles.Window(self.window.begin_s, self.window.end_s)
+            units = stroke_cycles.QUANTITIES
+            found = {
+                name: Quantity(value, units[name])
+                for name, value in stroke_cycles.quantities(time, columns, last).items()
+            }
+        else:
+            count = self.window.beats * PER_BEAT + 1
+            seen = {name: v[-count:] for name, v in columns.items()}
+            found = quantities(body, values, seen, self.window, told_to_turn=self.told_to_turn)
+            if body.free:
+                surge, whole = columns[body.velocity[0]], float(time[-1] - time[0])
+                mean = float(np.trapezoid(surge, time)) / whole
+                found["mean_surge_from_start_m_s"] = Quantity(mean, "m/s")
+                settled = settling_time(time, surge, self.window.frequency_hz)
+                found["settling_time_s"] = Quantity(settled, "s")
+        if energetics is not None and model.driven:
+            found |= powers(energetics, found.get("mean_speed_m_s"))
+        return found
+
+
+def known(model: Swimmer) -> dict[str, str]:
+    """Every quantity a run of this robot may come to, with its unit."""
+    units: dict[str, str] = {}
+    if model.in_space:
+        units |= stroke_cycles.QUANTITIES
+    elif model.free_base:
+        turn = model.pose[2].removesuffix("_rad")
+        units |= {
+            "mean_speed_m_s": "m/s",
+            "mean_speed_BL_s": "BL/s",
+            "stride_BL": "BL",
+            "strouhal": "1",
+            "tail_excursion_m": "m",
+            "turning_radius_m": "m",
+            f"mean_{turn}_rate_rad_s": "rad/s",
+            f"peak_{turn}_rate_rad_s": "rad/s",
+            f"{turn}_rate_range_rad_s": "rad/s",
+            f"{turn}_range_in_beat_rad": "rad",
+            "mean_surge_m_s": "m/s",
+            "largest_surge_m_s": "m/s",
+            "mean_surge_from_start_m_s": "m/s",
+            "speed_change_per_beat_m_s": "m/s",
+            "settling_time_s": "s",
+        }
+    if not model.in_space:
+        units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
+    if model.driven:
+        units |= {
+            "cost_of_transport_J_m": "J/m",
+            "mean_positive_power_W": "W",
+            "mean_power_W": "W",
+            "peak_torque_N_m": "N m",
+            "peak_joint_rate_rad_s": "rad/s",
+        }
+    return units
+
+
+def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:
+    """When the mean surge over a beat comes within :data:`SETTLED` of its last for good, s; NaN for never.
+
+    Parameters
+    ----------
+    time_s, surge_m_s : ndarray, shape (n,)
+        :data:`PER_BEAT` samples a beat.
+
+    Notes
+    -----
+    Speed that is still rising at the end of the run has not settled: the end is then no limit.
+    """
+    mean = np.convolve(surge_m_s, np.ones(PER_BEAT) / PER_BEAT, "valid")
+    if len(mean) < PER_BEAT + 1 or not np.isfinite(mean).all():
+        return math.nan
+    off = np.abs(mean - mean[-1]) > SETTLED * abs(mean[-1])
+    if off[-PER_BEAT - 1 :].any():
+        return math.nan
+    last = int(np.flatnonzero(off)[-1]) + 1 if off.any() else 0
+    return float(time_s[last] - time_s[0] + 0.5 / frequency_hz)
+
+
+def powers(energetics: Energetics, speed: Quantity | None) -> dict[str, Quantity]:
+    """Power, torque and rate of the driven joints, and the cost of transport.
+
+    Notes
+    -----
+    ``COT = P / V`` (dolphin, Eq 11), with the mean positive mechanical power of the joints: servos give
+    nothing back to the battery. Losses of gear and motor are not in it.
+    """
+    positive = energetics.mean_positive_power_W()
+    found = {
+        "mean_power_W": Quantity(energetics.mean_power_W(), "W"),
+        "mean_positive_power_W": Quantity(positive, "W"),
+        "peak_torque_N_m": Quantity(float(np.abs(energetics.torque_N_m).max()), "N m"),
+        "peak_joint_rate_rad_s": Quantity(float(np.abs(energetics.rate_rad_s).max()), "rad/s"),
+    }
+    if speed is not None and speed.value > 0:
+        found["cost_of_transport_J_m"] = Quantity(positive / speed.value, "J/m")
+    return found
 
 
 def quantities(
@@ -71,7 +262,8 @@ def quantities(
     -------
     dict of str to Quantity
         SI; names end in their unit. Mean speed is the path length of the beat-to-beat motion over
-        time, its arc between two beats taken as one of a circle.
+        time, its arc between two beats taken as one of a circle. The range of the heading in the last beat
+        is the tendon fish's xi (Table V): the smaller, the steadier the robot steers.
     """
     quantities: dict[str, Quantity] = {}
     if body.free:
@@ -103,6 +295,8 @@ def _speeds(
         "mean_surge_m_s": Quantity(float(np.mean(surge[:-1])), "m/s"),
         "largest_surge_m_s": Quantity(float(np.max(surge)), "m/s"),
         f"peak_{turn}_rate_rad_s": Quantity(float(np.max(np.abs(columns[velocity[2]]))), "rad/s"),
+        f"{turn}_rate_range_rad_s": Quantity(float(np.ptp(columns[velocity[2]])), "rad/s"),
+        f"{turn}_range_in_beat_rad": Quantity(float(np.ptp(heading[-PER_BEAT - 1 :])), "rad"),
     }
     if window.beats > 1:
         gain = (arc[-1] - arc[0]) / (len(arc) - 1) * window.frequency_hz

@@ -16,6 +16,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.body import Axis
 from swimid.fitting.drives import Motion
+from swimid.fitting.energetics import Energetics
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial, unless_broken
@@ -26,9 +27,9 @@ from swimid.swimmer.lanes.kernel import Engine, Kernel
 from swimid.swimmer.lanes.source import LANES
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.engine import sampled
+from swimid.swimmer.planar.engine import PASSIVE, sampled
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Tree, coefficients
+from swimid.swimmer.tree import Tree, coefficients, law_of
 
 Kept = TypeVar("Kept")
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
@@ -285,6 +286,76 @@ class LinkedModel(Swimmer):
             for one, (_, trial, _) in zip(simulated, runs, strict=True)
         ]
 
+    def with_energetics(
+        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
+    ) -> list[tuple[dict[str, Array], Energetics | None]]:
+        """Several runs with torques and powers (see :meth:`Swimmer.with_energetics`)."""
+        asked = [unless_broken(self._asked, values, trial, NONE) for values, trial in runs]
+        trajectories = iter(self._trajectories([one for one in asked if one is not None]))
+        found: list[tuple[dict[str, Array], Energetics | None]] = []
+        for one, (values, trial), length_s in zip(asked, runs, last_s, strict=True):
+            run = None if one is None else next(trajectories)
+            if one is None or run is None or not np.isfinite(run.states[-1]).all():
+                found.append((self.broken_down(trial), None))
+                continue
+            columns = self._at_samples(values, trial, NONE, run)
+            found.append((columns, self._energetics(one.values, run, length_s)))
+        return found
+
+    def _energetics(self, values: Array, run: Trajectory, last_s: float) -> Energetics:
+        """Over the last stretch of a run."""
+        count = min(max(round(last_s / run.step_s), 1), len(run.states) - 1) + 1
+        rows = slice(len(run.states) - count, None)
+        tables = self.tree.tables(values[: self._count])
+        states, drive = run.states[rows], run.drive.table[::2][rows]
+        torque, flow = self.engine.energetics(states, run.rates[rows], drive, *tables.values())
+        first, passives = self.coordinates, len(self.passive)
+        angle = states[:, first : first + passives]
+        rate = states[:, first + passives + self.speeds :]
+        lost, stored = elastic(tables["passive"], angle, rate)
+        return Energetics(
+            time_s=np.asarray(run.begin_s + run.step_s * np.arange(len(run.states))[rows], dtype=float),
+            torque_N_m=torque[:, [a.link for a in self.driven]],
+            rate_rad_s=drive[:, :, 1],
+            passive_torque_N_m=torque[:, [a.link for a in self.passive]],
+            passive_rate_rad_s=rate,
+            kinetic_J=flow[:, 0],
+            stored_J=stored,
+            water_W=flow[:, 1],
+            weight_W=flow[:, 2],
+            dissipated_W=lost,
+        )
+
+    def yielding(self) -> list[str]:
+        """The coefficients that stand in the law of a passive joint (see :meth:`Swimmer.yielding`)."""
+        used = {
+            factor for axis in self.passive for q in law_of(axis.joint) for term in q.terms for factor in term
+        }
+        return [name for name in self.coefficients if name in used]
+
+    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
+        """The end of a run as a start (see :meth:`Swimmer.final_state`)."""
+        found = {}
+        if self.free_base:
+            for name, column in zip(self.rates, self.velocity, strict=True):
+                found[f"initial_{name}"] = float(columns[column][-1])
+        for axis in self.passive:
+            found[f"initial_angle_{axis.name}"] = float(columns[axis.column][-1])
+            found[f"initial_rate_{axis.name}"] = float(columns[axis.rate][-1])
+        return found
+
+    def forget(self, trials: Sequence[Trial]) -> None:
+        """Let go of what is kept of trials (see :meth:`Swimmer.forget`)."""
+        names = {trial.id for trial in trials}
+        with self._lock:
+            for name in names:
+                self._kept.pop(name, None)
+                self._grids.pop(name, None)
+            kept: dict[tuple[Any, ...], Any]
+            for kept in (self._drives, self._motions):  # type: ignore[assignment]
+                for key in [key for key in kept if key[0] in names]:
+                    kept.pop(key, None)
+
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """The channels of a run."""
         time = hooks.happened(trial.time_s - self._value(values, "clock_offset"))
@@ -362,7 +433,7 @@ class LinkedModel(Swimmer):
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
         trajectory = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)
         with self._lock:
-            kept = self._kept[run.trial.id]
+            kept = self._kept.setdefault(run.trial.id, OrderedDict())
             kept[run.key] = trajectory
             while len(kept) > KEPT:
                 kept.popitem(last=False)
@@ -495,9 +566,36 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
     if swim.beat is None:
         return drives.straight(time_s)
     bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+    phase -= number * swim.beat.lag_rad
     return swim.beat.motion(
         time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
     )
+
+
+def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:
+    """Power lost in the dampers (W) and energy in the springs (J) of passive joints, shape (m,) each.
+
+    Parameters
+    ----------
+    passive : ndarray, shape (joints, 11)
+        Columns of :data:`swimid.swimmer.planar.engine.PASSIVE`.
+    angle, rate : ndarray, shape (m, joints), rad and rad/s
+
+    Notes
+    -----
+    Of a wire and spring the energy of the tendon fish's Eq 4, ``K_t d_p d_t + K_t d_t^2 / 2`` with Eq 3.
+    """
+    law = dict(zip(PASSIVE, passive.T, strict=True))
+    speed = np.abs(rate)
+    lost = (law["damping"] + law["quadratic_damping"] * speed) * rate**2
+    smooth = np.sqrt(rate**2 + law["friction_below"] ** 2)
+    lost += law["friction"] * rate**2 / np.where(smooth > 0, smooth, 1.0)
+    off = angle - law["rest"]
+    arm, crank = law["arm"], law["crank"]
+    stretch = np.sqrt(arm**2 + crank**2 - 2.0 * arm * crank * np.cos(angle)) - arm + crank
+    stored = 0.5 * law["stiffness"] * off**2 + 0.25 * law["cubic"] * off**4
+    stored += law["spring"] * (law["pretension"] * stretch + 0.5 * stretch**2)
+    return lost.sum(axis=1), stored.sum(axis=1)
 
 
 def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:

@@ -219,7 +219,7 @@ class Tree(ABC):
 
         self._joint = table([self._place(j) for j in self._joints], engine.JOINT)
         self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
-        self._passive = table([_law(axis.joint) for axis in self.passive], PASSIVE)
+        self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
         for name in self.elements:
             owners = np.array([link for link, _ in getattr(rows, name)], dtype=np.int64)
@@ -263,7 +263,7 @@ class Tree(ABC):
         """A joint's row of the engine's table; of the base with None."""
 
 
-def _law(joint: Joint | Hinge) -> list[Polynomial]:
+def law_of(joint: Joint | Hinge) -> list[Polynomial]:
     """A passive joint's row of the engine's table."""
     law = joint.passive
     assert law is not None

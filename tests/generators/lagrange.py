@@ -73,6 +73,8 @@ class Lagrange:
         self._acceleration = ca.Function("acceleration", [q, qd, told], [found])
         self._conserved = ca.Function("conserved", [q, qd], [kinetic + potential, momentum])
         self._found, self._told = found, told
+        every = ca.SX.sym("every", size)
+        self._torque = ca.Function("torque", [q, qd, every], [(ca.mtimes(mass, every) + rest)[self.free :]])
 
     # ---------------------------------------------------------------- geometry
 
@@ -258,6 +260,10 @@ class Lagrange:
             Accelerations of the driven joints.
         """
         return np.asarray(self._acceleration(q, qd, told)).ravel()
+
+    def torque(self, q: Any, qd: Any, qdd: Any) -> np.ndarray:
+        """Generalised forces of the driven joints, all accelerations told."""
+        return np.asarray(self._torque(q, qd, qdd)).ravel()
 
     def conserved(self, q: Any, qd: Any) -> tuple[float, np.ndarray]:
         """Energy T + V, and the impulse: two components in the world and the moment about its origin."""

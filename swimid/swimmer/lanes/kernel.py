@@ -46,7 +46,7 @@ LEAST_S = 0.5
 
 @dataclass(frozen=True)
 class Engine:
-    """What tracing asks of an engine.
+    """What a model and its kernel ask of an engine.
 
     Attributes
     ----------
@@ -60,6 +60,8 @@ class Engine:
         Done to a state after each step.
     filled : mapping of table to columns
         Entries that stay numbers of a run also where the robot has a zero there: effects fill them.
+    energetics : compiled function or None
+        Inverse dynamics of a finished run: joint torques and powers.
     """
 
     derivative: Any
@@ -67,6 +69,7 @@ class Engine:
     extra: tuple[Any, ...] = ()
     settled: Any = None
     filled: Mapping[str, slice] = field(default_factory=dict)
+    energetics: Any = None
 
 
 class Kernel:

@@ -490,6 +490,108 @@ def integrate(  # type: ignore[no-untyped-def]
     return states, rates
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _powers(work, before):  # type: ignore[no-untyped-def]
+    """Power of the forces added since the wrenches ``before`` were noted, which become those of now."""
+    power = 0.0
+    for i in range(work.shape[0]):
+        for m in range(3):
+            power += (before[i, m] - work[i, 8 + m]) * work[i, 2 + m]
+            before[i, m] = work[i, 8 + m]
+    return power
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _accelerate(state, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
+    """Add what the accelerations of base and passive joints need to the wrenches; kinetic energy, J."""
+    n = len(state) // 2
+    energy = 0.0
+    for i in range(topology.shape[0]):
+        if i == 0:
+            du, dv, dr = rate[n], rate[n + 1], rate[n + 2]
+        else:
+            p, k = topology[i, 0], topology[i, 2]
+            c, s = work[i, 0], work[i, 1]
+            a = moved[p, 0] - moved[p, 2] * joint[i, 1]
+            b = moved[p, 1] + moved[p, 2] * joint[i, 0]
+            du, dv, dr = c * a + s * b, c * b - s * a, moved[p, 2]
+            if k >= 0:
+                dr += rate[n + 3 + k]
+        moved[i, 0], moved[i, 1], moved[i, 2] = du, dv, dr
+        g0, g1, g2 = inertia[i, 0], inertia[i, 1], inertia[i, 2]
+        g3, g4, g5 = inertia[i, 3], inertia[i, 4], inertia[i, 5]
+        work[i, 8] += g0 * du + g1 * dv + g2 * dr
+        work[i, 9] += g1 * du + g3 * dv + g4 * dr
+        work[i, 10] += g2 * du + g4 * dv + g5 * dr
+        u, v, r = work[i, 2], work[i, 3], work[i, 4]
+        energy += 0.5 * (g0 * u * u + g3 * v * v + g5 * r * r) + g1 * u * v + g2 * u * r + g4 * v * r
+    return energy
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def energetics(  # type: ignore[no-untyped-def]
+    states,
+    rates,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+):
+    """Joint torques of a run by inverse dynamics, and where the energy goes.
+
+    Parameters
+    ----------
+    states, rates : ndarray, shape (m, 2 n)
+        As :func:`integrate` gives them, without forces from outside.
+    table : ndarray, shape (m, driven joints, 5)
+        Driven joints at the same instants.
+    others
+        As :func:`derivative`.
+
+    Returns
+    -------
+    torque : ndarray, shape (m, links), N m
+        Moment through the joint that holds each link, of the link ahead on it: the generalised force of a
+        driven joint, the law of a passive one, what is left on a free base (nothing but rounding).
+    flow : ndarray, shape (m, 3)
+        Kinetic energy with that of the water carried along (J); power given to the water by drag, foils and
+        trailing edges (W); power given to constant forces: weight and buoyancy (W).
+
+    Notes
+    -----
+    ``sum(torque * joint rate) = d(kinetic energy)/dt + both powers`` over all joints.
+    """
+    count, links = states.shape[0], topology.shape[0]
+    torque, flow = np.empty((count, links)), np.empty((count, 3))
+    work, before, moved = np.zeros((links, 19)), np.zeros((links, 3)), np.zeros((links, 3))
+    for t in range(count):
+        state = states[t]
+        _outwards(state, table[t], topology, joint, inertia, work)
+        before[:] = work[:, 8:11]
+        _drag(drag_link, drag, work)
+        _foils(foil_link, foil, work)
+        _wakes(wake_link, wake, work)
+        flow[t, 1] = -_powers(work, before)
+        _forces(force_link, force, work)
+        flow[t, 2] = -_powers(work, before)
+        flow[t, 0] = _accelerate(state, rates[t], topology, joint, inertia, work, moved)
+        for i in range(links - 1, -1, -1):
+            torque[t, i] = work[i, 10]
+            if i > 0:
+                _to_parent(i, topology[i, 0], joint, work)
+    return torque, flow
+
+
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
     """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
     n = 3 + len(tables["passive"])

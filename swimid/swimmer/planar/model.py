@@ -43,7 +43,13 @@ class MultilinkModel(LinkedModel):
     name = "multilink"
     offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
     coordinates, speeds = 3, 3
-    engine = Engine(engine.derivative, engine.shapes, extra=(None, 0.0), filled=engine.FILLED)
+    engine = Engine(
+        engine.derivative,
+        engine.shapes,
+        extra=(None, 0.0),
+        filled=engine.FILLED,
+        energetics=engine.energetics,
+    )
     camera = (
         of_trial(
             "camera_rotation", "rad", 0.02, "axes of the measured position against those of the heading"

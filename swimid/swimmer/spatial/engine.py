@@ -675,6 +675,106 @@ def integrate(  # type: ignore[no-untyped-def]
     return states, rates
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _powers(work, before):  # type: ignore[no-untyped-def]
+    """Power of the forces added since the wrenches ``before`` were noted, which become those of now."""
+    power = 0.0
+    for i in range(work.shape[0]):
+        for m in range(6):
+            power += (before[i, m] - work[i, _F + m]) * work[i, _V + m]
+            before[i, m] = work[i, _F + m]
+    return power
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _accelerate(twist, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
+    """Add what the accelerations of base and passive hinges need to the wrenches; kinetic energy, J."""
+    energy = 0.0
+    full = np.zeros((6, 6))
+    for i in range(topology.shape[0]):
+        w = work[i]
+        if i == 0:
+            for m in range(6):
+                moved[0, m] = rate[twist + m]
+        else:
+            u, k = moved[topology[i, 0]], topology[i, 2]
+            x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
+            a0 = u[0] + u[4] * z - u[5] * y
+            a1 = u[1] + u[5] * x - u[3] * z
+            a2 = u[2] + u[3] * y - u[4] * x
+            for m in range(3):
+                moved[i, m] = w[m] * a0 + w[3 + m] * a1 + w[6 + m] * a2
+                moved[i, 3 + m] = w[m] * u[3] + w[3 + m] * u[4] + w[6 + m] * u[5]
+                if k >= 0:
+                    moved[i, 3 + m] += joint[i, 3 + m] * rate[twist + 6 + k]
+        if topology[i, 3] != 0:
+            continue
+        at = 0
+        for r in range(3):
+            for c in range(3):
+                full[r, 3 + c] = full[3 + c, r] = inertia[i, 6 + 3 * r + c]
+            for c in range(r, 3):
+                full[r, c] = full[c, r] = inertia[i, at]
+                full[3 + r, 3 + c] = full[3 + c, 3 + r] = inertia[i, 15 + at]
+                at += 1
+        for r in range(6):
+            for c in range(6):
+                w[_F + r] += full[r, c] * moved[i, c]
+                energy += 0.5 * w[_V + r] * full[r, c] * w[_V + c]
+    return energy
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def energetics(  # type: ignore[no-untyped-def]
+    states,
+    rates,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    surface,
+    free_base,
+):
+    """Hinge torques of a run by inverse dynamics, and where the energy goes.
+
+    As :func:`swimid.swimmer.planar.engine.energetics`, with the arguments of :func:`derivative`; the torque
+    of a base is zero.
+    """
+    count, links = states.shape[0], topology.shape[0]
+    torque, flow = np.zeros((count, links)), np.empty((count, 3))
+    work, before, moved = np.zeros((links, _WORK)), np.zeros((links, 6)), np.zeros((links, 6))
+    block = np.zeros(6)
+    twist = 7 + passive.shape[0]
+    for t in range(count):
+        state = states[t]
+        _outwards(state, table[t], topology, joint, inertia, work)
+        before[:] = work[:, _F : _F + 6]
+        _drags(drag_link, drag, surface, work)
+        _dampings(damping_link, damping, work)
+        _foils(foil_link, foil, surface, work)
+        _wakes(wake_link, wake, work)
+        flow[t, 1] = -_powers(work, before)
+        _forces(force_link, force, surface, work)
+        flow[t, 2] = -_powers(work, before)
+        flow[t, 0] = _accelerate(twist, rates[t], topology, joint, inertia, work, moved)
+        for i in range(links - 1, 0, -1):
+            w = work[i]
+            torque[t, i] = joint[i, 3] * w[_M] + joint[i, 4] * w[_M + 1] + joint[i, 5] * w[_M + 2]
+            _to_parent(i, topology[i, 0], joint, work, block)
+    return torque, flow
+
+
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
     """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
     n = 6 + len(tables["passive"])

@@ -40,7 +40,13 @@ class MultibodyModel(LinkedModel):
     offers = frozenset({"command", "tables", "output", "clock"})
     in_space = True
     coordinates, speeds = 7, 6
-    engine = Engine(engine.derivative, engine.shapes, settled=engine.settled, filled=FILLED)
+    engine = Engine(
+        engine.derivative,
+        engine.shapes,
+        settled=engine.settled,
+        filled=FILLED,
+        energetics=engine.energetics,
+    )
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     places = ("x", "y", "z", "roll", "pitch", "yaw")

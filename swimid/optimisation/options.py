@@ -1,0 +1,90 @@
+"""The options of ``map``, ``optimise stiffness`` and ``optimise gait``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from swimid.fitting import options as fits
+from swimid.options import Options, Source, option
+from swimid.simulation import options as simulations
+from swimid.swimmer import options as swimmers
+
+
+class GaitOptions(Options):
+    """The robot, and the drive that is varied; what every verb of gaits can be told."""
+
+    params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
+    robot: str | None = simulations.robot("Robot; without --params its file's own values are used.")
+    frequency_hz: float | None = option(None, gt=0, help="Beat frequency where it is not varied.")
+    amplitude_deg: float | None = option(
+        None, ge=0, help="Beat amplitude where it is not varied (T-Fish: of the whole tail)."
+    )
+    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Form of the beat.")
+    bias_deg: float | None = option(None, help="Turning bias where it is not varied.")
+    asymmetry: float | None = option(
+        None, gt=-1, lt=1, help="Of an a-cpg beat (T-Fish, Eq 10), where it is not varied."
+    )
+    lag_deg: float | None = option(
+        None, help="Phase by which each driven joint lags the one before it, where it is not varied."
+    )
+    ramp_s: float = option(1.0, ge=0, help="Time the beat is eased in.")
+    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file in place of a beat.")
+    scale: float | None = option(
+        None, ge=0, help="What the stroke's angles are multiplied with, where it is not varied."
+    )
+    duration_s: float = option(15.0, gt=0, help="Length of each run from rest; judged by its last beats.")
+    chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
+    readings: Mapping[str, str] = swimmers.readings()
+    dt: float = swimmers.step()
+    jobs: int | None = fits.jobs()
+
+
+class MapOptions(GaitOptions):
+    """What ``map`` can be told."""
+
+    over: Mapping[str, tuple[float, float, int]] = option(
+        metavar="NAME=LOW:HIGH:COUNT",
+        help="What is varied: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, "
+        "or a coefficient (K_s). One or two.",
+    )
+    trials: Source = option(
+        None, help="Trials file: its measured speeds are set beside the map, and its region is marked."
+    )
+
+
+class OptimiseStiffnessOptions(GaitOptions):
+    """What ``optimise stiffness`` can be told."""
+
+    over: Mapping[str, tuple[float, float, int]] = option(
+        metavar="NAME=LOW:HIGH:COUNT",
+        help="frequency_hz, and amplitude_deg where the rule depends on it.",
+    )
+    coefficient: str | None = option(
+        None, metavar="NAME", help="The stiffness: by default the one coefficient in a passive joint's law."
+    )
+    between: tuple[float, float] | None = option(
+        None, metavar="LOW,HIGH", help="Where it is searched; default the coefficient's bounds."
+    )
+    objective: Literal["speed", "cost-of-transport", "effort"] = option(
+        "speed",
+        help="speed: mean speed from rest against the range of the turning rate (T-Fish, Eq 12). "
+        "cost-of-transport, or effort (power): against mean speed.",
+    )
+    reach_speed_m_s: float | None = option(
+        None, gt=0, help="effort: the least power among stiffnesses that reach this speed."
+    )
+    pick: Literal["best", "knee"] = option(
+        "best", help="Of each front, the point best in the objective, or nearest to the best of both."
+    )
+    reference: float | None = option(
+        None, help="Stiffness the gain is told against; default the parameters' own value."
+    )
+    population: int = option(24, ge=4, help="NSGA-II: population size.")
+    generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
+    seed: int = option(0, ge=0, help="Of the search: the same seed gives the same file.")
+    header: Path | None = option(
+        None, written=True, recorded=False, help="C header of the rule to write (.h)."
+    )
+    table: Path | None = option(None, written=True, recorded=False, help="Table of the rule to write (.csv).")

@@ -1,0 +1,61 @@
+"""Files of maps (``swimid-map/1``) and stiffness rules (``swimid-rule/1``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from swimid.optimisation import map_file, rule
+from swimid.optimisation.map_file import MapFile
+from swimid.optimisation.rule import RuleFile
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Verdict
+from swimid.results.reader import reader
+from swimid.results.sections import Section
+
+ALONE = "No evidence file, so its checks cannot be shown."
+
+
+@reader(format=map_file.FORMAT, read=MapFile.read)
+def of_map(path: Path, file: MapFile, evidence: Evidence | None) -> Section:
+    """The section of a map file."""
+    axes = ", ".join(
+        f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
+        for a in file.axes
+    )
+    return Section(
+        path=path,
+        kind="Map",
+        title=f"Map of {file.robot}",
+        verdict=Verdict(level=file.verdict, text=ALONE),
+        facts=[
+            ("Robot", file.robot),
+            ("Parameters", file.params or "the robot file's"),
+            ("Grid", axes),
+            ("Runs", f"{file.duration_s:g} s from rest"),
+            ("Trials beside it", str(len(file.measured))),
+        ],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=rule.FORMAT, read=RuleFile.read)
+def of_rule(path: Path, file: RuleFile, evidence: Evidence | None) -> Section:
+    """The section of a rule file."""
+    low, high = (numbers.number(k) for k in file.between)
+    return Section(
+        path=path,
+        kind="Stiffness rule",
+        title=f"Stiffness rule of {file.robot}",
+        verdict=Verdict(level=file.verdict, text=ALONE),
+        facts=[
+            ("Robot", file.robot),
+            ("Parameters", file.params or "the robot file's"),
+            ("Stiffness", f"{file.coefficient}, {low} to {high} {numbers.unit_text(file.unit)}"),
+            ("Objective", file.objective),
+            ("Frequency", f"{numbers.interval(*file.frequency_hz)} Hz"),
+            ("Amplitude", f"{numbers.interval(*file.amplitude_deg)} deg"),
+        ],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )

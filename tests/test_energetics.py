@@ -1,0 +1,164 @@
+"""Joint torques against Lagrange's equations, the balance of energy, and what is made of both."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from swimid.fitting.drives import Beat
+from swimid.fitting.energetics import Energetics
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Trial
+from swimid.logs.trials import StrokeDrive
+from swimid.robots import file as robot_format
+from swimid.robots.file import Fluid
+from swimid.robots.planar import Multilink
+from swimid.simulation import swim_quantities
+from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.trials import cycle_of
+from tests.conftest import Ran
+
+WATER = 1000.0
+needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, reason="casadi is missing")
+
+
+def values_of(model: LinkedModel) -> np.ndarray:
+    stated = model.stated()
+    return np.array([stated.get(p.name, p.start) for p in model.parameters])
+
+
+def swum(model: LinkedModel, swim: SwimInput, duration_s: float, last_s: float) -> Energetics:
+    time = np.arange(round(duration_s * 100) + 1) / 100
+    trial = Trial("run", "fit", time, {}, swim=swim)
+    columns, found = model.with_energetics([(values_of(model), trial)], [last_s])[0]
+    assert found is not None
+    simulated = model.simulate(values_of(model), trial)
+    assert all(np.array_equal(columns[name], simulated[name]) for name in simulated)
+    return found
+
+
+@needs_casadi
+@pytest.mark.parametrize("base", ["free", "fixed"])
+def test_torques_of_random_trees(base: str) -> None:
+    """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
+    from tests.generators import lagrange
+
+    rng, compared = np.random.default_rng(5), 0
+    for _ in range(20):
+        links = int(rng.integers(3, 8))
+        yielding = int(rng.integers(base == "fixed", min(links - 2, 3) + 1))
+        body = {**lagrange.random_tree(rng, links, yielding), "base": base}
+        tree = Assembly(Multilink.model_validate(body), Fluid(density_kg_m3=WATER))
+        oracle, tables = lagrange.Lagrange(body, density=WATER), tree.tables(np.zeros(0))
+        n, driven = tree.unknowns, len(tree.driven)
+        compared += driven
+        q, qd, told = (rng.normal(size=size) for size in (n + driven, n + driven, driven))
+        if base == "fixed":
+            q[:3], qd[:3] = 0.0, 0.0
+        c, s = math.cos(q[2]), math.sin(q[2])
+        state = np.r_[q[:n], c * qd[0] + s * qd[1], c * qd[1] - s * qd[0], qd[2:n]]
+        mounts = np.radians([a.joint.mount_deg for a in tree.driven])
+        row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
+        rate, scratch = np.empty(2 * n), [np.zeros(shape) for shape in engine.shapes(tables)[1]]
+        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+        expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
+        torque, _ = engine.energetics(state[None], rate[None], row[None], *tables.values())
+        found = torque[0, [a.link for a in tree.driven]]
+        size = np.abs(torque).max()
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
+        if base == "free":
+            assert abs(torque[0, 0]) < 1e-10 * size
+    assert compared > 20
+
+
+@pytest.mark.parametrize("form", [MultilinkModel, MultibodyModel])
+@pytest.mark.parametrize(("name", "hz", "deg"), [("tfish", 1.0, 20.0), ("dolphin", 2.5, 27.0)])
+def test_balance_of_energy(form: type[LinkedModel], name: str, hz: float, deg: float) -> None:
+    """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
+    left = []
+    for step in (0.0025, 0.00125):
+        model = form(robot_format.read(name), max_step=step)
+        found = swum(model, SwimInput(Beat("sine", hz, math.radians(deg))), 12.0, 4.0 / hz)
+        given, gone = found.balance_J()
+        left.append(abs(given - gone) / given)
+    assert left[0] < 1e-6
+    assert left[1] < left[0] / 8
+
+
+def test_balance_of_energy_in_space() -> None:
+    """The sea lion's hinges, its weight and buoyancy, over a whole stroke."""
+    model = MultibodyModel(robot_format.read("sealion"), max_step=0.001)
+    stroke = cycle_of(StrokeDrive(stroke="characteristic", cycles=3), model)
+    found = swum(model, SwimInput(stroke=stroke), 3.0 / stroke.frequency_hz, 1.0 / stroke.frequency_hz)
+    given, gone = found.balance_J()
+    assert given > 0
+    assert abs(given - gone) < 1e-6 * np.abs(found.power_W).max() * (found.time_s[-1] - found.time_s[0])
+
+
+def test_both_engines_give_the_same_torques() -> None:
+    swim = SwimInput(Beat("sine", 1.4, 0.5))
+    flat, space = (
+        swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, MultibodyModel)
+    )
+    assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
+    assert space.passive_torque_N_m == pytest.approx(flat.passive_torque_N_m, abs=1e-9)
+    assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
+
+
+def test_passive_torque_is_the_spring_s_law() -> None:
+    """The dolphin's caudal joint: ``tau = -K_s theta``, with the energy that it stores."""
+    model = MultilinkModel(robot_format.read("dolphin"))
+    swim = SwimInput(Beat("sine", 2.0, 0.4))
+    found = swum(model, swim, 5.0, 1.0)
+    angle = -found.passive_torque_N_m[:, 0] / 0.31
+    assert found.stored_J == pytest.approx(0.5 * 0.31 * angle**2, rel=1e-9)
+    assert np.gradient(angle, found.time_s)[5:-5] == pytest.approx(
+        found.passive_rate_rad_s[5:-5, 0], abs=0.02
+    )
+
+
+def test_a_run_that_breaks_down_has_none() -> None:
+    model = MultilinkModel(robot_format.read("tfish"))
+    values = values_of(model)
+    values[model.index("c_d4")] = -1e6
+    trial = Trial("run", "fit", np.arange(101) / 20, {}, swim=SwimInput(Beat("sine", 2.0, 0.5)))
+    columns, found = model.with_energetics([(values, trial)], [1.0])[0]
+    assert found is None
+    assert np.isnan(columns["u_m_s"]).all()
+
+
+def test_what_is_forgotten_is_simulated_again() -> None:
+    model = MultilinkModel(robot_format.read("tfish"))
+    time = np.arange(101) / 50
+    slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))
+    first = model.simulate(values_of(model), slow)["u_m_s"]
+    model.forget([slow])
+    assert not np.array_equal(model.simulate(values_of(model), fast)["u_m_s"], first)
+
+
+def test_settling_time_of_a_first_order_rise() -> None:
+    """``1 - exp(-t / tau)`` comes within 5 % at ``tau log 20``; an end that still rises has not settled."""
+    time = np.arange(64 * 60 + 1) / 64.0
+    rise = 1.0 - np.exp(-time / 5.0)
+    found = swim_quantities.settling_time(time, rise, 1.0)
+    assert found == pytest.approx(5.0 * math.log(20.0), abs=0.1)
+    assert math.isnan(swim_quantities.settling_time(time[:640], time[:640], 1.0))
+
+
+def test_simulate_tells_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:
+    args = ("--frequency-hz", "2.5", "--amplitude-deg", "27", "--duration-s", "15", "--json")
+    found = swimid("simulate", "--robot", "dolphin", *args).json["result"]["runs"][0]["quantities"]
+    positive, speed = found["mean_positive_power_W"]["value"], found["mean_speed_m_s"]["value"]
+    assert found["cost_of_transport_J_m"]["value"] == pytest.approx(positive / speed)
+    assert positive >= found["mean_power_W"]["value"] > 0
+    assert found["peak_joint_rate_rad_s"]["value"] == pytest.approx(
+        math.radians(27) * 2 * math.pi * 2.5, rel=1e-3
+    )

@@ -1,0 +1,179 @@
+"""``swimid map``: its points are those of single runs; resumption, trials beside it, refusals."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import swimid as package
+from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files.checkpoint import Checkpoint
+from swimid.optimisation import measured
+from swimid.optimisation.map_file import MapFile
+from swimid.optimisation.performance import Performance
+from tests.conftest import Ran
+
+Swimid = Callable[..., Ran]
+DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 8.0}
+
+
+def test_a_point_is_what_simulate_gives() -> None:
+    """Another path through the code: one run with the coefficient set, sampled at 50 Hz."""
+    made = package.performance_map(over={"frequency_hz": (2.0, 3.0, 2), "K_s": (0.3, 0.9, 3)}, **DOLPHIN)
+    row = made.frame.query("frequency_hz == 3.0 and K_s > 0.8").iloc[0]
+    alone = package.simulate(frequency_hz=3.0, chosen={"K_s": 0.9}, **DOLPHIN).quantities
+    for name in ("mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "peak_torque_N_m"):
+        # the windows' samples differ by part of an integration step
+        assert row[name] == pytest.approx(alone[name].value, rel=2e-3), name
+
+
+def test_the_best_stiffness_rises_with_frequency() -> None:
+    """Dolphin, section 4.3: an optimum at every frequency, stiffer at a higher one."""
+    made = package.performance_map(over={"frequency_hz": (2.5, 4.5, 3), "K_s": (0.2, 1.6, 8)}, **DOLPHIN)
+    fastest = made.frame.loc[made.frame.groupby("frequency_hz")["mean_speed_m_s"].idxmax()]
+    assert np.all(np.diff(fastest["K_s"]) > 0)
+    assert fastest["K_s"].between(0.3, 1.5).all()
+
+
+def test_steering_over_bias_and_asymmetry() -> None:
+    """Tendon fish, Table V: the turn tightens with the bias, and asymmetry tightens it further."""
+    made = package.performance_map(
+        robot="tfish", frequency_hz=1.0, amplitude_deg=35.0, waveform="a-cpg", duration_s=20.0,
+        over={"bias_deg": (25.0, 35.0, 2), "asymmetry": (0.0, 0.4, 2)},
+    )  # fmt: skip
+    radius = made.frame.pivot(index="bias_deg", columns="asymmetry", values="turning_radius_m").to_numpy()
+    assert np.all(np.diff(radius, axis=0) < 0)
+    assert np.all(np.diff(radius, axis=1) < 0)
+    assert {"yaw_range_in_beat_rad", "peak_yaw_rate_rad_s", "mean_yaw_rate_rad_s"} <= set(made.frame)
+
+
+def test_interrupted_and_taken_up_it_is_the_same_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over = {"frequency_hz": (2.0, 4.0, 5), "K_s": (0.2, 1.0, 5)}
+    whole, parted = tmp_path / "whole.yaml", tmp_path / "parted.yaml"
+    package.performance_map(over=over, output=whole, jobs=1, **DOLPHIN)
+    table, calls = Performance.table, 0
+
+    def stopping(self: Performance, *args: object) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise KeyboardInterrupt
+        return table(self, *args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Performance, "table", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        package.performance_map(over=over, output=parted, jobs=1, **DOLPHIN)
+    assert not parted.exists()
+    before = calls
+    package.performance_map(over=over, output=parted, jobs=1, **DOLPHIN)
+    assert calls - before == 4 - 2
+    assert parted.read_bytes() == whole.read_bytes()
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) -> None:
+    """Their speeds with residuals, the region they cover, and electrical power with an efficiency."""
+    folder = tmp_path / "tfish"
+    shutil.copytree(samples / "tfish", folder)
+    log = folder / "f14a25.csv"
+    lines = log.read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("t_s"))
+    lines[head] += ",voltage_V,current_A"
+    lines[head + 1 :] = [f"{line},7.4,0.1" for line in lines[head + 1 :]]
+    log.write_text("\n".join(lines) + "\n")
+    ran = swimid(
+        "map", "--robot", "tfish", "--trials", folder / "trials.yaml", "--over", "frequency_hz=1:2:3",
+        "--over", "amplitude_deg=15:35:3", "-o", tmp_path / "map.yaml", "--json",
+    )  # fmt: skip
+    file = MapFile.read(tmp_path / "map.yaml")
+    # of the trials without bias that the map holds; the region is that of all fitted ones
+    assert {m.trial for m in file.measured} >= {"f10a20", "f14a25", "f14a20"}
+    assert file.identified["frequency_hz"] == (1.0, 1.8)
+    one = next(m for m in file.measured if m.trial == "f14a25")
+    assert one.at == {"frequency_hz": 1.4, "amplitude_deg": 25.0}
+    assert one.measured_m_s == pytest.approx(one.simulated_m_s, rel=0.2)
+    assert one.electrical_W == pytest.approx(0.74)
+    assert file.efficiency is not None
+    assert file.efficiency.value == pytest.approx(one.mechanical_W / 0.74)
+    assert ran.status == 0
+    checks = package.load_result(tmp_path / "map.yaml").checks().set_index("name")
+    assert "extrapolation" in checks.loc["inside the range of the identification trials", "text"]
+    page = tmp_path / "page.html"
+    assert swimid("report", tmp_path / "map.yaml", "-o", page).status == 0
+    assert "identified inside" in page.read_text()
+
+
+def test_efficiency_of_trials_that_scatter() -> None:
+    rng = np.random.default_rng(4)
+    electrical = rng.uniform(5.0, 40.0, 200)
+    found = measured.efficiency(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical)
+    assert found is not None
+    assert found.stderr is not None
+    assert found.value == pytest.approx(0.3, abs=3 * found.stderr)
+    assert found.stderr == pytest.approx(0.5 / math.sqrt(float(electrical @ electrical)), rel=0.15)
+    assert measured.efficiency([math.nan], [1.0]) is None
+
+
+def test_errors_from_the_covariance(tmp_path: Path) -> None:
+    """One uncertain coefficient: the deviation of the speed is its slope times the standard error."""
+    text = "\n".join(
+        [
+            "format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:",
+            *(
+                f"  {name}: {{value: {value}, stderr: {0.2 if name == 'c_d2' else 'null'}, unit: '1', "
+                "status: estimated}"
+                for name, value in {
+                    "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
+                    "c_d0": 2.55, "c_d1": 4.0, "c_d2": 5.8,
+                }.items()
+            ),
+        ]
+    )  # fmt: skip
+    (tmp_path / "p.yaml").write_text(text + "\n")
+    given = {"params": tmp_path / "p.yaml", "amplitude_deg": 27.0, "duration_s": 8.0}
+    made = package.performance_map(over={"frequency_hz": (2.0, 3.0, 2)}, **given)
+    stderr = made.file.quantities["mean_speed_m_s"].stderr
+    assert stderr is not None
+    ends = [
+        package.performance_map(over={"frequency_hz": (2.0, 3.0, 2)}, chosen={"c_d2": c}, **given).frame
+        for c in (5.75, 5.85)
+    ]
+    slope = (ends[1]["mean_speed_m_s"] - ends[0]["mean_speed_m_s"]) / 0.1
+    assert [row[0] for row in stderr] == pytest.approx(0.2 * slope.abs(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"over": {"K": (0.1, 1.0, 3)}}, "there is no 'K'"),
+        ({"over": {"frequency_hz": (0.0, 1.0, 3)}}, "frequency_hz"),
+        ({"over": {"frequency_hz": (2.0, 1.0, 3)}}, "not below"),
+        ({"over": {"frequency_hz": (1.0, 2.0, 1)}}, "two points"),
+        ({"over": {"asymmetry": (0.0, 0.4, 3)}, "frequency_hz": 1.0}, "a-cpg"),
+        ({"over": {"K_s": (0.1, 1.0, 3)}}, "--frequency-hz"),
+        ({"over": {"frequency_hz": (1.0, 2.0, 3)}, "chosen": {"K_s": -1.0}}, "negative"),
+    ],
+)
+def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+    with pytest.raises(Exception, match=says) as caught:
+        package.performance_map(**{**DOLPHIN, **changed})
+    assert isinstance(caught.value, UsageError | NoTrustworthyResult | package.InputError)
+
+
+def test_a_robot_in_space_over_its_stroke() -> None:
+    made = package.performance_map(
+        robot="sealion", stroke="characteristic", over={"scale": (0.8, 1.2, 2)}, duration_s=6.0
+    )
+    assert made.frame["mean_speed_m_s"].is_monotonic_increasing
+    assert (made.frame["mean_power_W"] > 0).all()
+
+
+def test_nothing_is_kept_without_an_output() -> None:
+    assert Checkpoint.beside(None, []).path is None

@@ -1,0 +1,216 @@
+"""``swimid optimise stiffness``: optima against scans, the rule in Python, C and CSV, the sweep it drives."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import timeit
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import swimid as package
+from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.fitting.model import Array
+from swimid.optimisation.optimise_stiffness import Search, StiffnessRule
+from swimid.optimisation.rule import RuleFile
+from tests.conftest import Ran
+
+DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0, "between": (0.1, 2.0)}
+SMALL = {**DOLPHIN, "over": {"frequency_hz": (2.0, 4.0, 5)}, "population": 16, "generations": 8}
+
+
+@pytest.fixture(scope="module")
+def rule() -> StiffnessRule:
+    return package.optimise_stiffness(**SMALL)
+
+
+@pytest.fixture(scope="module")
+def two() -> RuleFile:
+    """A rule of two amplitudes, written down."""
+    return RuleFile.model_validate(
+        {
+            "verdict": "good", "robot": "tfish", "model": "multilink", "drive": {}, "duration_s": 15.0,
+            "coefficient": "d_p", "unit": "m", "between": (0.0, 0.05), "objective": "speed",
+            "objectives": ("a", "b"), "pick": "best", "reference": 0.03, "frequency_hz": (0.6, 2.0),
+            "amplitude_deg": (15.0, 35.0), "optima": [],
+            "curves": [
+                {"amplitude_deg": 15.0, "coefficients": (0.001, 0.002, 0.003), "rms": 0.0},
+                {"amplitude_deg": 25.0, "coefficients": (-0.001, 0.002, 0.009), "rms": 0.0},
+                {"amplitude_deg": 35.0, "coefficients": (-0.003, 0.002, 0.03), "rms": 0.0},
+            ],
+        }
+    )  # fmt: skip
+
+
+def test_optima_are_those_of_a_scan(rule: StiffnessRule) -> None:
+    """Mean surge from rest over 96 stiffnesses."""
+    scan = np.linspace(0.1, 2.0, 96)
+    for one in rule.file.optima[1:4:2]:
+        made = package.performance_map(
+            robot="dolphin", amplitude_deg=27.0, frequency_hz=one.frequency_hz, duration_s=6.0,
+            over={"K_s": (0.1, 2.0, 96)},
+        )  # fmt: skip
+        speeds = made.frame["mean_surge_from_start_m_s"]
+        # the speed is flat about its maximum: found to a thousandth, the stiffness to a few steps of the scan
+        front = np.array(one.front, dtype=float)
+        assert -front[:, 1].min() == pytest.approx(max(speeds), rel=1e-3)
+        assert one.stiffness == pytest.approx(scan[int(np.argmax(speeds))], abs=0.1)
+        # no point of the front is better than another in both
+        order = np.argsort(front[:, 1])
+        assert np.all(np.diff(front[order, 2]) <= 0)
+
+
+def test_the_rule_follows_its_optima(rule: StiffnessRule) -> None:
+    stiff = [one.stiffness for one in rule.file.optima]
+    assert np.all(np.diff(stiff) > 0)
+    for one in rule.file.optima:
+        assert rule.stiffness_for(one.frequency_hz) == pytest.approx(one.stiffness, abs=0.05)
+        assert one.rule_speed_m_s == pytest.approx(one.speed_m_s, rel=0.01)
+        # what is searched is the mean from rest (Eq 12), a little off the speed at the end
+        assert one.speed_m_s >= one.reference_speed_m_s * 0.98
+    f = np.array([one.frequency_hz for one in rule.file.optima])
+    assert rule.file.curves[0].coefficients == pytest.approx(np.polyfit(f, stiff, 2)[::-1], abs=1e-9)
+
+
+def test_a_sweep_with_the_rule_beats_every_fixed_stiffness(rule: StiffnessRule) -> None:
+    (sweep,) = rule.file.sweeps
+    assert len(sweep.fixed) >= 9
+    assert sweep.rule_m > max(sweep.fixed_m)
+
+
+def test_same_seed_same_bytes_also_after_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {**SMALL, "generations": 3, "jobs": 1}
+    whole, parted, other = (tmp_path / f"{name}.yaml" for name in ("whole", "parted", "other"))
+    package.optimise_stiffness(output=whole, **given)
+    front, calls = Search.front, 0
+
+    def stopping(self: Search, *args: object) -> Array:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise KeyboardInterrupt
+        return front(self, *args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Search, "front", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        package.optimise_stiffness(output=parted, **given)
+    package.optimise_stiffness(output=parted, **given)
+    assert calls == 3 + 3
+    assert parted.read_bytes() == whole.read_bytes()
+    package.optimise_stiffness(output=other, **{**given, "seed": 1, "jobs": 2})
+    assert other.read_bytes() != whole.read_bytes()
+
+
+def test_between_curves_by_straight_lines(two: RuleFile) -> None:
+    """By hand: at 1 Hz the curves say 0.006, 0.010 and 0.029."""
+    assert two.stiffness_for(1.0, 15.0) == pytest.approx(0.006)
+    assert two.stiffness_for(1.0, 20.0) == pytest.approx(0.008)
+    assert two.stiffness_for(1.0, 30.0) == pytest.approx(0.0195)
+    assert two.stiffness_for(2.0, 35.0) == 0.05
+    for frequency, amplitude in ((0.5, 20.0), (1.0, 36.0), (float("nan"), 20.0)):
+        with pytest.raises(UsageError, match="outside the rule"):
+            two.stiffness_for(frequency, amplitude)
+    assert two.stiffness_for(5.0, 50.0, outside="hold") == two.stiffness_for(2.0, 35.0)
+    with pytest.raises(UsageError, match="amplitude"):
+        two.stiffness_for(1.0)
+    assert timeit.timeit(lambda: two.stiffness_for(1.1, 22.0), number=200) / 200 < 1e-3
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_c_header_says_the_same(two: RuleFile, rule: StiffnessRule, tmp_path: Path) -> None:
+    """In single precision, and held at its ends outside."""
+    for number, file in enumerate((two, rule.file)):
+        (tmp_path / "rule.h").write_text(file.header())
+        code = '#include "rule.h"\nfloat call(float f, float a) { return swimid_stiffness_for(f, a); }\n'
+        (tmp_path / "call.c").write_text(code)
+        library = tmp_path / f"rule{number}.so"
+        words = ["cc", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, "call.c"]
+        subprocess.run(words, cwd=tmp_path, check=True)
+        call = ctypes.CDLL(str(library)).call
+        call.argtypes, call.restype = [ctypes.c_float] * 2, ctypes.c_float
+        for f in np.linspace(0.3, 5.0, 23):
+            for a in (10.0, 15.0, 18.3, 25.0, 33.0, 40.0):
+                expected = file.stiffness_for(float(f), a, outside="hold")
+                assert call(f, a) == pytest.approx(expected, rel=2e-6, abs=2e-7 * file.between[1])
+
+
+def test_the_table_says_the_same(two: RuleFile) -> None:
+    head, *rows = two.table().splitlines()
+    assert head == "frequency_hz,d_p_at_15_deg,d_p_at_25_deg,d_p_at_35_deg"
+    for row in rows:
+        f, *values = (float(v) for v in row.split(","))
+        for amplitude, value in zip((15.0, 25.0, 35.0), values, strict=True):
+            assert value == pytest.approx(two.stiffness_for(f, amplitude, outside="hold"), rel=1e-6)
+
+
+def test_the_command_writes_reads_and_reports(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    words = (
+        "optimise", "stiffness", "--robot", "dolphin", "--amplitude-deg", "27",
+        "--over", "frequency_hz=2:4:3",
+        "--between", "0.1,2", "--duration-s", "5", "--generations", "3", "--population", "8",
+    )  # fmt: skip
+    out, header, table = (tmp_path / name for name in ("rule.yaml", "rule.h", "rule.csv"))
+    ran = swimid(*words, "-o", out, "--header", header, "--table", table)
+    assert ran.status == 0
+    assert "K_s" in ran.out
+    rule = package.load_result(out)
+    assert isinstance(rule, StiffnessRule)
+    assert header.read_text() == rule.file.header()
+    assert table.read_text() == rule.file.table()
+    page = tmp_path / "page.html"
+    assert swimid("report", out, "-o", page).status == 0
+    assert "A frequency sweep with the rule" in page.read_text()
+    out.write_text("mine")
+    assert swimid(*words, "-o", out).status == 2  # what swimid did not write is not overwritten
+
+
+def test_the_least_effort_that_reaches_a_speed() -> None:
+    """Of the stiffnesses that are fast enough the one of least power; what is cheaper is too slow."""
+    given = {**SMALL, "over": {"frequency_hz": (2.5, 3.5, 3)}}
+    rule = package.optimise_stiffness(objective="effort", reach_speed_m_s=0.55, **given)
+    best = rule.file.least_effort
+    assert best is not None
+    assert best.frequency_hz == 2.5
+    for one in rule.file.optima:
+        assert one.speed_m_s >= 0.55 - 1e-9
+        assert one.power_W >= best.power_W
+        softer = package.simulate(
+            robot="dolphin", amplitude_deg=27.0, frequency_hz=one.frequency_hz, duration_s=6.0,
+            chosen={"K_s": 0.93 * one.stiffness},
+        ).quantities  # fmt: skip
+        cheaper = softer["mean_positive_power_W"].value < one.power_W
+        assert not cheaper or softer["mean_speed_m_s"].value < 0.55 + 2e-3
+    with pytest.raises(NoTrustworthyResult, match="fastest swims"):
+        package.optimise_stiffness(objective="effort", reach_speed_m_s=3.0, **given)
+
+
+def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule) -> None:
+    cheap = package.optimise_stiffness(objective="cost-of-transport", **SMALL)
+    for a, b in zip(cheap.file.optima, rule.file.optima, strict=True):
+        assert a.cost_of_transport_J_m <= b.cost_of_transport_J_m
+        assert a.speed_m_s <= b.speed_m_s * 1.001
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"over": {"K_s": (0.1, 1.0, 3)}}, "frequency_hz"),
+        ({"over": {"frequency_hz": (1.0, 2.0, 2)}}, "three frequencies"),
+        ({"coefficient": "K"}, "there is no 'K'"),
+        ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
+        ({"between": (-1.0, 2.0)}, "lies between"),
+        ({"objective": "effort"}, "reach-speed"),
+        ({"reach_speed_m_s": 0.5}, "reach-speed"),
+        ({"amplitude_deg": None}, "amplitude-deg"),
+    ],
+)
+def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+    given = {k: v for k, v in {**SMALL, **changed}.items() if v is not None}
+    with pytest.raises((UsageError, InputError), match=says):
+        package.optimise_stiffness(**given)
