@@ -1,4 +1,4 @@
-"""``swimid optimise``: stiffness rules and gaits."""
+"""``swimid optimise``: one command for each kind of optimum."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from swimid.cli.verbs import VERBS
 
 @click.group()
 def optimise() -> None:
-    """Find the best stiffness, as a rule for a controller, and the best gait."""
+    """Find the best stiffness of a passive joint, as a rule for a controller."""
 
 
 for verb in VERBS:
