@@ -189,6 +189,15 @@ def optimise_stiffness(
        Dolphin with Active Variable Stiffness Control".
        Section 4.3: the stiffness of highest speed at a frequency.
     .. [3] Deb, Pratap, Agarwal, Meyarivan (2002), doi:10.1109/4235.996017: NSGA-II.
+
+    Examples
+    --------
+    >>> rule = optimise_stiffness(
+    ...     robot="dolphin", amplitude_deg=27, over={"frequency_hz": (2, 4, 3)}, between=(0.1, 3.0),
+    ...     duration_s=5, population=12, generations=6,
+    ... )
+    >>> [round(rule.stiffness_for(f), 1) for f in (2.0, 3.0, 4.0)]
+    [0.1, 0.3, 0.6]
     """
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)
