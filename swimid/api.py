@@ -46,6 +46,7 @@ NAMES = {
     "sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "performance_map": "swimid.optimisation.performance_map",
     "optimise_stiffness": "swimid.optimisation.optimise_stiffness",
+    "optimise_gait": "swimid.optimisation.optimise_gait",
     "export": "swimid.exporters.export",
     "report": "swimid.results.report",
     "plot": "swimid.logs.plot",
@@ -59,6 +60,7 @@ NAMES = {
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",
+    "BestGait": "swimid.optimisation.optimise_gait",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",
@@ -167,7 +169,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : path
-        A parameter, comparison, gap, sensitivity, map or rule file, or a log.
+        A parameter, comparison, gap, sensitivity, map, rule or gait file, or a log.
 
     Returns
     -------
@@ -203,7 +205,16 @@ def load_result(path: str | Path) -> Result:
 
 
 #: Results that can be read back.
-RESULTS = ("Fitted", "Comparison", "Diagnosis", "Sensitivity", "PerformanceMap", "StiffnessRule", "Logged")
+RESULTS = (
+    "Fitted",
+    "Comparison",
+    "Diagnosis",
+    "Sensitivity",
+    "PerformanceMap",
+    "StiffnessRule",
+    "BestGait",
+    "Logged",
+)
 
 
 def read_robot(name: str | Path) -> Robot:

@@ -158,6 +158,7 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "sensitivity",
         "map",
         "rule",
+        "gait",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

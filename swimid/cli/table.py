@@ -13,6 +13,7 @@ PAGES = {verb.name: f"{verb.name}.md" for verb in VERBS} | {
     "plot": "import.md",
     "map": "optimise.md",
     "optimise stiffness": "optimise.md",
+    "optimise gait": "optimise.md",
     "track video": "tracking.md",
     "track setup": "tracking.md",
     "track imu": "imu.md",

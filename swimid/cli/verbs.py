@@ -235,6 +235,28 @@ VERBS = (
         """,
     ),
     _verb(
+        "optimisation",
+        "optimise gait",
+        output="Gait file to write (YAML).",
+        argument="",
+        short="The best gait within limits, how sure it is, and a robust one.",
+        help="""Find the best gait within limits.
+
+        Any of frequency, amplitude, bias, asymmetry, phase lag and coefficients against speed, turning, cost
+        of transport or power. With standard errors in the parameter file it says how sure the best gait is,
+        and gives a robust one beside it.
+
+        \b
+        Examples:
+          swimid optimise gait --params tfish.yaml --vary frequency_hz=0.6,2 --vary d_p=0,0.2 \\
+              --amplitude-deg 30 --limit joint_rate_deg_s=120 -o gait.yaml
+          swimid optimise gait --robot tfish --waveform a-cpg --goal radius --vary bias_deg=0,40 \\
+              --vary asymmetry=0,0.6 --frequency-hz 1 --amplitude-deg 35 --limit tank_m=4 -o turn.yaml
+          swimid optimise gait --robot dolphin --amplitude-deg 27 --goal speed --goal cost-of-transport \\
+              --vary frequency_hz=1,5 --vary K_s=0.1,3 -o front.yaml
+        """,
+    ),
+    _verb(
         "exporters",
         "export",
         output="The file to write. Without it, or with -o -, it goes to stdout.",

@@ -3,6 +3,7 @@
 ``performance`` simulates gaits side by side, ``grid`` a grid of them, resumable; ``study`` is what their
 files share. ``performance_map`` is the verb map, with ``measured`` (recorded trials beside it),
 ``map_file`` and ``map_evidence``; ``optimise_stiffness`` finds a ``rule``, tries it in a ``sweep`` and has
-``rule_evidence``. ``section`` are the files' places in a report, ``options`` the options of
+``rule_evidence``; ``optimise_gait`` finds a gait by ``descent`` and in ``draws`` of the coefficients, with
+``gait_file`` and ``gait_evidence``. ``section`` are the files' places in a report, ``options`` the options of
 every verb here.
 """

@@ -88,3 +88,40 @@ class OptimiseStiffnessOptions(GaitOptions):
         None, written=True, recorded=False, help="C header of the rule to write (.h)."
     )
     table: Path | None = option(None, written=True, recorded=False, help="Table of the rule to write (.csv).")
+
+
+Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
+
+
+class OptimiseGaitOptions(GaitOptions):
+    """What ``optimise gait`` can be told."""
+
+    vary: Mapping[str, tuple[float, float]] = option(
+        {},
+        metavar="NAME=LOW,HIGH",
+        help="What may be changed, and between which values: frequency_hz, amplitude_deg, bias_deg, "
+        "asymmetry, lag_deg, scale of a stroke, or a coefficient (a stiffness). Repeatable.",
+    )
+    goal: tuple[Goal, ...] = option(
+        ("speed",),
+        metavar="GOAL",
+        help="speed, radius (of the turn), turn-rate, cost-of-transport or power. Two: their Pareto front.",
+    )
+    limits: Mapping[str, float] = option(
+        {},
+        flag="--limit",
+        metavar="NAME=VALUE",
+        help="At most: torque_N_m, joint_rate_deg_s, battery_W, tank_m (side of the basin the run fits "
+        "into). Repeatable.",
+    )
+    reach_speed_m_s: float | None = option(None, gt=0, help="The mean speed is to be this at least.")
+    efficiency: float = option(
+        1.0, gt=0, le=1, help="Mechanical over electrical power, for battery_W (swimid map estimates it)."
+    )
+    draws: int = option(
+        96, ge=20, help="Draws of the coefficients from their covariance; half of them try the robust gait."
+    )
+    starts: int = option(6, ge=1, help="Points the gradient search starts from.")
+    population: int = option(24, ge=4, help="NSGA-II: population size.")
+    generations: int = option(16, ge=1, help="NSGA-II: number of generations.")
+    seed: int = option(0, ge=0, help="Of starts, search and draws: the same seed gives the same file.")

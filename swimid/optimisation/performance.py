@@ -15,6 +15,7 @@ from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.swimmer import Swimmer
+from swimid.fitting.threads import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue, swim_quantities
@@ -45,7 +46,7 @@ class Performance:
         Of :data:`BEAT`, or of :data:`STROKE` where ``stroke`` is named; what is missing must be varied.
     waveform, stroke : str
     ramp_s, duration_s : float
-        Each run starts from rest; it is rounded up to whole beats.
+        Each run starts from rest.
     """
 
     applied: Applied
@@ -219,6 +220,16 @@ class Performance:
         """The quantities of points, shape (n, quantities); NaN where there is none."""
         found = self.quantities(points, values)
         return np.array([[q[n].value if n in q else math.nan for n in self.units] for q in found])
+
+    def many(self, points: Sequence[Point], values: Sequence[Array] | None = None, *, jobs: int) -> Array:
+        """The same, shared among threads."""
+        parts = [slice(k, k + TOGETHER) for k in range(0, len(points), TOGETHER)]
+
+        def one(part: slice) -> Array:
+            return self.table(points[part], None if values is None else values[part])
+
+        with in_threads(one, parts, jobs) as results:
+            return np.concatenate(list(results))
 
     def with_errors(self, point: Point) -> Array:
         """The quantities of a point and their standard errors, shape (quantities, 2)."""

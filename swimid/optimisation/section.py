@@ -1,10 +1,11 @@
-"""Files of maps (``swimid-map/1``) and stiffness rules (``swimid-rule/1``)."""
+"""Files of maps, stiffness rules and gaits: ``swimid-map/1``, ``swimid-rule/1``, ``swimid-gait/1``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from swimid.optimisation import map_file, rule
+from swimid.optimisation import gait_file, map_file, rule
+from swimid.optimisation.gait_file import GaitFile
 from swimid.optimisation.map_file import MapFile
 from swimid.optimisation.rule import RuleFile
 from swimid.results import numbers
@@ -55,6 +56,31 @@ def of_rule(path: Path, file: RuleFile, evidence: Evidence | None) -> Section:
             ("Objective", file.objective),
             ("Frequency", f"{numbers.interval(*file.frequency_hz)} Hz"),
             ("Amplitude", f"{numbers.interval(*file.amplitude_deg)} deg"),
+        ],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=gait_file.FORMAT, read=GaitFile.read)
+def of_gait(path: Path, file: GaitFile, evidence: Evidence | None) -> Section:
+    """The section of a gait file."""
+    limits = [
+        f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
+        for name, limit in file.limits.items()
+    ]
+    return Section(
+        path=path,
+        kind="Gait",
+        title=f"Gait of {file.robot}",
+        verdict=Verdict(level=file.verdict, text=ALONE),
+        facts=[
+            ("Robot", file.robot),
+            ("Parameters", file.params or "the robot file's"),
+            ("Goal", ", ".join(file.goals)),
+            ("Varied", ", ".join(file.vary)),
+            ("Limits", ", ".join(limits) or "none"),
+            ("Draws", str(file.draws) if file.draws else "none"),
         ],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),

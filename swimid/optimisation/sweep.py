@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from swimid.fitting.model import Array
 from swimid.optimisation.performance import Performance
-from swimid.simulation.swim_quantities import Steady
+from swimid.simulation.swim_quantities import PER_BEAT, Steady
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,13 @@ def swept(
     for number, frequency in enumerate(frequencies_hz):
         point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
         swim, _ = replace(performance, ramp_s=0.0 if number else performance.ramp_s).swim(point)
-        run = Steady.driven(model, f"sweep {number} {point!r}", swim, frequency, performance.duration_s)
+        beats = math.ceil(performance.duration_s * frequency - 1e-9)
+        run = Steady.driven(model, f"sweep {number} {point!r}", swim, frequency, beats / frequency)
         for values, law in zip(states, stiffness, strict=True):
             values[model.index(coefficient)] = law(frequency)
         columns = model.simulate_many([(values, run.trial) for values in states])
         x, y = model.pose[:2]
-        beat = slice(None, None, round((len(run.trial.time_s) - 1) / (run.trial.time_s[-1] * frequency)))
+        beat = slice(None, None, PER_BEAT)
         way = [float(np.hypot(np.diff(c[x][beat]), np.diff(c[y][beat])).sum()) for c in columns]
         ways.append(way)
         speeds.append([w / float(run.trial.time_s[-1]) for w in way])

@@ -117,17 +117,26 @@ class Steady:
     def driven(
         cls, model: Swimmer, name: str, swim: SwimInput, frequency_hz: float, duration_s: float
     ) -> Steady:
-        """A run from rest of at least a time, rounded up to whole beats.
+        """A run from rest of a time, longer where that holds no whole beat after the ramp.
 
         Parameters
         ----------
         name : str
             A model keeps what it simulated by this name: another drive needs another.
+
+        Notes
+        -----
+        Its samples are counted from its end, so that what it comes to is a smooth function of the frequency;
+        it begins up to one sample before the drive does. A stroke is counted from its beginning, and the run
+        rounded up to whole cycles.
         """
-        beats = max(math.ceil(duration_s * frequency_hz - 1e-9), 1)
+        end = duration_s
         if swim.beat is not None:
-            beats = max(beats, math.ceil(swim.beat.ramp_s * frequency_hz) + 1)
-        time = np.arange(beats * PER_BEAT + 1) / (PER_BEAT * frequency_hz)
+            end = max(end, swim.beat.ramp_s + (1.0 + 1e-6) / frequency_hz)
+        if model.in_space:
+            end = max(math.ceil(end * frequency_hz - 1e-9), 1) / frequency_hz
+        count = math.ceil(end * PER_BEAT * frequency_hz - 1e-9)
+        time = end - np.arange(count, -1, -1) / (PER_BEAT * frequency_hz)
         made = cls.of(model, Trial(name, "fit", time, {}, swim=swim), frequency_hz)
         assert made is not None
         return made
@@ -162,6 +171,8 @@ class Steady:
                 found["mean_surge_from_start_m_s"] = Quantity(mean, "m/s")
                 settled = settling_time(time, surge, self.window.frequency_hz)
                 found["settling_time_s"] = Quantity(settled, "s")
+                extent = max(float(np.ptp(columns[name])) for name in body.pose[:2])
+                found["path_extent_m"] = Quantity(extent, "m")
         if energetics is not None and model.driven:
             found |= powers(energetics, found.get("mean_speed_m_s"))
         return found
@@ -190,6 +201,7 @@ def known(model: Swimmer) -> dict[str, str]:
             "mean_surge_from_start_m_s": "m/s",
             "speed_change_per_beat_m_s": "m/s",
             "settling_time_s": "s",
+            "path_extent_m": "m",
         }
     if not model.in_space:
         units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}

@@ -1,0 +1,251 @@
+"""``swimid optimise gait``: the search against closed forms and scans, limits, intervals, resumption."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import swimid as package
+from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.fitting.model import Array
+from swimid.optimisation import descent
+from swimid.optimisation.draws import drawn
+from swimid.optimisation.optimise_gait import BestGait
+from swimid.optimisation.performance import Performance
+from swimid.simulation.applied import Applied
+from tests.conftest import Ran
+
+DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}
+TABLE_3 = {
+    "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015, "c_d0": 2.55,
+    "c_d1": 4.0, "c_d2": 5.8,
+}  # fmt: skip
+
+
+def parameters(folder: Path, **stderr: float) -> Path:
+    """A parameter file of the dolphin with its published values and these standard errors."""
+    rows = [
+        f"  {name}: {{value: {value}, stderr: {stderr.get(name, 'null')}, unit: '1', status: estimated}}"
+        for name, value in TABLE_3.items()
+    ]
+    head = ["format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:"]
+    (folder / "p.yaml").write_text("\n".join([*head, *rows]) + "\n")
+    return folder / "p.yaml"
+
+
+class TestDescent:
+    @pytest.mark.parametrize("seed", range(5))
+    def test_quadratic_bowls(self, seed: int) -> None:
+        """Turned and stretched by ten: within a hundredth of the range of the minimum."""
+        rng = np.random.default_rng(seed)
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix, middle = turn @ np.diag([1.0, 3.0, 10.0]) @ turn.T, rng.uniform(0.2, 0.8, 3)
+
+        def bowl(x: Array, _owner: NDArray[np.int64]) -> Array:
+            away = x - middle
+            return np.einsum("ni,ij,nj->n", away, matrix, away)[:, None]
+
+        found = descent.descend(bowl, np.full((1, 3), 0.5), steps=60)
+        assert found.points[0] == pytest.approx(middle, abs=0.01)
+
+    def test_a_limit_that_cuts_across(self) -> None:
+        """Of ``x + 2 y`` on the disc of radius 0.5 about 0.5: the point where the circle faces (1, 2)."""
+
+        def parts(x: Array, _owner: NDArray[np.int64]) -> Array:
+            gain = x[:, 0] + 2.0 * x[:, 1]
+            return np.column_stack([-gain, 10.0 * (np.hypot(*(x - 0.5).T) / 0.3 - 1.0)])
+
+        found = descent.descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
+        expected = 0.5 + 0.3 * np.array([1.0, 2.0]) / math.sqrt(5.0)
+        assert found.points == pytest.approx(np.tile(expected, (2, 1)), abs=5e-3)
+
+    def test_faces_and_holes(self) -> None:
+        """A minimum on a face; a region where nothing can be computed is walked round."""
+
+        def parts(x: Array, _owner: NDArray[np.int64]) -> Array:
+            value = (x[:, 0] + 0.2) ** 2 + (x[:, 1] - 0.7) ** 2
+            return np.where(np.hypot(x[:, 0] - 0.5, x[:, 1]) < 0.2, np.nan, value)[:, None]
+
+        found = descent.descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
+        assert found.points[found.best] == pytest.approx([0.0, 0.7], abs=5e-3)
+
+    def test_each_search_has_its_own_function(self) -> None:
+        places = np.array([0.2, 0.5, 0.9])
+        found = descent.descend(
+            lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4)
+        )
+        assert found.points[:, 0] == pytest.approx(places, abs=2e-3)
+        counts = [n for n, _ in found.history]
+        assert counts == sorted(counts)
+
+
+def test_the_best_gait_is_that_of_a_scan() -> None:
+    """Both searches, the answer within a hundredth of the range of the scan's maximum."""
+    found = package.optimise_gait(vary={"K_s": (0.1, 2.0)}, frequency_hz=3.0, **DOLPHIN)
+    scan = package.performance_map(over={"K_s": (0.1, 2.0, 77)}, frequency_hz=3.0, **DOLPHIN).frame
+    best = scan.loc[scan["mean_speed_m_s"].idxmax()]
+    assert found.at["K_s"] == pytest.approx(best["K_s"], abs=0.03)
+    assert found.file.optimum.goals["speed"] == pytest.approx(best["mean_speed_m_s"], rel=1e-4)
+    values = [s.value for s in found.file.searches]
+    assert values[0] == pytest.approx(values[1], rel=2e-3)
+    assert found.file.kept in {s.method for s in found.file.searches if s.reached_after is not None}
+    assert found.file.robust is None
+
+
+def test_limits_are_kept_to_and_named() -> None:
+    given = {**DOLPHIN, "vary": {"frequency_hz": (2.0, 4.0), "K_s": (0.1, 2.0)}}
+    found = package.optimise_gait(limits={"torque_N_m": 1.2, "battery_W": 20.0}, efficiency=0.4, **given).file
+    assert found.optimum.quantities["peak_torque_N_m"] <= 1.2 * 1.0011
+    assert found.optimum.held_by == ["torque_N_m"]
+    # a scan over what is allowed finds nothing faster
+    scan = package.performance_map(
+        over={"frequency_hz": (2.0, 4.0, 21), "K_s": (0.1, 1.0, 19)}, **DOLPHIN
+    ).frame.query("peak_torque_N_m <= 1.2 and mean_positive_power_W <= 8.0")
+    assert found.optimum.goals["speed"] >= scan["mean_speed_m_s"].max() * 0.999
+    with pytest.raises(NoTrustworthyResult, match="limits"):
+        package.optimise_gait(limits={"torque_N_m": 0.01}, **given)
+
+
+def test_the_cheapest_gait_that_is_fast_enough() -> None:
+    found = package.optimise_gait(
+        goal=["power"], reach_speed_m_s=0.5, vary={"frequency_hz": (1.5, 4.0), "K_s": (0.1, 2.0)}, **DOLPHIN
+    ).file
+    assert found.optimum.quantities["mean_speed_m_s"] == pytest.approx(0.5, rel=2e-3)
+    assert found.optimum.held_by == ["reach_speed_m_s"]
+
+
+def test_the_tightest_turn_within_a_basin() -> None:
+    """Radius by bias and asymmetry; the basin leaves room for the path and the body."""
+    given = {
+        "robot": "tfish", "waveform": "a-cpg", "goal": ["radius"], "frequency_hz": 1.0, "amplitude_deg": 35.0,
+        "vary": {"bias_deg": (0.0, 35.0), "asymmetry": (0.0, 0.6)}, "generations": 6, "starts": 3,
+    }  # fmt: skip
+    found = package.optimise_gait(limits={"tank_m": 3.0}, **given).file
+    assert found.optimum.at_bound == ["bias_deg"]
+    assert found.optimum.quantities["path_extent_m"] + 0.466 <= 3.0
+    assert found.verdict == "caution"
+
+
+def test_two_goals_give_a_front() -> None:
+    found = package.optimise_gait(
+        goal=["speed", "cost-of-transport"], vary={"frequency_hz": (1.5, 4.0), "K_s": (0.1, 2.0)},
+        generations=8, **DOLPHIN,
+    ).file  # fmt: skip
+    speed, cost = np.array(found.front, dtype=float)[:, 2:].T
+    for (a, b), (c, d) in itertools.permutations(zip(speed, cost, strict=True), 2):
+        assert not (a >= c and b <= d and (a, b) != (c, d))
+    assert speed.min() < found.optimum.goals["speed"] < speed.max()
+
+
+def test_draws_have_the_covariance(tmp_path: Path) -> None:
+    """Of two coefficients one of which is cut off at its bound; the rest stays as it is given."""
+    path = parameters(tmp_path, c_d1=0.3, c_f0=0.039)
+    text = path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
+    path.write_text(text)
+    performance = Performance.of_options(
+        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
+    )
+    applied = performance.applied
+    assert isinstance(applied, Applied)
+    vectors, refused = drawn(applied, 4000, 1)
+    table = np.array(vectors)
+    drag, friction = (table[:, applied.model.index(n)] for n in ("c_d1", "c_f0"))
+    # friction has no values below zero, one standard error away: its normal distribution is cut there
+    assert friction.min() >= 0.0
+    share = 0.5 * math.erfc(1.0 / math.sqrt(2.0))
+    assert refused / (refused + 4000) == pytest.approx(share, abs=4 * math.sqrt(share / 4000))
+    assert friction.mean() == pytest.approx(0.039 * (1.0 + 0.28760), rel=0.02)
+    assert np.corrcoef(drag, friction)[0, 1] == pytest.approx(0.6, abs=0.12)
+    assert np.ptp(table[:, applied.model.index("c_m0")]) == 0.0
+
+
+def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
+    """One uncertain coefficient: the interval runs from the best gait at one of its ends to the other's."""
+    given = {"amplitude_deg": 27.0, "duration_s": 4.0, "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}}
+    path = parameters(tmp_path, c_d2=1.2)
+    found = package.optimise_gait(params=path, draws=60, starts=2, generations=6, **given).file
+    ends = [
+        package.optimise_gait(params=path, chosen={"c_d2": 5.8 + z * 1.2}, **given).at["K_s"]
+        for z in (-1.96, 1.96)
+    ]
+    low, high = found.optimum.at_ci95["K_s"]
+    width = abs(ends[1] - ends[0])
+    # of 60 draws the ends of the interval scatter by a quarter of its half
+    assert sorted((low, high)) == pytest.approx(sorted(ends), abs=0.25 * width)
+    assert low < found.optimum.at["K_s"] < high
+    assert found.robust is not None
+    assert found.robust.loss_worst_tenth <= found.optimum.loss_worst_tenth * 1.2
+    assert found.optimum.loss_90 <= found.optimum.loss_worst_tenth
+    assert len(found.drawn) == found.draws == 60
+
+
+def test_interrupted_and_taken_up_it_is_the_same_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {
+        "params": parameters(tmp_path, c_d2=1.0), "amplitude_deg": 27.0, "duration_s": 4.0, "starts": 2,
+        "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}, "draws": 20, "generations": 3, "population": 8,
+    }  # fmt: skip
+    whole, parted = tmp_path / "whole.yaml", tmp_path / "parted.yaml"
+    package.optimise_gait(output=whole, **given)
+    many, calls = Performance.many, 0
+
+    def stopping(self: Performance, *args: object, **more: object) -> Array:
+        nonlocal calls
+        calls += 1
+        if calls == 8:
+            raise KeyboardInterrupt
+        return many(self, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Performance, "many", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        package.optimise_gait(output=parted, **given)
+    before = calls
+    package.optimise_gait(output=parted, **given)
+    taken_up = calls - before
+    assert parted.read_bytes() == whole.read_bytes()
+    package.optimise_gait(output=tmp_path / "again.yaml", **given)
+    assert calls - before - taken_up == taken_up + 7
+
+
+def test_the_command_and_its_report(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    out = tmp_path / "gait.yaml"
+    ran = swimid(
+        "optimise", "gait", "--params", parameters(tmp_path, c_d2=1.0), "--amplitude-deg", "27",
+        "--vary", "frequency_hz=2,3", "--vary", "K_s=0.1,2", "--limit", "joint_rate_deg_s=450",
+        "--draws", "20", "--starts", "2", "--generations", "3", "--population", "8", "--duration-s", "4", "-o", out,
+    )  # fmt: skip
+    assert ran.status == 0
+    assert "robust gait" in ran.out
+    found = package.load_result(out)
+    assert isinstance(found, BestGait)
+    assert found.file.optimum.held_by == ["joint_rate_deg_s"]
+    page = tmp_path / "page.html"
+    assert swimid("report", out, "-o", page).status == 0
+    assert "How sure the best gait is" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"vary": {}}, "--vary"),
+        ({"vary": {"K": (0.1, 1.0)}}, "there is no 'K'"),
+        ({"vary": {"K_s": (1.0, 0.1)}}, "not below"),
+        ({"goal": ["power"]}, "reach-speed"),
+        ({"goal": ["speed", "speed"]}, "two that differ"),
+        ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
+        ({"limits": {"torque_N_m": -1.0}}, "above zero"),
+        ({"frequency_hz": None}, "frequency-hz"),
+        ({"robot": "boxfish"}, "multilink"),
+    ],
+)
+def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+    given = {"vary": {"K_s": (0.1, 1.0)}, "frequency_hz": 3.0, **DOLPHIN, **changed}
+    with pytest.raises((UsageError, InputError), match=says):
+        package.optimise_gait(**{k: v for k, v in given.items() if v is not None})
