@@ -219,7 +219,8 @@ def test_the_command_and_its_report(swimid: Callable[..., Ran], tmp_path: Path) 
     ran = swimid(
         "optimise", "gait", "--params", parameters(tmp_path, c_d2=1.0), "--amplitude-deg", "27",
         "--vary", "frequency_hz=2,3", "--vary", "K_s=0.1,2", "--limit", "joint_rate_deg_s=450",
-        "--draws", "20", "--starts", "2", "--generations", "3", "--population", "8", "--duration-s", "4", "-o", out,
+        "--draws", "20", "--starts", "2", "--generations", "3", "--population", "8",
+        "--duration-s", "4", "-o", out,
     )  # fmt: skip
     assert ran.status == 0
     assert "robust gait" in ran.out

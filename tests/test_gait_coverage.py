@@ -45,7 +45,7 @@ def repeats(folder: Path) -> list[GaitFile]:
 
 @pytest.mark.slow
 def test_the_interval_holds_the_true_optimum(tmp_path: Path) -> None:
-    """In 36 of 40 or more; and over all the robust gait loses less in the worst tenth than the nominal one."""
+    """In 36 of 40 or more; and over all the robust gait loses less in the worst tenth."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", package.SwimidWarning)
         true = package.optimise_gait(robot="tfish", chosen=dict(swimmer.SAMPLE), **GAIT)
@@ -57,7 +57,8 @@ def test_the_interval_holds_the_true_optimum(tmp_path: Path) -> None:
     )
     width = np.array([np.ptp(one.optimum.at_ci95["d_p"]) for one in found])
     print(
-        f"\n{sum(inside)} of {REPEATS} intervals hold {1e3 * place:.2f} mm; width {1e3 * np.median(width):.2f} mm"
+        f"\n{sum(inside)} of {REPEATS} intervals hold {1e3 * place:.2f} mm; "
+        f"width {1e3 * np.median(width):.2f} mm"
     )
     print(f"loss in the worst tenth, mean: nominal {nominal.mean():.3e}, robust {robust.mean():.3e} m/s")
     print(f"robust no worse in {int((robust <= nominal).sum())} of {REPEATS}")

@@ -9,7 +9,7 @@ from swimid.cli.verbs import VERBS
 
 @click.group()
 def optimise() -> None:
-    """Find the best stiffness of a passive joint, as a rule for a controller."""
+    """Find the best stiffness, as a rule for a controller, or the best gait."""
 
 
 for verb in VERBS:
