@@ -109,7 +109,7 @@ def _option(entry: Declared) -> click.Option:
         return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
     word = parsing.word_of(entry)
     # a required option that has a default, None even, is not asked for
-    default = None if word.get("multiple") else entry.default
+    default = (entry.default or None) if word.get("multiple") else entry.default
     unasked: dict[str, Any] = {"default": default, "show_default": default is not None}
     return click.Option(
         names,

@@ -104,7 +104,7 @@ def performance_map(
     >>> found = performance_map(
     ...     robot="dolphin", amplitude_deg=27, over={"frequency_hz": (2, 4, 2), "K_s": (0.2, 1.0, 3)}
     ... )
-    >>> found.frame.loc[found.frame["mean_speed_m_s"].idxmax(), "frequency_hz"]
+    >>> float(found.frame.loc[found.frame["mean_speed_m_s"].idxmax(), "frequency_hz"])
     4.0
     """
     with recorded(repeat=True) as notices:
