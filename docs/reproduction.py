@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +24,9 @@ from scipy.optimize import minimize_scalar
 from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
+from swimid.optimisation.optimise_stiffness import optimise_stiffness
+from swimid.optimisation.performance_map import performance_map
+from swimid.optimisation.rule import RuleFile
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.swimmer.planar.model import MultilinkModel
@@ -399,6 +403,80 @@ that of 30 mm the head swings more with it; the paper's Fig 10 shows it swinging
 """
 
 
+#: Of Algorithm 1 (section IV.B): frequencies in Hz, amplitudes in degrees.
+RULE_HZ, RULE_DEG = (0.6, 2.0, 8), (15.0, 35.0, 5)
+#: Published highest speeds with the fixed and with the variable stiffness, m/s (section V.C).
+PUBLISHED_GAIN = (0.32, 0.45)
+
+
+@cache
+def rule() -> RuleFile:
+    """The rule of Algorithm 1, as ``swimid optimise stiffness`` gives it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = optimise_stiffness(robot="tfish", over={"frequency_hz": RULE_HZ, "amplitude_deg": RULE_DEG})
+    return found.file
+
+
+def tfish_rule() -> str:
+    file = rule()
+    curves, gains = [], []
+    for curve in file.curves:
+        optima = [o for o in file.optima if o.amplitude_deg == curve.amplitude_deg]
+        values = [1e3 * float(o.stiffness or 0.0) for o in optima]
+        c0, c1, c2 = (f"{1e3 * c:.1f}".replace("-", "−") for c in curve.coefficients)
+        curves.append([f"{curve.amplitude_deg:g}°", *(f"{v:.0f}" for v in values), c0, c1, c2])
+        over = [
+            100 * (float(o.rule_speed_m_s or 0.0) / float(o.reference_speed_m_s or 1.0) - 1) for o in optima
+        ]
+        sweep = next(s for s in file.sweeps if s.amplitude_deg == curve.amplitude_deg)
+        gains.append(
+            [
+                f"{curve.amplitude_deg:g}°",
+                *(f"{v:+.0f} %".replace("-", "−") for v in over[2:]),
+                f"{sweep.rule_m:.1f}",
+                f"{max(sweep.fixed_m):.1f}",
+                f"{1e3 * sweep.fixed[int(np.argmax(sweep.fixed_m))]:.0f} mm",
+            ]
+        )
+    ruled = max(float(o.rule_speed_m_s or 0.0) for o in file.optima)
+    fixed = max(float(o.reference_speed_m_s or 0.0) for o in file.optima)
+    wider = sum(
+        float(o.turn_rate_range_rad_s or 0.0) > float(o.reference_turn_rate_range_rad_s or 0.0)
+        for o in file.optima
+        if float(o.stiffness or 0.0) > file.reference
+    )
+    stiffer = sum(float(o.stiffness or 0.0) > file.reference for o in file.optima)
+    low, high = PUBLISHED_GAIN
+    frequencies = sorted({o.frequency_hz for o in file.optima})
+    heads = [f"{f:g} Hz" for f in frequencies]
+    optima_table = table(["A", *heads, "c0", "c1", "c2"], curves)
+    gain_table = table(["A", *heads[2:], "with the rule, m", "best fixed, m", "which"], gains)
+    return f"""### The stiffness rule: Algorithm 1 and Figs 9 and 11
+
+`swimid optimise stiffness` over the paper's grid: the pretension, mm, that NSGA-II finds for the highest mean
+speed from rest ({file.duration_s:g} s), and the rule c0 + c1 f + c2 f² in mm.
+
+{optima_table}
+
+As in Fig 9: a quadratic function of the frequency for each amplitude, rising with both. (The figure has no
+numbers to compare with.) Gain in speed of the rule over a fixed {1e3 * file.reference:.0f} mm; and the
+way in one
+run through all frequencies, with the rule and with the best fixed pretension.
+
+{gain_table}
+
+The highest speed of the grid rises from {fixed:.2f} to {ruled:.2f} m/s: by
+{100 * (ruled / fixed - 1):.0f} % of the
+smaller and {100 * (1 - fixed / ruled):.0f} % of the larger speed (published: from {low:g} to {high:g} m/s,
+{100 * (high / low - 1):.0f} % and {100 * (1 - low / high):.0f} %, of which the paper prints the latter).
+Unlike
+the paper: the range of the yaw rate is wider at {wider} of the {stiffer} points where the optimum is
+stiffer than
+the fixed spring, where Fig 10 shows it narrower.
+"""
+
+
 def readings_of(name: str) -> list[tuple[str, str, bool]]:
     """Reading, option, and whether it is the chosen one."""
     return [
@@ -600,6 +678,44 @@ Speeds in m/s at the frequencies above.
 """
 
 
+#: Least cost of transport measured with a yielding and with a locked joint, J/m (section 4.2.2).
+PUBLISHED_COST = (114.3, 181.2)
+
+
+def dolphin_costs() -> str:
+    made = performance_map(
+        robot="dolphin",
+        amplitude_deg=WAIST_DEG,
+        duration_s=STEADY_S,
+        over={"frequency_hz": (2.0, 3.0, 3), "K_s": (0.31, 0.62, 2)},
+    ).frame
+    rows = [
+        [
+            f"{r['frequency_hz']:g} Hz, {r['K_s']:g} N m/rad",
+            f"{r['mean_speed_m_s']:.2f}",
+            f"{r['mean_positive_power_W']:.2f}",
+            f"{r['cost_of_transport_J_m']:.2f}",
+        ]
+        for _, r in made.iterrows()
+    ]
+    least = float(made["cost_of_transport_J_m"].max())
+    columns = ["beat", "speed, m/s", "power of the joints, W", "cost of transport, J/m"]
+    return f"""### Power and cost of transport: Fig 10
+
+Mechanical power of the waist by `swimid map`, steady.
+
+{table(columns, rows)}
+
+The paper measures voltage and current: {PUBLISHED_COST[0]:g} J/m at the least with a yielding joint.
+Against that
+the joints of the model need {100 * least / PUBLISHED_COST[0]:.0f} % or less: what electronics, motors,
+gears and
+the motor that imitates the spring take is not in the paper, and so the figure is not reproduced. As in the
+paper power rises with frequency, is the same for both stiffnesses below 2.1 Hz and larger for the stiffer one
+above it, and the softer joint is the cheaper one.
+"""
+
+
 # ------------------------------------------------------------------ the page
 
 
@@ -657,7 +773,8 @@ Tendon fish:
 Dolphin:
 
 - *The RMSE of Figs 8 and 11b and the map of Fig 11a*: pictures without numbers.
-- *Power and cost of transport*: electrical; the model ends at the joints. The text assigns the least cost
+- *Power and cost of transport*: electrical; the model ends at the joints (above). The text assigns the
+  least cost
   of transport to JN1 but at the speed of JN2.
 - *The fall of the rigid tail's speed above 2.53 Hz*: not in this model; the authors say that theirs does
   not suit a locked joint.
@@ -692,10 +809,12 @@ def page() -> str:
             tfish_straight(),
             tfish_turning(),
             tfish_spring(),
+            tfish_rule(),
             tfish_readings(),
             "## Dolphin",
             dolphin_speeds(),
             dolphin_map(),
+            dolphin_costs(),
             dolphin_readings(),
             NOT_REPRODUCED,
         ]
