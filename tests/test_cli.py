@@ -159,6 +159,8 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "map",
         "rule",
         "gait",
+        "fins",
+        "controller",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

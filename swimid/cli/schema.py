@@ -12,7 +12,7 @@ from swimid.diagnosis import gap_file as gap
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.logs import mapping, trials
-from swimid.optimisation import gait_file, map_file, rule
+from swimid.optimisation import controller, fins, gait_file, map_file, rule
 from swimid.results import evidence, parameters
 from swimid.results.result import Result
 from swimid.robots import file as robot
@@ -35,6 +35,8 @@ def schemas() -> dict[str, dict[str, Any]]:
         "map": map_file.MapFile,
         "rule": rule.RuleFile,
         "gait": gait_file.GaitFile,
+        "fins": fins.FinFile,
+        "controller": controller.ControllerFile,
         "evidence": evidence.Evidence,
     }
     return {

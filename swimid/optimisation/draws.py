@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.fitting.model import Array
-from swimid.fitting.swimmer import Swimmer
+from swimid.fitting.model import Array, Model
 from swimid.simulation.applied import Applied
 
 #: Times as many draws as are wanted that are tried at most.
@@ -25,7 +24,6 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], int]:
         Where hardly a draw is possible: the covariance says nothing.
     """
     model = applied.model
-    assert isinstance(model, Swimmer)
     names, covariance = applied.uncertain()
     centre = applied.values()
     index = [model.index(name) for name in names]
@@ -51,11 +49,12 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], int]:
     return found, refused
 
 
-def _possible(model: Swimmer, values: Array, index: list[int]) -> bool:
+def _possible(model: Model, values: Array, index: list[int]) -> bool:
     if any(not model.parameters[k].lower <= values[k] <= model.parameters[k].upper for k in index):
         return False
     try:
-        model.check(values)
+        if model.swimmer is not None:
+            model.swimmer.check(values)
     except InputError:
         return False
     return True

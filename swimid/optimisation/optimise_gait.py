@@ -20,17 +20,21 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import genetic
 from swimid.fitting.model import Array
 from swimid.notices import recorded
-from swimid.optimisation import gait_evidence
+from swimid.optimisation import controller, fins, gait_evidence
+from swimid.optimisation.controller import SpeedController
 from swimid.optimisation.descent import STEPS, descend, merit
 from swimid.optimisation.draws import drawn
+from swimid.optimisation.fins import FinChoice
 from swimid.optimisation.gait_file import FORMAT, Gait, GaitFile, Limit, Search, Varied
 from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.optimisation.performance import Performance
 from swimid.optimisation.study import Study, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.propulsion.model import RecoilModel
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
+from swimid.simulation import catalogue
 
 #: A limit passed by its own size costs as much as so many times the goal's typical size.
 PENALTY = 10.0
@@ -172,7 +176,7 @@ def _turn(found: Array, quantity: str) -> Array:
 @takes(OptimiseGaitOptions)
 def optimise_gait(
     *, options: OptimiseGaitOptions, output: Path | None = None, progress: Progress = silent
-) -> BestGait:
+) -> BestGait | FinChoice | SpeedController:
     """The best gait of a robot within limits, with the uncertainty of its coefficients.
 
     A gradient search from several starts and NSGA-II both look for it; the one that needs fewer runs to come
@@ -189,8 +193,10 @@ def optimise_gait(
 
     Returns
     -------
-    BestGait
-        ``.at`` is the gait; the file has intervals, the robust gait, and the front of two goals.
+    BestGait, FinChoice or SpeedController
+        Of a robot with links ``.at`` is the gait; the file has intervals, the robust gait, and the front of
+        two goals. Of a recoil law the fin, frequency and amplitude that reach a speed at the least power; of
+        a discrete-time model a table from steps to speeds and a PI controller.
 
     Raises
     ------
@@ -214,6 +220,12 @@ def optimise_gait(
     >>> 0.3 < found.at["K_s"] < 0.9
     True
     """
+    if options.params is not None:
+        given = catalogue.read_parameters(options.params)
+        if given.model == RecoilModel.name:
+            return fins.choose(given, options, output)
+        if given.model == "arma":
+            return controller.design(given, options, output)
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)
         study = study_of(performance, options)

@@ -1,10 +1,12 @@
-"""Files of maps, stiffness rules and gaits: ``swimid-map/1``, ``swimid-rule/1``, ``swimid-gait/1``."""
+"""Files of maps, stiffness rules, gaits, fins and controllers."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from swimid.optimisation import gait_file, map_file, rule
+from swimid.optimisation import controller, fins, gait_file, map_file, rule
+from swimid.optimisation.controller import ControllerFile
+from swimid.optimisation.fins import FinFile
 from swimid.optimisation.gait_file import GaitFile
 from swimid.optimisation.map_file import MapFile
 from swimid.optimisation.rule import RuleFile
@@ -81,6 +83,45 @@ def of_gait(path: Path, file: GaitFile, evidence: Evidence | None) -> Section:
             ("Varied", ", ".join(file.vary)),
             ("Limits", ", ".join(limits) or "none"),
             ("Draws", str(file.draws) if file.draws else "none"),
+        ],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=fins.FORMAT, read=FinFile.read)
+def of_fins(path: Path, file: FinFile, evidence: Evidence | None) -> Section:
+    """The section of a fin file."""
+    return Section(
+        path=path,
+        kind="Fin",
+        title=f"Fin of {file.robot}",
+        verdict=Verdict(level=file.verdict, text=ALONE),
+        facts=[
+            ("Robot", file.robot),
+            ("Parameters", file.params),
+            ("Speed", numbers.number(file.speed_m_s, 4, "m/s")),
+            ("Ranges", file.ranges),
+        ],
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=controller.FORMAT, read=ControllerFile.read)
+def of_controller(path: Path, file: ControllerFile, evidence: Evidence | None) -> Section:
+    """The section of a controller file."""
+    return Section(
+        path=path,
+        kind="Controller",
+        title=f"Controller of {file.output}",
+        verdict=Verdict(level=file.verdict, text=ALONE),
+        facts=[
+            ("Parameters", file.params),
+            ("Input", file.input),
+            ("Output", file.output),
+            ("Sample time", numbers.number(file.sample_time_s, 4, "s")),
+            ("Steady gain", numbers.number(file.steady_gain, 4)),
         ],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),
