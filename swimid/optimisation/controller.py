@@ -91,7 +91,13 @@ class ControllerFile(yamlio.ResultFile):
 
 @dataclass(frozen=True, eq=False)
 class SpeedController(FileResult[ControllerFile]):
-    """A table from steps to speeds and a PI controller, as ``optimise gait`` gives them."""
+    """A table from steps to speeds and a PI controller, as ``optimise gait`` gives them.
+
+    Attributes
+    ----------
+    file : ControllerFile
+        What :meth:`save` writes: ``steps``, ``gain``, ``integral_time_s`` (s), margins.
+    """
 
     format = FORMAT
     file_type = ControllerFile

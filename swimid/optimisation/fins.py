@@ -78,7 +78,15 @@ class FinFile(yamlio.ResultFile):
 
 @dataclass(frozen=True, eq=False)
 class FinChoice(FileResult[FinFile]):
-    """Fin, frequency and amplitude that reach a speed, as ``optimise gait`` gives them for a recoil law."""
+    """Fin, frequency and amplitude that reach a speed, as ``optimise gait`` gives them for a recoil law.
+
+    Attributes
+    ----------
+    best : FinGait
+        The fin of least power: ``fin``, ``amplitude_deg``, ``frequency_hz``, ``power_W``.
+    file : FinFile
+        What :meth:`save` writes; it has every fin.
+    """
 
     format = FORMAT
     file_type = FinFile

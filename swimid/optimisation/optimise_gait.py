@@ -233,9 +233,9 @@ def optimise_gait(
             atomic.check_writable(output, inputs=study.inputs)
         keep = Checkpoint.beside(output, study.key)
         problem = _problem(performance, options, keep)
-        known = bool(performance.applied.uncertain()[0]) and len(options.goal) == 1
+        known = bool(performance.applied.uncertain()[0]) and len(options.goals) == 1
         performance.model.prepare(progress, simulated_s=_simulated_s(options, known), checkpoint=keep)
-        file = _one(problem, options, study, progress) if len(options.goal) == 1 else None
+        file = _one(problem, options, study, progress) if len(options.goals) == 1 else None
         file = file or _front(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")
@@ -271,7 +271,7 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
     performance.check(options.vary, "--vary")
     performance.check_drive(options.vary, "--vary")
-    if len(options.goal) > 2 or len(set(options.goal)) < len(options.goal):
+    if len(options.goals) > 2 or len(set(options.goals)) < len(options.goals):
         raise UsageError("--goal: one, or two that differ")
     turn = performance.model.pose[2].removesuffix("_rad") if not performance.model.in_space else "yaw"
     quantities = {
@@ -281,11 +281,11 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
         "cost-of-transport": ("cost_of_transport_J_m", 1.0),
         "power": ("mean_positive_power_W", 1.0),
     }
-    goals = [(goal, *quantities[goal]) for goal in options.goal]
+    goals = [(goal, *quantities[goal]) for goal in options.goals]
     for goal, quantity, _ in goals:
         if quantity not in performance.units:
             raise UsageError(f"--goal {goal} is not for this robot: it has {', '.join(performance.units)}")
-    if options.goal == ("power",) and options.reach_speed_m_s is None:
+    if options.goals == ("power",) and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
     problem = Problem(
         performance,

@@ -47,15 +47,6 @@ class StiffnessRule(FileResult[RuleFile]):
     file : RuleFile
         What :meth:`save` writes: curves, optima with their Pareto fronts, sweeps; ``.header()`` is the rule
         in C, ``.table()`` as CSV.
-
-    Examples
-    --------
-    >>> import swimid
-    >>> rule = swimid.optimise_stiffness(
-    ...     robot="dolphin", amplitude_deg=27, over={"frequency_hz": (2, 4, 3)}, duration_s=6, generations=6
-    ... )
-    >>> rule.stiffness_for(2.5) < rule.stiffness_for(3.5)
-    True
     """
 
     format = FORMAT
@@ -193,11 +184,10 @@ def optimise_stiffness(
     Examples
     --------
     >>> rule = optimise_stiffness(
-    ...     robot="dolphin", amplitude_deg=27, over={"frequency_hz": (2, 4, 3)}, between=(0.1, 3.0),
-    ...     duration_s=5, population=12, generations=6,
+    ...     robot="dolphin", amplitude_deg=27, over={"frequency_hz": (2, 4, 3)}, duration_s=6, generations=6
     ... )
-    >>> [round(rule.stiffness_for(f), 1) for f in (2.0, 3.0, 4.0)]
-    [0.1, 0.3, 0.6]
+    >>> rule.stiffness_for(2.5) < rule.stiffness_for(3.5)
+    True
     """
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)

@@ -103,9 +103,9 @@ class OptimiseGaitOptions(GaitOptions):
         "asymmetry, lag_deg, scale of a stroke, or a coefficient (a stiffness). Repeatable.",
     )
     goal: tuple[Goal, ...] = option(
-        ("speed",),
+        (),
         metavar="GOAL",
-        help="speed, radius (of the turn), turn-rate, cost-of-transport or power. Two: their Pareto front.",
+        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two: their Pareto front.",
     )
     limits: Mapping[str, float] = option(
         {},
@@ -125,3 +125,8 @@ class OptimiseGaitOptions(GaitOptions):
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(16, ge=1, help="NSGA-II: number of generations.")
     seed: int = option(0, ge=0, help="Of starts, search and draws: the same seed gives the same file.")
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """What is wanted: speed where nothing is said."""
+        return self.goal or ("speed",)
