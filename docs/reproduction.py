@@ -708,7 +708,8 @@ Mechanical power of the waist by `swimid map`, steady.
 
 The paper measures voltage and current: {PUBLISHED_COST[0]:g} J/m at the least with a yielding joint.
 Against that the joints of the model need {100 * least / PUBLISHED_COST[0]:.0f} % or less: what electronics,
-motors, gears and the motor that imitates the spring take is not in the paper, and so the figure is not reproduced. As in the
+motors, gears and the motor that imitates the spring take is not in the paper, and so the figure is not
+reproduced. As in the
 paper power rises with frequency, is the same for both stiffnesses below 2.1 Hz and larger for the stiffer one
 above it, and the softer joint is the cheaper one.
 """

@@ -218,7 +218,7 @@ def tuned(plant: control.TransferFunction) -> tuple[float, float]:
     >>> import control
     >>> gain, integral = tuned(control.TransferFunction([0.1], [1.0, -0.9], 0.1))
     >>> round(gain / integral, 1)
-    0.9
+    0.2
     """
     sign = math.copysign(1.0, float(np.real(plant(1.0))))
     z = np.exp(1j * _frequencies(plant.dt) * plant.dt)

@@ -105,7 +105,8 @@ class OptimiseGaitOptions(GaitOptions):
     goal: tuple[Goal, ...] = option(
         (),
         metavar="GOAL",
-        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two: their Pareto front.",
+        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two: their "
+        "Pareto front.",
     )
     limits: Mapping[str, float] = option(
         {},
