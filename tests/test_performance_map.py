@@ -175,5 +175,20 @@ def test_a_robot_in_space_over_its_stroke() -> None:
     assert (made.frame["mean_power_W"] > 0).all()
 
 
+def test_lag_delays_each_joint_behind_the_one_before() -> None:
+    """Without a ramp joint k is told ``A/3 sin(2 pi f t - k lag)``; speed is a smooth function of the lag."""
+    options = package.performance_map.options.of(
+        {"robot": "tfish", "over": {"lag_deg": (0.0, 40.0, 2)}, "frequency_hz": 1.0, "amplitude_deg": 30.0,
+         "ramp_s": 0.0}
+    )  # fmt: skip
+    performance = Performance.of_options(options)
+    swim, _ = performance.swim({"lag_deg": 40.0})
+    time = np.linspace(0.0, 2.0, 50)
+    for k in range(3):
+        told = performance.model.command(k, swim, time, 0.0)
+        expected = math.radians(10.0) * np.sin(2 * np.pi * time - k * math.radians(40.0))
+        assert told == pytest.approx(expected, abs=1e-12)
+
+
 def test_nothing_is_kept_without_an_output() -> None:
     assert Checkpoint.beside(None, []).path is None

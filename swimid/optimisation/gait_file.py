@@ -77,7 +77,7 @@ class GaitFile(yamlio.ResultFile):
     searches: list[Search] = []
     kept: Literal["gradient", "nsga2"]
     optimum: Gait
-    #: The gait that loses least in the worst tenth of draws.
+    #: The gait that loses least in the worst tenth of draws; the best one where no other can be told from it.
     robust: Gait | None = None
     draws: int = 0
     #: Draws outside the coefficients' bounds, replaced by others.
