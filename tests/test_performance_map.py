@@ -192,3 +192,16 @@ def test_lag_delays_each_joint_behind_the_one_before() -> None:
 
 def test_nothing_is_kept_without_an_output() -> None:
     assert Checkpoint.beside(None, []).path is None
+
+
+def test_a_robot_that_rests_throughout_is_no_map_rule_or_gait() -> None:
+    """No beat, no motion: refused, where zeros everywhere passed every check."""
+    rest = {**DOLPHIN, "amplitude_deg": 0.0}
+    with pytest.raises(NoTrustworthyResult, match="rests"):
+        package.performance_map(over={"frequency_hz": (1, 3, 2)}, **rest)
+    with pytest.raises(NoTrustworthyResult, match="rests"):
+        package.optimise_gait(vary={"frequency_hz": (1, 3)}, **rest)
+    with pytest.raises(NoTrustworthyResult, match="rests"):
+        package.optimise_stiffness(
+            over={"frequency_hz": (1, 3, 2)}, between=(0.1, 3), population=8, generations=2, **rest
+        )

@@ -178,11 +178,7 @@ def design(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
     )
     evidence = _evidence(result, plant, closed, notices, origin)
     result.verdict = evidence.verdict.level
-    made = SpeedController(
-        "optimise gait", _summary(result, evidence), result.model_dump(mode="json"), evidence=evidence,
-        document=result,
-    )  # fmt: skip
-    return made.saved(output)
+    return SpeedController.of(result, evidence).saved(output)
 
 
 def _finite(value: Any) -> float | None:

@@ -205,11 +205,7 @@ def choose(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
     )
     evidence = _evidence(result, law, fins, notices, origin)  # type: ignore[arg-type]
     result.verdict = evidence.verdict.level
-    made = FinChoice(
-        "optimise gait", _summary(result, evidence), result.model_dump(mode="json"), evidence=evidence,
-        document=result,
-    )  # fmt: skip
-    return made.saved(output)
+    return FinChoice.of(result, evidence).saved(output)
 
 
 def _law(applied: Applied, values: Array, area: float) -> Law:

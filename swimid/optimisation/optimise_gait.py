@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -245,14 +244,7 @@ def optimise_gait(
     origin = provenance.collect(study.inputs, settings=study.settings)
     evidence = gait_evidence.evidence(file, notices, origin)
     file.verdict = evidence.verdict.level
-    result = BestGait(
-        "optimise gait",
-        gait_evidence.summary(file, evidence),
-        file.model_dump(mode="json"),
-        evidence=evidence,
-        document=file,
-    )
-    saved = result.saved(output)
+    saved = BestGait.of(file, evidence).saved(output)
     keep.done()
     return saved
 
@@ -332,11 +324,15 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 # ------------------------------------------------------------ searches
 
 
+def _candidates(options: OptimiseGaitOptions) -> int:
+    """Points the starts are chosen from: four of each, in a whole power of two as the sequence asks."""
+    return int(2 ** math.ceil(math.log2(4 * options.starts)))
+
+
 def _begun(problem: Problem, options: OptimiseGaitOptions) -> Array:
     """Starts of the gradient search: the best of a Sobol sequence in the cube; sets the goal's size."""
     width = len(problem.vary)
-    count = 2 ** math.ceil(math.log2(4 * options.starts))
-    points = qmc.Sobol(width, seed=options.seed).random(count)
+    points = qmc.Sobol(width, seed=options.seed).random(_candidates(options))
     table = problem.table(points)
     problem.performance.insist(table)
     wanted = problem.wanted(table)[:, 0]
@@ -344,29 +340,44 @@ def _begun(problem: Problem, options: OptimiseGaitOptions) -> Array:
     return points[np.argsort(merit(problem.parts_of(table)), kind="stable")[: options.starts]]
 
 
-@contextmanager
-def _bar(progress: Progress, text: str, total: int) -> Iterator[Any]:
-    with progress(text, total=total) as step:
-        yield step
-
-
-def _one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """The best gait for one goal."""
-    starts = _begun(problem, options)
-    before = 2 ** math.ceil(math.log2(4 * options.starts))
-    with _bar(progress, "gradient search", STEPS) as step:
-        smooth = descend(lambda x, _owner: problem.parts(x), starts, advance=step)
-    with _bar(progress, "NSGA-II", options.generations) as step:
-        genes = genetic.nsga2(
+def _genetic(problem: Problem, options: OptimiseGaitOptions, progress: Progress) -> genetic.Front:
+    """NSGA-II over the cube, for all goals."""
+    with progress("NSGA-II", total=options.generations) as step:
+        return genetic.nsga2(
             problem.cost,
             np.zeros(len(problem.vary)),
             np.ones(len(problem.vary)),
-            objectives=1,
+            objectives=len(problem.goals),
             population=options.population,
             generations=options.generations,
             seed=options.seed,
             advance=step,
         )
+
+
+def _file(problem: Problem, study: Study, **found: Any) -> GaitFile:
+    """The gait file of what was found."""
+    return GaitFile(
+        verdict="caution",
+        **study.said,
+        vary={
+            name: Varied(unit=problem.performance.axes[name], low=low, high=high)
+            for name, (low, high) in problem.vary.items()
+        },
+        goals={goal: (q, problem.performance.units[q]) for goal, q, _ in problem.goals},
+        limits=dict(problem.limits),
+        provenance=study.repeatable,
+        **found,
+    )
+
+
+def _one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
+    """The best gait for one goal."""
+    starts = _begun(problem, options)
+    before = _candidates(options)
+    with progress("gradient search", total=STEPS) as step:
+        smooth = descend(lambda x, _owner: problem.parts(x), starts, advance=step)
+    genes = _genetic(problem, options, progress)
     found = {
         "gradient": (smooth.points[smooth.best], [(before + n, v) for n, v in smooth.history]),
         "nsga2": (
@@ -391,36 +402,13 @@ def _one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress:
     ends = np.array([found[method][0] for method in found])
     point = descend(lambda x, _owner: problem.parts(x), ends, first=FINE, steps=FINE_STEPS)
     optimum = _gait(problem, point.points[point.best])
-    return GaitFile(
-        verdict="caution",
-        **study.said,
-        vary={
-            name: Varied(unit=problem.performance.axes[name], low=low, high=high)
-            for name, (low, high) in problem.vary.items()
-        },
-        goals={goal: (q, problem.performance.units[q]) for goal, q, _ in problem.goals},
-        limits=dict(problem.limits),
-        searches=searches,
-        kept=kept,
-        optimum=optimum,
-        provenance=study.repeatable,
-    )
+    return _file(problem, study, searches=searches, kept=kept, optimum=optimum)
 
 
 def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
     """The Pareto front of two goals, and the point on it that is nearest to the best of both."""
     _begun(problem, options)
-    with _bar(progress, "NSGA-II", options.generations) as step:
-        found = genetic.nsga2(
-            problem.cost,
-            np.zeros(len(problem.vary)),
-            np.ones(len(problem.vary)),
-            objectives=2,
-            population=options.population,
-            generations=options.generations,
-            seed=options.seed,
-            advance=step,
-        )
+    found = _genetic(problem, options, progress)
     table = problem.table(found.points)
     keeps = problem.keeps(table) & (found.objectives < genetic.BROKEN_OBJECTIVE).all(axis=1)
     if not keeps.any():
@@ -428,20 +416,13 @@ def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progres
     points, values = found.points[keeps], problem.wanted(table)[keeps]
     signs = np.array([sign for _, _, sign in problem.goals])
     gaits = np.array([list(problem.at(x).values()) for x in points])
-    return GaitFile(
-        verdict="caution",
-        **study.said,
-        vary={
-            name: Varied(unit=problem.performance.axes[name], low=low, high=high)
-            for name, (low, high) in problem.vary.items()
-        },
-        goals={goal: (q, problem.performance.units[q]) for goal, q, _ in problem.goals},
-        limits=dict(problem.limits),
+    return _file(
+        problem,
+        study,
         searches=[Search(method="nsga2", runs=found.evaluations)],
         kept="nsga2",
         optimum=_gait(problem, points[genetic.knee(values)]),
-        front=np.column_stack([gaits, values * signs]),  # type: ignore[arg-type]
-        provenance=study.repeatable,
+        front=np.column_stack([gaits, values * signs]),
     )
 
 
@@ -477,7 +458,7 @@ def _uncertain(problem: Problem, file: GaitFile, options: OptimiseGaitOptions, p
     file.draws = len(vectors)
     low, high = problem.ends
     nominal = (np.array(list(file.optimum.at.values())) - low) / (high - low)
-    with _bar(progress, "gaits of draws", DRAW_STEPS) as step:
+    with progress("gaits of draws", total=DRAW_STEPS) as step:
         best = descend(
             lambda x, owner: problem.parts(x, [vectors[k] for k in owner]),
             np.tile(nominal, (len(vectors), 1)),
@@ -549,7 +530,7 @@ def _robust(
         return np.array([[worst_tenth(row)] for row in cost - values])
 
     starts = np.array([nominal, np.median(points, axis=0)])
-    with _bar(progress, "robust gait", ROBUST_STEPS) as step:
+    with progress("robust gait", total=ROBUST_STEPS) as step:
         found = descend(losses, starts, first=NEAR, last=0.005, steps=ROBUST_STEPS, advance=step)
     return found.points[found.best]
 

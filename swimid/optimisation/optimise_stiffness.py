@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -170,7 +170,7 @@ def optimise_stiffness(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down, or no stiffness reaches the speed asked for.
+        When every run breaks down or rests, or no stiffness reaches the speed asked for.
 
     References
     ----------
@@ -240,29 +240,21 @@ def optimise_stiffness(
             provenance=study.repeatable,
         )
         _assess(search, file)
+        performance.insist_motion(np.array(rule_evidence.largest_speeds(file)))
         file.least_effort = _least_effort(file)
         if options.objective == "speed":
             file.sweeps = [_swept(performance, file, frequencies, a) for a in amplitudes]
     origin = provenance.collect(study.inputs, settings=study.settings)
     evidence = rule_evidence.evidence(file, notices, origin)
     file.verdict = evidence.verdict.level
-    result = StiffnessRule(
-        "optimise stiffness",
-        rule_evidence.summary(file, evidence),
-        file.model_dump(mode="json"),
-        evidence=evidence,
-        document=file,
-    )
-    saved = result.saved(output)
+    saved = StiffnessRule.of(file, evidence).saved(output)
     written = []
     for place, text in ((options.header, file.header()), (options.table, file.table())):
         if place is not None:
             atomic.write_text(place, text)
             written.append(place)
     keep.done()
-    return StiffnessRule(
-        saved.verb, saved.text, saved.data, [*saved.outputs, *written], saved.evidence, saved.document
-    )
+    return replace(saved, outputs=[*saved.outputs, *written])
 
 
 def _value(quantities: Mapping[str, Quantity], name: str) -> float:

@@ -244,7 +244,11 @@ class Performance:
         return np.array([[q.value, math.nan if q.stderr is None else q.stderr] for q in told])
 
     def insist(self, table: Array) -> None:
-        """Refuse a study of which every run broke down.
+        """Refuse a study of which every run broke down, or in which the robot rests throughout.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n, quantities)
 
         Raises
         ------
@@ -254,4 +258,19 @@ class Performance:
             raise NoTrustworthyResult(
                 "every simulation breaks down",
                 hint="check the parameters' signs and units, narrow the ranges, or take a smaller --dt",
+            )
+        if "mean_speed_m_s" in self.units:
+            self.insist_motion(table[:, list(self.units).index("mean_speed_m_s")])
+
+    @staticmethod
+    def insist_motion(speed_m_s: Array) -> None:
+        """Refuse a study of a robot that does not move under any of its beats.
+
+        Raises
+        ------
+        NoTrustworthyResult
+        """
+        if not np.nanmax(speed_m_s) > 0:
+            raise NoTrustworthyResult(
+                "the robot rests under each of these beats", hint="give a beat it swims by: --amplitude-deg"
             )

@@ -162,14 +162,7 @@ def performance_map(
         )
     evidence = map_evidence.evidence(file, notices, provenance.collect(study.inputs, settings=study.settings))
     file.verdict = evidence.verdict.level
-    result = PerformanceMap(
-        "map",
-        map_evidence.summary(file, evidence),
-        file.model_dump(mode="json"),
-        evidence=evidence,
-        document=file,
-    )
-    saved = result.saved(output)
+    saved = PerformanceMap.of(file, evidence).saved(output)
     keep.done()
     return saved
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from swimid.results.evidence import Figure
     from swimid.results.sections import Section
 
-File = TypeVar("File")
+File = TypeVar("File", bound="ResultFile")
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,6 +266,12 @@ class FileResult(Result, Generic[File]):
         """What :meth:`save` writes."""
         file: File = self.document
         return file
+
+    @classmethod
+    def of(cls, file: File, evidence: Evidence) -> Self:
+        """The result whose file and evidence these are."""
+        data = file.model_dump(mode="json")
+        return cls(evidence.verb, cls._told(file, evidence), data, evidence=evidence, document=file)
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:

@@ -260,11 +260,7 @@ def sensitivity(
         references=[*sensitivity_evidence.REFERENCES[method], *experiment.robot.sources],
         provenance=origin,
     )
-    summary = sensitivity_evidence.summary(file, evidence)
-    result = Sensitivity(
-        "sensitivity", summary, file.model_dump(mode="json"), evidence=evidence, document=file
-    )
-    saved = result.saved(output)
+    saved = Sensitivity.of(file, evidence).saved(output)
     keep.done()
     return saved
 

@@ -178,6 +178,4 @@ def compare(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    text = compare_evidence.summary(file, evidence)
-    result = Comparison("compare", text, file.model_dump(mode="json"), evidence=evidence, document=file)
-    return result.saved(output)
+    return Comparison.of(file, evidence).saved(output)

@@ -275,11 +275,9 @@ class LinkedModel(Swimmer):
         """Several runs, side by side where the robot's kernel is compiled (see :meth:`Model.hooked_many`)."""
         if not self.side_by_side:
             return super().hooked_many(runs)
-        asked = [unless_broken(self._asked, *run) for run in runs]
-        trajectories = iter(self._trajectories([one for one in asked if one is not None]))
         simulated = [
-            None if one is None else unless_broken(self._at_samples, *run, next(trajectories))
-            for one, run in zip(asked, runs, strict=True)
+            None if one is None else unless_broken(self._at_samples, *run, one[1])
+            for one, run in zip(self._each(runs), runs, strict=True)
         ]
         return [
             self.broken_down(trial) if one is None else one
@@ -290,17 +288,21 @@ class LinkedModel(Swimmer):
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
         """Several runs with torques and powers (see :meth:`Swimmer.with_energetics`)."""
-        asked = [unless_broken(self._asked, values, trial, NONE) for values, trial in runs]
-        trajectories = iter(self._trajectories([one for one in asked if one is not None]))
+        each = self._each([(values, trial, NONE) for values, trial in runs])
         found: list[tuple[dict[str, Array], Energetics | None]] = []
-        for one, (values, trial), length_s in zip(asked, runs, last_s, strict=True):
-            run = None if one is None else next(trajectories)
-            if one is None or run is None or not np.isfinite(run.states[-1]).all():
+        for one, (values, trial), length_s in zip(each, runs, last_s, strict=True):
+            if one is None or not np.isfinite(one[1].states[-1]).all():
                 found.append((self.broken_down(trial), None))
                 continue
-            columns = self._at_samples(values, trial, NONE, run)
-            found.append((columns, self._energetics(one.values, run, length_s)))
+            columns = self._at_samples(values, trial, NONE, one[1])
+            found.append((columns, self._energetics(one[0].values, one[1], length_s)))
         return found
+
+    def _each(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[tuple[Run, Trajectory] | None]:
+        """What was asked and its trajectory, of each run; None where it breaks down before it begins."""
+        asked = [unless_broken(self._asked, *run) for run in runs]
+        trajectories = iter(self._trajectories([one for one in asked if one is not None]))
+        return [None if one is None else (one, next(trajectories)) for one in asked]
 
     def _energetics(self, values: Array, run: Trajectory, last_s: float) -> Energetics:
         """Over the last stretch of a run."""
