@@ -203,5 +203,5 @@ def test_a_robot_that_rests_throughout_is_no_map_rule_or_gait() -> None:
         package.optimise_gait(vary={"frequency_hz": (1, 3)}, **rest)
     with pytest.raises(NoTrustworthyResult, match="rests"):
         package.optimise_stiffness(
-            over={"frequency_hz": (1, 3, 2)}, between=(0.1, 3), population=8, generations=2, **rest
+            over={"frequency_hz": (1, 3, 3)}, between=(0.1, 3), population=8, generations=2, **rest
         )
