@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
+import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +21,7 @@ from swimid.cli.common import Shared, running, shared_options
 from swimid.cli.main import SECTIONS, main
 from swimid.files.checkpoint import Checkpoint
 from swimid.results.result import Result
-from tests.conftest import Ran
+from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
 
@@ -171,6 +173,10 @@ def test_doctor(swimid: Run, tmp_path: Path) -> None:
     assert ran.status == 0
     assert ran.json["result"]["healthy"] is True
     assert json.loads((tmp_path / "d.json").read_text())["swimid"] == package.__version__
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    # names as the index spells them
+    plain = [re.sub(r"[._]", "-", re.split("[<>=]", text)[0]).lower() for text in stated]
+    assert list(ran.json["result"]["packages"]) == plain
 
 
 def test_unwritable_and_unreadable(swimid: Run, samples: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import platform
+import re
 import sys
 import time
 from importlib import metadata
@@ -18,24 +19,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
 
-#: Packages every verb needs, and those that widen what can be done.
-REQUIRED = (
-    "numpy",
-    "scipy",
-    "pandas",
-    "numba",
-    "opencv-python-headless",
-    "control",
-    "dtaidistance",
-    "matplotlib",
-    "pydantic",
-    "ruamel.yaml",
-    "jinja2",
-    "pyarrow",
-    "threadpoolctl",
-    "click",
-    "rich",
-)
+#: Packages that widen what can be done.
 OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
@@ -58,7 +42,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
     output : path, optional
         Write the findings as JSON.
     """
-    packages = {name: _version(name) for name in REQUIRED}
+    packages = {name: _version(name) for name in _required()}
     optional = {name: _version(name) for name in OPTIONAL}
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
@@ -83,6 +67,16 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
         atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
         outputs.append(output)
     return Result("doctor", _text(findings, missing), findings, outputs)
+
+
+def _required() -> list[str]:
+    """Packages every verb needs: those the installed swimid states, without extras."""
+    try:
+        stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
+    except metadata.PackageNotFoundError:
+        # run from its source, without an installation that could be whole
+        return ["swimid"]
+    return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
 
 
 def _version(name: str) -> str | None:
