@@ -165,6 +165,33 @@ def test_draws_have_the_covariance(tmp_path: Path) -> None:
     assert np.ptp(table[:, applied.model.index("c_m0")]) == 0.0
 
 
+def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
+    """Standard errors far beyond the bounds, strongly correlated: hardly an independent draw is inside."""
+    path = parameters(tmp_path, c_d1=300.0, c_f0=30.0)
+    path.write_text(
+        path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
+    )
+    performance = Performance.of_options(
+        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
+    )
+    applied = performance.applied
+    assert isinstance(applied, Applied)
+    vectors, refused = drawn(applied, 400, 1)
+    assert refused > 400
+    model, table = applied.model, np.array(vectors)
+    at = [model.index(name) for name in ("c_d1", "c_f0")]
+    bounds = np.array([(model.parameters[k].lower, model.parameters[k].upper) for k in at])
+    # the density on a grid over the bounds
+    x, y = np.meshgrid(*(np.linspace(*ends, 401) for ends in bounds), indexing="ij")
+    u, v = (x - applied.values()[at[0]]) / 300.0, (y - applied.values()[at[1]]) / 30.0
+    density = np.exp(-(u * u - 2.0 * 0.6 * u * v + v * v) / (2.0 * (1.0 - 0.6**2)))
+    for k, grid in zip(at, (x, y), strict=True):
+        mean = float(np.average(grid, weights=density))
+        sd = math.sqrt(np.average((grid - mean) ** 2, weights=density))
+        assert table[:, k].mean() == pytest.approx(mean, abs=4.0 * sd / math.sqrt(400))
+        assert table[:, k].std() == pytest.approx(sd, rel=4.0 / math.sqrt(800))
+
+
 def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
     """One uncertain coefficient: the interval runs from the best gait at one of its ends to the other's."""
     given = {"amplitude_deg": 27.0, "duration_s": 4.0, "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}}
