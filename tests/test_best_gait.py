@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +28,11 @@ TABLE_3 = {
 }  # fmt: skip
 
 
-def parameters(folder: Path, **stderr: float) -> Path:
-    """A parameter file of the dolphin with its published values and these standard errors."""
+def parameters(folder: Path, other: Mapping[str, float] | None = None, /, **stderr: float) -> Path:
+    """A parameter file of the dolphin with its published values, or others, and these standard errors."""
     rows = [
         f"  {name}: {{value: {value}, stderr: {stderr.get(name, 'null')}, unit: '1', status: estimated}}"
-        for name, value in TABLE_3.items()
+        for name, value in (TABLE_3 | dict(other or {})).items()
     ]
     head = ["format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:"]
     (folder / "p.yaml").write_text("\n".join([*head, *rows]) + "\n")
@@ -190,6 +190,52 @@ def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
         sd = math.sqrt(np.average((grid - mean) ** 2, weights=density))
         assert table[:, k].mean() == pytest.approx(mean, abs=4.0 * sd / math.sqrt(400))
         assert table[:, k].std() == pytest.approx(sd, rel=4.0 / math.sqrt(800))
+
+
+def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
+    """Two estimates at their lower bounds and one at its upper, all alike: hardly a draw is inside, and from
+    the corner no direction in which draws are independent leads in.
+    """
+    path = parameters(tmp_path, c_f0=0.004, c_f1=0.004, c_f2=0.004)
+    performance = Performance.of_options(
+        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
+    )
+    assert isinstance(performance.applied, Applied)
+    names, known = ("c_f0", "c_f1", "c_f2"), {p.name: p for p in performance.applied.model.parameters}
+    corner = {"c_f0": known["c_f0"].lower, "c_f1": known["c_f1"].lower, "c_f2": known["c_f2"].upper}
+    path = parameters(tmp_path, corner, c_f0=0.004, c_f1=0.004, c_f2=0.004)
+    matrix = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
+    path.write_text(path.read_text() + f"correlation: {{names: [{', '.join(names)}], matrix: {matrix}}}\n")
+    performance = Performance.of_options(
+        package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
+    )
+    assert isinstance(performance.applied, Applied)
+    vectors, refused = drawn(performance.applied, 400, 2)
+    assert refused > 20 * 400
+    model = performance.applied.model
+    away = np.array(vectors)[:, [model.index(name) for name in names]] - np.array(list(corner.values()))
+    # the density on a grid of six standard deviations into the corner
+    steps = np.linspace(0.0, 6.0, 121)
+    u = np.stack(np.meshgrid(steps, steps, -steps, indexing="ij"), axis=-1)
+    density = np.exp(-0.5 * np.einsum("...i,ij,...j", u, np.linalg.inv(matrix), u))
+    for k in range(3):
+        mean = float(np.average(u[..., k], weights=density))
+        sd = math.sqrt(np.average((u[..., k] - mean) ** 2, weights=density))
+        # neighbours are correlated by 3 / sqrt(200) at most: of 400 draws 260 count
+        assert away[:, k].mean() / 0.004 == pytest.approx(mean, abs=4.0 * sd / math.sqrt(260))
+        assert away[:, k].std() / 0.004 == pytest.approx(sd, rel=4.0 / math.sqrt(260))
+
+
+def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
+    """An estimate far beyond its upper bound: draws at the bound would be those of another robot."""
+    performance = Performance.of_options(
+        package.optimise_gait.options.of(
+            {"params": parameters(tmp_path, {"c_f0": 50.0}, c_f0=0.001), "vary": {"K_s": (0.1, 1.0)}}
+        )
+    )
+    assert isinstance(performance.applied, Applied)
+    with pytest.raises(NoTrustworthyResult, match="hardly a draw"):
+        drawn(performance.applied, 20, 1)
 
 
 def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
