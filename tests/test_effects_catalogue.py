@@ -10,7 +10,6 @@ import pytest
 from swimid.effects import catalogue
 from swimid.effects.base import STAGES
 from swimid.errors import InputError, UsageError
-from tests.blind import runner
 from tests.toy_models import DECAY, Toy, decay
 
 #: Names that reports, files and other programs rely on.
@@ -115,9 +114,3 @@ def test_own_file_that_is_none(tmp_path):
     (tmp_path / "own.txt").write_text("")
     with pytest.raises(InputError, match="no Python file"):
         catalogue.from_file(tmp_path / "own.txt")
-
-
-def test_effects_tried_by_name_only_are_no_rivals_unasked() -> None:
-    """They are in the catalogue, and a diagnosis that is asked for nothing leaves them out."""
-    apart = {e.name for e in catalogue.catalogue()} - {e.name for e in catalogue.unasked()}
-    assert apart == runner.BY_NAME

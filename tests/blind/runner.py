@@ -23,8 +23,6 @@ from typing import Any
 
 import numpy as np
 
-#: Effects that a diagnosis tries only where they are asked for: no case without asking for them either.
-BY_NAME = frozenset({"slip", "hardening", "stribeck", "load-friction", "lift-damping", "clock-rate"})
 #: Modules of generators, each with CATALOGUE, OUTSIDE and make_case.
 GENERATORS = ("rigs", "cruises", "swimmers")
 #: Share of the cases; a family's robots divide its share evenly unless they have their own.
@@ -91,9 +89,7 @@ def plan(
     rng = np.random.default_rng([seed, 0])
     cases = []
     for robot, number in counts(total, shares).items():
-        catalogue = [
-            e for e in modules[robot].CATALOGUE[robot] if (e in effects if effects else e not in BY_NAME)
-        ]
+        catalogue = [e for e in modules[robot].CATALOGUE[robot] if not effects or e in effects]
         outside = list(modules[robot].OUTSIDE[robot])
         singles = itertools.cycle(rng.permutation(catalogue).tolist())
         others = itertools.cycle(rng.permutation(outside).tolist())
@@ -174,9 +170,12 @@ def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
         return {}
     from tests.blind.swim_gap import floors, refit_gap
 
-    found = refit_gap(label)
-    left = {"noncentrality": found["noncentrality"], "gap_refit": found["refit_over_floor"]}
-    return {**left, "floor": floors(label)}
+    found, floor = refit_gap(label), floors(label)
+    # no refit takes up samples of a marker that fails
+    broken = any(act.broken is not None for act in label["acts"])
+    over_noise = label["gap_over_floor"] if broken else found["refit_over_floor"]
+    left = {name: over_noise[name] * label["noise_sd"][name] / sd for name, sd in floor.items()}
+    return {"noncentrality": found["noncentrality"], "gap_refit": left, "floor": floor}
 
 
 def commands(folder: Path) -> list[list[str]]:
@@ -195,11 +194,17 @@ def commands(folder: Path) -> list[list[str]]:
 
 
 def diagnose(
-    folder: Path, results: Path, *, program: Sequence[str] = PROGRAM, timeout_s: float = 900.0
+    folder: Path,
+    results: Path,
+    *,
+    program: Sequence[str] = PROGRAM,
+    timeout_s: float = 900.0,
+    search: Path | None = None,
 ) -> dict[str, Any]:
     """Run a case's commands in a copy of its folder; exit statuses, times and messages.
 
-    What the commands wrote comes into ``results``, with result.json.
+    What the commands wrote comes into ``results``, with result.json. Python looks for packages in ``search``
+    first, where it is given: the program may be that of another checkout.
     """
     record: dict[str, Any] = {"steps": [], "ended": False}
     with tempfile.TemporaryDirectory(prefix="trials_") as temporary:
@@ -207,6 +212,9 @@ def diagnose(
         shutil.copytree(folder, work)
         given = {path.name for path in work.iterdir()}
         environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ}
+        if search is not None:
+            paths = [str(search), *filter(None, [environment.get("PYTHONPATH")])]
+            environment["PYTHONPATH"] = os.pathsep.join(paths)
         environment |= {"HOME": temporary, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         for command in commands(work):
             begun = time.perf_counter()

@@ -22,6 +22,8 @@ from tests.blind.common import STAGE_OF
 LARGEST_SET = 3
 PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 1.0 + 1e-9)
 SURE = 0.9
+#: An error that exceeds the noise by less has no share of it closed to speak of.
+CLEAR = 1.2
 #: Of the noncentrality: effects above it can be detected.
 DETECTABLE = 150.0
 Row = dict[str, Any]
@@ -106,9 +108,14 @@ def _shrinkage(cause: Row, gap: Row, label: Row) -> tuple[float | None, float | 
     width = channel["rmse"] / channel["nrmse"] if channel.get("rmse") and channel.get("nrmse") else None
     width = width or (label.get("range") or {}).get(name)
     floor = (label.get("floor") or label.get("noise_sd") or {}).get(name)
-    if not width or not floor or best["before"] <= 1.2 * floor / width:
+    if not width or not floor:
         return best["closed"], None
-    return best["closed"], (best["before"] - best["after"]) / (best["before"] - floor / width)
+    return best["closed"], closed_share(best["before"], best["after"], floor / width)
+
+
+def closed_share(before: float, after: float, floor: float) -> float | None:
+    """Share of a gap that is closed, from errors and the true noise; None where there was next to none."""
+    return None if before <= CLEAR * floor else (before - after) / (before - floor)
 
 
 # ------------------------------------------------------------ tables

@@ -1,0 +1,109 @@
+"""``python -m benchmarks.gapbench.peers NAME diagnose ...``: a peer in the place of ``swimid diagnose``.
+
+It writes the part of a gap file that answers are read from. Any other command goes to swimid.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.diagnosis import nominal
+from swimid.diagnosis.nominal import Given
+from swimid.diagnosis.options import DiagnoseOptions
+from swimid.files.provenance import digests_of
+from swimid.fitting.model import Model, Trial
+from swimid.simulation import catalogue as experiments
+
+#: Strong evidence against what has a BIC larger by this (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+STRONG = 6.0
+
+
+class Case:
+    """A case as the peers see it: a model whose coefficients are free, what is known of them, and trials.
+
+    Attributes
+    ----------
+    model : Model
+    trials : list of Trial
+        Those of role ``fit``; the peers hold nothing out.
+    prior : dict of name to (mean, sd)
+    """
+
+    model: Model
+    trials: list[Trial]
+    prior: dict[str, tuple[float, float]]
+
+    def __init__(self, trials: Path, params: Path) -> None:
+        loaded = experiments.load(trials, DiagnoseOptions(params=params))
+        self.model, file = loaded.experiment.model, loaded.applied.file
+        assert file is not None
+        given = {n: Given(e.value, e.stderr, e.status) for n, e in file.parameters.items() if "[" not in n}
+        own = loaded.applied.fitted_per_trial()
+        self.model.parameters = nominal.refitted(
+            self.model.parameters, given, loaded.applied.values(), own=own
+        )
+        logs = [p for p in loaded.experiment.inputs if p != params]
+        known = set((file.provenance.get("inputs") or {}).values())
+        fitted_here = bool(known & set(digests_of(logs).values()))
+        self.prior = nominal.prior(self.model.parameters, given, own_data=fitted_here)
+        apart = nominal.apart(self.model, loaded.experiment.trials)
+        self.trials = [nominal.widened(t, self.model.channels) for t in apart if t.role == "fit"]
+
+
+def verdict(rounds: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """The answer that the BIC of hypotheses gives.
+
+    Parameters
+    ----------
+    rounds : sequence of mapping of str to float
+        BIC of the model with each effect added; under ``""`` that of the model as it was. The effect of the
+        least BIC stays for the next round; in the last one nothing is better than nothing.
+
+    Returns
+    -------
+    dict
+        Of a gap file: ``verdict`` and ``causes``.
+    """
+    causes = []
+    for bic in rounds:
+        best = min(bic, key=bic.__getitem__)
+        if best == "":
+            break
+        weights = {name: float(np.exp(-0.5 * (value - bic[best]))) for name, value in bic.items()}
+        near = [n for n in sorted(bic, key=bic.__getitem__) if n and bic[n] - bic[best] < STRONG]
+        probability = sum(weights[n] for n in near) / sum(weights.values())
+        causes.append({"effect": near[0], "equivalent": near[1:], "probability": probability})
+    told = "none" if not causes else "ambiguous" if causes[0]["equivalent"] else "explained"
+    return {"verdict": told, "causes": causes, "where": {"channels": []}}
+
+
+def main(argv: Sequence[str]) -> None:
+    """Diagnose a case, or hand the command on."""
+    name, verb, *words = argv
+    if verb != "diagnose":
+        from swimid.cli.main import entry
+
+        sys.argv = ["swimid", verb, *words]
+        entry()
+        return
+    parser = argparse.ArgumentParser(prog=f"peers {name} diagnose")
+    parser.add_argument("trials", type=Path)
+    parser.add_argument("--params", type=Path, required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--no-progress", action="store_true")
+    chosen = parser.parse_args(words)
+    peer = import_module(f"benchmarks.gapbench.{name}")
+    found = verdict(peer.rounds(Case(chosen.trials, chosen.params)))
+    chosen.output.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,199 @@
+"""A peer: equation-error regression; accelerations from the logged pose, forces as regressors.
+
+Forward selection by the error reduced (S. A. Billings, *Nonlinear System Identification*, 2013, chapter 3;
+V. Klein and E. A. Morelli, *Aircraft System Identification*, 2006, chapter 5), while the BIC falls.
+Derivatives come from a Savitzky-Golay filter of third order. It knows only effects that are forces, on rigs
+and on robots in a plane, and does not take other trials. What a term of the nominal equation imitates is not
+seen, and coefficients known from elsewhere are not used.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from benchmarks.gapbench.peers import Case
+from swimid.effects import catalogue
+from swimid.fitting.model import Trial
+
+Array = np.ndarray
+
+#: Order of the filter, its least window in samples, and shares of a beat or swing and of a record it spans.
+ORDER, LEAST, OF_BEAT, OF_RECORD = 3, 7, 0.25, 0.1
+#: A speed at which friction has lost its excess over sliding, as a share of the typical one.
+STRIBECK = 0.2
+#: Effects together at most.
+MOST = 2
+
+
+class Rows(NamedTuple):
+    """Equations of one trial at independent samples: left side, nominal terms, terms of effects."""
+
+    left: Array
+    nominal: Array
+    effects: dict[str, Array]
+
+
+def rounds(case: Case) -> list[dict[str, float]]:
+    """BIC of the nominal equation, under ``""``, and with the terms of each effect; then beside the best."""
+    if getattr(case.model, "pose", None) and case.model.axes:
+        rows = [_planar(case, trial) for trial in case.trials]
+    elif getattr(case.model, "rig", None) is not None:
+        rows = [_rig(case, trial) for trial in case.trials]
+    else:
+        raise SystemExit(f"no equation of forces for the model '{case.model.name}'")
+    known = {e.name for e in catalogue.applicable(catalogue.catalogue(), case.model, case.trials)}
+    left = np.concatenate([r.left for r in rows])
+    base = np.concatenate([r.nominal for r in rows])
+    terms = {
+        name: np.concatenate([r.effects[name] for r in rows]) for name in rows[0].effects if name in known
+    }
+    # each equation in units of what the nominal terms leave of it
+    size = np.sqrt(np.mean(_left(base, left) ** 2, axis=0))
+    left, base = left / size, base / size[:, None]
+    terms = {name: term / size[:, None] for name, term in terms.items()}
+    found: list[dict[str, float]] = []
+    while len(found) < MOST:
+        bic = {"": _bic(base, left)}
+        bic |= {name: _bic(np.concatenate([base, term], axis=2), left) for name, term in terms.items()}
+        found.append(bic)
+        best = min(bic, key=bic.__getitem__)
+        if best == "":
+            break
+        base = np.concatenate([base, terms.pop(best)], axis=2)
+    return found
+
+
+def _left(terms: Array, left: Array) -> Array:
+    """What least squares leaves; terms (n, equations, k), each equation with its own non-zero columns."""
+    n, equations, k = terms.shape
+    flat = terms.reshape(n * equations, k)
+    scale = np.linalg.norm(flat, axis=0)
+    flat = flat / np.where(scale > 0, scale, 1.0)
+    weights = np.linalg.lstsq(flat, left.ravel(), rcond=1e-8)[0]
+    return left - (flat @ weights).reshape(n, equations)
+
+
+def _bic(terms: Array, left: Array) -> float:
+    """``m log(rss / m) + rank log m`` with ``m`` samples in all."""
+    m = left.size
+    rank = np.linalg.matrix_rank(terms.reshape(m, -1))
+    return m * float(np.log(np.mean(_left(terms, left) ** 2))) + rank * float(np.log(m))
+
+
+def _derivatives(time: Array, series: Array, window_s: float) -> tuple[list[Array], Array]:
+    """Time, value, rate and acceleration on an even grid, and places half a window apart, ends left out."""
+    good = np.isfinite(series)
+    step = float(np.median(np.diff(time)))
+    grid = np.arange(time[good][0], time[good][-1], step)
+    even = np.interp(grid, time[good], series[good])
+    width = max(LEAST, 2 * round(0.5 * window_s / step) + 1)
+    if len(grid) <= 2 * width:
+        raise SystemExit("a trial is too short for its derivatives")
+    found = [savgol_filter(even, width, ORDER, deriv=d, delta=step) for d in range(3)]
+    return [grid, *found], np.arange(width, len(grid) - width, width // 2)
+
+
+def _rig(case: Case, trial: Trial) -> Rows:
+    """``F - M a = added a + quadratic v |v| + linear v + dry sgn(v) + stiffness x``, and effects."""
+    rig, model = trial.rig, case.model
+    measured = trial.measured[model.rig.displacement.name]
+    span = float(trial.time_s[-1] - trial.time_s[0])
+    centred = measured[np.isfinite(measured)] - np.nanmean(measured)
+    swings = max(int(np.sum(np.diff(np.sign(centred)) != 0)) // 2, 1)
+    window = OF_BEAT * span / swings if model.rig.swings else OF_RECORD * span
+    (time, x, v, a), at = _derivatives(trial.time_s, measured, window)
+    force = trial.inputs.get("force_N")
+    push = np.full(len(time), rig.pull) if force is None else np.interp(time, trial.time_s, force)
+    side, square = np.sign(v), v * np.abs(v)
+    left = push - (0.0 if np.isnan(rig.inertia) else rig.inertia) * a
+    own = {
+        "added_mass": a, "added_inertia": a, "drag_coefficient": rig.area_factor * square,
+        "quadratic_drag": square, "quadratic_damping": square, "linear_drag": v, "linear_damping": v,
+        "pulley_friction": side if rig.pulley else 0.0 * v, "stiffness": x, "force_offset": -np.ones(len(v)),
+    }  # fmt: skip
+    nominal = []
+    for p in model.parameters:
+        if p.name in own and p.free:
+            nominal.append(own[p.name])
+        elif p.name in own:
+            left = left - p.start * own[p.name]
+    if np.isnan(rig.inertia):
+        # per unit of the inertia that is not known
+        left = left - a
+    typical = float(np.sqrt(np.mean(v**2)))
+    load = np.abs(x) if model.rig.swings else np.abs(push)
+    effects = {
+        "linear-drag": v, "pulley-viscous": v, "quadratic-drag": square, "pulley-friction": side,
+        "drag-reynolds": square * np.log(np.maximum(np.abs(v) / typical, 1e-3)), "pulley-inertia": a,
+        "added-mass": a, "stribeck": side * np.exp(-((v / (STRIBECK * typical)) ** 2)),
+        "load-friction": load * side, "hardening": x**3, "tether": x, "current": np.abs(v),
+    }  # fmt: skip
+    return Rows(
+        left[at, None],
+        np.stack(nominal, axis=1)[at, None, :],
+        {name: term[at, None, None] for name, term in effects.items()},
+    )
+
+
+def _planar(case: Case, trial: Trial) -> Rows:
+    """Accelerations along, across and about the body.
+
+    The nominal terms are the library that the mirror symmetry of a robot in a plane allows, of its speeds and
+    of what its first joint is told to do.
+    """
+    model, beat = case.model, trial.swim.beat
+    if beat is None or any(c not in trial.measured for c in model.pose):
+        raise SystemExit("no pose and beat in every trial")
+    window = OF_BEAT / beat.frequency_hz
+    series = [_derivatives(trial.time_s, _whole(trial.measured[c], c), window) for c in model.pose]
+    count = min(len(s[0][0]) for s in series)
+    at = series[0][1][series[0][1] < count - 1]
+    time = series[0][0][0][:count]
+    (x, dx, ddx), (y, dy, ddy), (turn, r, dr) = ([values[:count] for values in s[0][1:]] for s in series)
+    c, s = np.cos(turn), np.sin(turn)
+    u, v, along, across = c * dx + s * dy, c * dy - s * dx, c * ddx + s * ddy, c * ddy - s * ddx
+    q = model.command(0, trial.swim, time, 0.0)
+    dq = np.gradient(q, time)
+    ddq = np.gradient(dq, time)
+    none = np.zeros(count)
+    even = [u * np.abs(u), v * r, r**2, v**2, q * ddq, dq**2, q * dq * np.abs(dq), r * dq]
+    odd = [v * np.abs(v), r * np.abs(r), u * v, u * r, q, dq, ddq, dq * np.abs(dq), u * q]
+    nominal = (
+        [(t, none, none) for t in even] + [(none, t, none) for t in odd] + [(none, none, t) for t in odd]
+    )
+    size = float(np.sqrt(np.mean(u**2)))
+    slower = u * np.abs(u) * np.log(np.maximum(np.abs(u) / size, 1e-3))
+    away = (x - x[0], y - y[0])
+    effects: dict[str, list[tuple[Array, Array, Array]]] = {
+        "linear-drag": [(u, none, none), (none, v, none), (none, none, r)],
+        "drag-reynolds": [(slower, none, none)],
+        "current": [
+            (np.abs(u) * c, none, none), (np.abs(u) * s, none, none),
+            (none, u * s, none), (none, u * c, none),
+        ],
+        "tether": [(c * away[0] + s * away[1], none, none), (none, c * away[1] - s * away[0], none)],
+        "com-offset": [(dr, none, none), (none, none, along)],
+        "buoyancy": [(s, none, none), (none, c, none)],
+    }  # fmt: skip
+    return Rows(
+        np.stack([along, across, dr], axis=1)[at],
+        _columns(nominal, at),
+        {name: _columns(terms, at) for name, terms in effects.items()},
+    )
+
+
+def _columns(terms: list[tuple[Array, Array, Array]], at: Array) -> Array:
+    """Terms as an array, shape (n, equations, k)."""
+    return np.stack([np.stack(t, axis=1) for t in terms], axis=2)[at]
+
+
+def _whole(values: Array, channel: str) -> Array:
+    """An angle without jumps by whole turns; missing samples stay missing."""
+    if not channel.endswith("_rad"):
+        return values
+    found, good = values.copy(), np.isfinite(values)
+    found[good] = np.unwrap(values[good])
+    return found
