@@ -24,7 +24,7 @@ class Label:
         catalogue is.
     gap : float or None
         Root-mean-square residual over the noise, in the worst channel, that a refit of the model without its
-        causes would leave: 1 is noise alone. None of real cases.
+        causes, and of what differs between trials by chance, would leave: 1 is noise alone. None of real cases.
     floor : dict of channel to float
         Noise and chance differences between trials, root mean square in the channel's unit.
     """

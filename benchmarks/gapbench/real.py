@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import shutil
 import sys
@@ -82,7 +84,8 @@ def _tanks(folder: Path, data: Path) -> Path:
 def _run(*words: str | Path) -> None:
     from swimid.cli.main import main
 
-    main([str(w) for w in words], standalone_mode=False)
+    with contextlib.redirect_stdout(io.StringIO()):
+        main([str(w) for w in words], standalone_mode=False)
 
 
 RECORDINGS = (

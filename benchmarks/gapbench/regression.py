@@ -97,43 +97,46 @@ def _derivatives(time: Array, series: Array, window_s: float) -> tuple[list[Arra
 
 
 def _rig(case: Case, trial: Trial) -> Rows:
-    """``F - M a = added a + quadratic v |v| + linear v + dry sgn(v) + stiffness x``, and effects."""
+    """``(M + added) a = F - quadratic v |v| - linear v - dry sgn(v) - stiffness x``, and effects.
+
+    Noise of the acceleration stays on the left side alone: where the inertia is estimated, the known forces
+    are a term with a factor of its own, to first order.
+    """
     rig, model = trial.rig, case.model
     measured = trial.measured[model.rig.displacement.name]
     span = float(trial.time_s[-1] - trial.time_s[0])
     centred = measured[np.isfinite(measured)] - np.nanmean(measured)
     swings = max(int(np.sum(np.diff(np.sign(centred)) != 0)) // 2, 1)
-    window = OF_BEAT * span / swings if model.rig.swings else OF_RECORD * span
-    (time, x, v, a), at = _derivatives(trial.time_s, measured, window)
-    force = trial.inputs.get("force_N")
-    push = np.full(len(time), rig.pull) if force is None else np.interp(time, trial.time_s, force)
-    side, square = np.sign(v), v * np.abs(v)
-    left = push - (0.0 if np.isnan(rig.inertia) else rig.inertia) * a
+    (time, x, v, a), at = _derivatives(trial.time_s, measured, min(OF_BEAT / swings, OF_RECORD) * span)
+    logged = trial.inputs.get("force_N")
+    force = np.full(len(time), rig.pull) if logged is None else np.interp(time, trial.time_s, logged)
+    side, square, none = np.sign(v), v * np.abs(v), np.zeros(len(v))
     own = {
-        "added_mass": a, "added_inertia": a, "drag_coefficient": rig.area_factor * square,
-        "quadratic_drag": square, "quadratic_damping": square, "linear_drag": v, "linear_damping": v,
-        "pulley_friction": side if rig.pulley else 0.0 * v, "stiffness": x, "force_offset": -np.ones(len(v)),
+        "drag_coefficient": rig.area_factor * square, "quadratic_drag": square, "quadratic_damping": square,
+        "linear_drag": v, "linear_damping": v, "pulley_friction": side if rig.pulley else none,
+        "stiffness": x, "force_offset": -np.ones(len(v)),
     }  # fmt: skip
-    nominal = []
-    for p in model.parameters:
-        if p.name in own and p.free:
-            nominal.append(own[p.name])
-        elif p.name in own:
-            left = left - p.start * own[p.name]
-    if np.isnan(rig.inertia):
-        # per unit of the inertia that is not known
-        left = left - a
+    known = force - sum(p.start * own[p.name] for p in model.parameters if p.name in own and not p.free)
+    # per unit of an inertia that is not known
+    unknown = bool(np.isnan(rig.inertia))
+    inertia = (1.0 if unknown else rig.inertia) + model.start("added_mass", "added_inertia")
+    estimated = any(p.free for p in model.parameters if p.name in ("added_mass", "added_inertia"))
+    left = inertia * a - (none if estimated else known)
+    nominal = [own[p.name] for p in model.parameters if p.name in own and p.free]
+    nominal += [known] if estimated else []
     typical = float(np.sqrt(np.mean(v**2)))
-    load = np.abs(x) if model.rig.swings else np.abs(push)
     effects = {
         "linear-drag": v, "pulley-viscous": v, "quadratic-drag": square, "pulley-friction": side,
-        "drag-reynolds": square * np.log(np.maximum(np.abs(v) / typical, 1e-3)), "pulley-inertia": a,
-        "added-mass": a, "stribeck": side * np.exp(-((v / (STRIBECK * typical)) ** 2)),
-        "load-friction": load * side, "hardening": x**3, "tether": x, "current": np.abs(v),
+        "drag-reynolds": square * np.log(np.maximum(np.abs(v) / typical, 1e-3)),
+        "stribeck": side * np.exp(-((v / (STRIBECK * typical)) ** 2)),
+        "load-friction": (np.abs(x) if model.rig.swings else np.abs(force)) * side,
+        "hardening": x**3, "tether": x, "current": np.abs(v),
     }  # fmt: skip
+    if not unknown:
+        effects |= {"added-mass": known, "pulley-inertia": known}
     return Rows(
         left[at, None],
-        np.stack(nominal, axis=1)[at, None, :],
+        np.stack(nominal or [none], axis=1)[at, None, :],
         {name: term[at, None, None] for name, term in effects.items()},
     )
 

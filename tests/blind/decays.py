@@ -202,7 +202,7 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         "floor": {"roll_rad": floor},
         "range": {"roll_rad": float(2 * np.max(np.abs(starts)))},
         "gap_over_floor": {"roll_rad": gap, "overall": gap},
-        "gap_refit": {"roll_rad": left / floor, "overall": left / floor},
+        "gap_refit": {"roll_rad": left / noise, "overall": left / noise},
         "noncentrality": noncentrality,
         "arrays": arrays,
     }

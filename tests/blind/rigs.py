@@ -132,7 +132,8 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
     truth = np.array([cd, added, friction])
     sds = [np.sqrt(value) for value in squares["noise"]]
     left, noncentrality = _refitted(weights, grids, changes, truth, sds, (spread, clock, START_SD), known_to)
-    fair_gap = left / floor
+    # chance differences are refitted, too: what is left is held against the noise within trials
+    fair_gap = left / size_of["noise"]
     return {
         "robot": "falling-weight",
         "effects": list(names),

@@ -165,17 +165,17 @@ def _made(case: dict[str, Any], out: Path, seed: int) -> Path:
 
 
 def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
-    """What a refit of the nominal model leaves, of a generator that does not say so itself."""
+    """What a refit of the nominal model leaves over the noise, of a generator that does not say so itself."""
     if "noncentrality" in label or not np.isfinite(label["gap_over_floor"]["overall"]):
         return {}
     from tests.blind.swim_gap import floors, refit_gap
 
-    found, floor = refit_gap(label), floors(label)
+    found = refit_gap(label)
     # no refit takes up samples of a marker that fails
     broken = any(act.broken is not None for act in label["acts"])
-    over_noise = label["gap_over_floor"] if broken else found["refit_over_floor"]
-    left = {name: over_noise[name] * label["noise_sd"][name] / sd for name, sd in floor.items()}
-    return {"noncentrality": found["noncentrality"], "gap_refit": left, "floor": floor}
+    left = {name: label["gap_over_floor"][name] for name in found["refit_over_floor"]}
+    left = left if broken else found["refit_over_floor"]
+    return {"noncentrality": found["noncentrality"], "gap_refit": left, "floor": floors(label)}
 
 
 def commands(folder: Path) -> list[list[str]]:

@@ -264,7 +264,7 @@ def markdown(rows: Sequence[Row]) -> str:
             by_class(singles, "tool_ratio", (0, 1.1, 1.5, 2, 3, np.inf)),
         ),
         ("By gap over floor, raw", by_class(singles, "raw", (0, 1, 2, 4, 10, np.inf))),
-        ("By gap over floor, nominal refitted", by_class(singles, "refit", (0, 0.05, 0.15, 0.4, 1, np.inf))),
+        ("By gap over noise, nominal refitted", by_class(singles, "refit", (0, 0.05, 0.15, 0.4, 1, np.inf))),
         ("By noncentrality", by_class(singles, "noncentrality", (0, 10, 50, 150, 500, np.inf))),
         ("By effect", by_effect(singles)),
         ("Stages", confusion(singles)),
