@@ -24,7 +24,8 @@ class Label:
         catalogue is.
     gap : float or None
         Root-mean-square residual over the noise, in the worst channel, that a refit of the model without its
-        causes, and of what differs between trials by chance, would leave: 1 is noise alone. None of real cases.
+        causes, and of what differs between trials by chance, would leave: 1 is noise alone. None of real
+        cases.
     floor : dict of channel to float
         Noise and chance differences between trials, root mean square in the channel's unit.
     """
@@ -50,5 +51,6 @@ def read(folder: Path) -> dict[str, Label]:
 
 def gap_of(raw: dict[str, Any]) -> float | None:
     """The gap over noise that a generator's label tells; what a cause changes adds to noise as errors do."""
-    sizes = [math.hypot(1.0, size) for size in raw.get("gap_refit", {}).values() if math.isfinite(size)]
+    left = [size for name, size in raw.get("gap_refit", {}).items() if name != "overall"]
+    sizes = [math.hypot(1.0, size) for size in left if math.isfinite(size)]
     return max(sizes, default=None)

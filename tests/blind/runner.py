@@ -173,8 +173,7 @@ def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
     found = refit_gap(label)
     # no refit takes up samples of a marker that fails
     broken = any(act.broken is not None for act in label["acts"])
-    left = {name: label["gap_over_floor"][name] for name in found["refit_over_floor"]}
-    left = left if broken else found["refit_over_floor"]
+    left = label["gap_over_floor"] if broken else found["refit_over_floor"]
     return {"noncentrality": found["noncentrality"], "gap_refit": left, "floor": floors(label)}
 
 
