@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linprog
@@ -23,8 +24,26 @@ SWEEPS = 256
 NEARER = 20
 
 
-def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], int]:
-    """Parameter vectors from the coefficients' covariance, and how many independent draws were refused.
+@dataclass(frozen=True)
+class Draws:
+    """Draws of the coefficients.
+
+    Attributes
+    ----------
+    vectors : list of ndarray
+        Parameters of the model.
+    inside, tried : int
+        Independent draws within the bounds, and in all. Where fewer are inside than there are vectors, a
+        Gibbs sampler drew these.
+    """
+
+    vectors: list[Array]
+    inside: int
+    tried: int
+
+
+def drawn(applied: Applied, count: int, seed: int) -> Draws:
+    """Parameter vectors from the coefficients' covariance.
 
     The normal distribution is cut off at the bounds of each coefficient, and where a body would have masses
     no body has: a draw there is replaced by another. Where hardly one is possible, of coefficients that lie
@@ -48,14 +67,15 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], int]:
     refused = 0
     while len(found) < count:
         if refused > TRIED * count:
-            return _sampled(model, centre, index, root, count, rng), refused
+            sampled = _sampled(model, centre, index, root, count, rng)
+            return Draws(sampled, len(found), len(found) + refused)
         moved = centre.copy()
         moved[index] += root @ rng.standard_normal(len(names))
         if _possible(model, moved, index):
             found.append(moved)
         else:
             refused += 1
-    return found, refused
+    return Draws(found, count, count + refused)
 
 
 def _sampled(

@@ -176,7 +176,7 @@ def choose(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
             atomic.check_writable(output, inputs=inputs)
         ranges = _ranges(file, options)
         law = _law(applied, applied.values(), area)
-        vectors = drawn(applied, options.draws, options.seed)[0] if applied.uncertain()[0] else []
+        vectors = drawn(applied, options.draws, options.seed).vectors if applied.uncertain()[0] else []
         laws = [_law(applied, values, area) for values in vectors]
         found = [_of_fin(name, i, law, laws, options, ranges) for name, i in fins.items()]  # type: ignore[arg-type]
         reached = [one for one in found if one.power_W is not None]

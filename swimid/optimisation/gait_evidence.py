@@ -81,10 +81,10 @@ def _checks(file: GaitFile) -> list[ev.Check]:
         checks.append(
             ev.check(
                 "draws within the coefficients' bounds",
-                f"{file.draws} of {file.draws + file.refused}",
-                file.refused <= file.draws,
+                f"{file.inside} of {file.tried}",
+                2 * file.inside >= file.tried,
                 "half or more",
-                "" if file.refused <= file.draws else "the coefficients are hardly known: fit them better",
+                "" if 2 * file.inside >= file.tried else "the coefficients are hardly known: fit them better",
             )
         )
     elif len(file.goals) == 1:
@@ -111,8 +111,9 @@ def _where(file: GaitFile, gait: Gait) -> str:
     for name, value in gait.at.items():
         text = f"{name} {_amount(file, name, value)}"
         if name in gait.at_ci95:
-            low, high = gait.at_ci95[name]
-            text += f" (95 %: {numbers.number(low)} … {numbers.number(high)})"
+            low, high = (numbers.number(end) for end in gait.at_ci95[name])
+            alike = "the end of its range" if name in gait.at_bound else low
+            text += f" (95 %: {low} … {high})" if low != high else f" (in all draws: {alike})"
         parts.append(text)
     return ", ".join(parts)
 

@@ -80,8 +80,10 @@ class GaitFile(yamlio.ResultFile):
     #: The gait that loses least in the worst tenth of draws; the best one where no other can be told from it.
     robust: Gait | None = None
     draws: int = 0
-    #: Draws outside the coefficients' bounds, replaced by others.
-    refused: int = 0
+    #: Independent draws within the coefficients' bounds, of all that were tried. Where they are fewer than
+    #: ``draws``, a Gibbs sampler drew these within the bounds.
+    inside: int = 0
+    tried: int = 0
     #: Best gait of each draw, in the order of ``vary``.
     drawn: Rows = []
     #: Of two goals: the front, what is varied and then the goals.

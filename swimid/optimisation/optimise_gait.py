@@ -454,7 +454,8 @@ def _gait(problem: Problem, x: Array) -> Gait:
 
 def _uncertain(problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress) -> None:
     """Intervals from draws of the coefficients, and the robust gait."""
-    vectors, file.refused = drawn(problem.performance.applied, options.draws, options.seed)
+    draws = drawn(problem.performance.applied, options.draws, options.seed)
+    vectors, file.inside, file.tried = draws.vectors, draws.inside, draws.tried
     file.draws = len(vectors)
     low, high = problem.ends
     nominal = (np.array(list(file.optimum.at.values())) - low) / (high - low)

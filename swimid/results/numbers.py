@@ -49,6 +49,8 @@ _SUFFIXES = {
     "N_m": "N m",
     "J_m": "J/m",
     "m_s": "m/s",
+    "BL_s": "BL/s",
+    "BL": "BL",
     "rad": "rad",
     "deg": "deg",
     "m2": "m^2",
