@@ -7,6 +7,7 @@ import math
 import platform
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -17,6 +18,7 @@ from swimid.diagnosis.generic import AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
+from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.hooks import TRACEABLE
 from swimid.fitting.inputs import SwimInput
@@ -143,6 +145,23 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
     lane = fish.lane(fish._asked(given(fish), own[0], Affected(fish, [], own).hooks(given(fish), own[0])))
     assert lane is not None
     assert lane[0] is fish.kernel
+
+
+def test_a_diagnosis_taken_up_again_keeps_its_kernels(
+    fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever has been compiled meanwhile; and without effects ahead nothing is asked of the wide one."""
+    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
+    model = MultilinkModel(fish.robot)
+    model.prepare(simulated_s=1e3)
+    assert (model.side_by_side, model.wide_side_by_side, model.wide) == (True, False, None)
+    model.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
+    assert model.wide_side_by_side
+    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: False)
+    again = MultilinkModel(fish.robot)
+    again.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
+    assert (again.side_by_side, again.wide_side_by_side) == (True, True)
+    assert again.refined().wide is again.wide
 
 
 def test_forces_in_a_vertical_plane_as_plain_python() -> None:

@@ -223,7 +223,7 @@ class LinkedModel(Swimmer):
         room = self._room() if affected_s > 0.0 else None
         if room is not None:
             self.wide = self.wide or WideKernel(self.engine, self.tree.tables, self._count, room)
-        begun = None if checkpoint is None else checkpoint.get("lanes")
+        begun = None if checkpoint is None else checkpoint.get("kernels")
         if begun is not None:
             # forms differ in the last digits: what is taken up goes on in its own
             self.side_by_side, self.wide_side_by_side = bool(begun[0]), bool(begun[1])
@@ -232,7 +232,7 @@ class LinkedModel(Swimmer):
         if self.side_by_side and self.wide is not None:
             self.wide_side_by_side = self.wide.worth(4.0 * affected_s / self.max_step, progress)
         if checkpoint is not None:
-            checkpoint.put("lanes", np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
+            checkpoint.put("kernels", np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
 
     def refined(self) -> Self:
         """The same model with half the integration step."""
