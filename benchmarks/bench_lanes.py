@@ -9,7 +9,7 @@ one run alone and eight at once, each with its own coefficients, packing include
 ``benchmarks/bench_multilink.py`` and ``bench_sealion.py`` set the scalar engine beside MuJoCo and SciPy.
 
 Effects: CPU seconds of 16 such runs of the tendon fish at unlike coefficients, as a refit asks for them, with
-each effect of the catalogue at its typical size; on the scalar engine, and as it runs with kernels compiled.
+each effect of the catalogue and a smooth force; on the scalar engine, and as it runs with kernels compiled.
 
 Compile: the first start with nothing on disk and the next one, each in a process of its own.
 
@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_diagnose import settings
+from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.fitting.drives import Beat, Cycle
@@ -44,6 +45,7 @@ from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.lanes.wide import WideKernel
 from swimid.swimmer.model import LinkedModel
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
@@ -77,6 +79,16 @@ def model_of(name: str) -> tuple[LinkedModel, Trial]:
     return MultibodyModel(known), Trial(
         name, "fit", clock, {}, swim=SwimInput(stroke=Cycle("stroke", stroke, 1.0 / stroke.period_s))
     )
+
+
+def kernels_of(name: str) -> LinkedModel:
+    """A built-in robot with its kernels, not compiled."""
+    catalogue.catalogue()
+    model, _ = model_of(name)
+    made = model.engine, model.tree.tables, len(model.coefficients)
+    model.kernel, room = Kernel(*made), model._room()
+    model.wide = None if room is None else WideKernel(*made, room)
+    return model
 
 
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
@@ -131,7 +143,7 @@ def bench_effects() -> None:
         f"{BATCH} runs of {DURATION_S:g} s, ms CPU{'scalar':>26}{'as it runs':>12}"
         f"{'ratio':>8}{'off lanes':>11}"
     )
-    for effect in [None, *catalogue.catalogue()]:
+    for effect in [None, *catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3, 1.0)]:
         forms = [] if effect is None else list(effect.variants(lanes, swims))
         if effect is not None and not forms:
             continue
@@ -167,20 +179,27 @@ def child(words: Sequence[str], folder: Path, **environment: str) -> tuple[float
 def bench_compile() -> None:
     """Cold and warm start of a kernel."""
     print("a kernel's start, s CPU             cold    warm   cold, ms an operation")
-    for name in ("tfish", "dolphin", "sealion"):
+    for name, kind in (
+        *((name, "kernel") for name in ("tfish", "dolphin", "sealion")),
+        *((name, "wide") for name in ("tfish", "dolphin")),
+    ):
         with tempfile.TemporaryDirectory() as cache:
             code = (
-                f"from benchmarks.bench_lanes import model_of, Kernel\nm, t = model_of({name!r})\n"
-                "{}Kernel(m.engine, m.tree.tables, len(m.coefficients)).compiled()"
+                f"from benchmarks.bench_lanes import kernels_of\nk = kernels_of({name!r})\n"
+                f"{{}}k.{kind}.compiled()"
             )
-            alone = child([sys.executable, "-c", code.format("0 and ")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1]
+            # the second of them: importing has compiled what it needs
+            _, alone = (
+                child([sys.executable, "-c", code.format("0 and ")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1]
+                for _ in range(2)
+            )
             cold, warm = (
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        model, _ = model_of(name)
-        kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-        print(f"  {name:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / len(kernel.traced().operations):>12.1f}")
+        operations = len(getattr(kernels_of(name), kind).traced().operations)
+        words = f"{name}, with effects" if kind == "wide" else name
+        print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 
 
 def bench_commands(count: int = 6) -> None:
