@@ -53,7 +53,7 @@ class Traceable:
     constants: int
 
 
-#: By module and name.
+#: By module and name, of all modules that have been imported; a model takes them when it is prepared.
 TRACEABLE: dict[str, Traceable] = {}
 
 

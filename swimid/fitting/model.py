@@ -317,7 +317,8 @@ class Model(ABC):
         simulated_s : float, s
             How much time of all trials together is about to be simulated: what compiling may cost.
         affected_s : float, s
-            How much of that with effects that bring forces, or elements that the model does not have.
+            How much of that with effects that bring forces, or elements that the model does not have; their
+            modules have been imported, a user's own too.
         checkpoint : Checkpoint, optional
             A run that is taken up again goes on with what it began with.
         """
