@@ -2,11 +2,14 @@
 
 ::
 
-    python -m benchmarks.bench_lanes [--only engine compile commands]
+    python -m benchmarks.bench_lanes [--only engine effects compile commands]
 
 Engine: CPU seconds of 20 s at 5 ms a step, the smallest of several taken in turn, kernels compiled before;
 one run alone and eight at once, each with its own coefficients, packing included.
 ``benchmarks/bench_multilink.py`` and ``bench_sealion.py`` set the scalar engine beside MuJoCo and SciPy.
+
+Effects: CPU seconds of 16 such runs of the tendon fish at unlike coefficients, as a refit asks for them, with
+each effect of the catalogue and a smooth force; on the scalar engine, and as it runs with kernels compiled.
 
 Compile: the first start with nothing on disk and the next one, each in a process of its own.
 
@@ -25,6 +28,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,12 +36,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_diagnose import settings
+from swimid.diagnosis.generic import ResidualForce
+from swimid.effects import catalogue
+from swimid.effects.affected import Affected
 from swimid.fitting.drives import Beat, Cycle
 from swimid.fitting.hooks import NONE
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.lanes.wide import WideKernel
 from swimid.swimmer.model import LinkedModel
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
@@ -45,6 +53,7 @@ from tests.blind import swim_actuation
 from tests.generators import gap_trials
 
 DURATION_S, REPEATS, LANES = 20.0, 7, 8
+BATCH = 16
 SEED = 1
 
 
@@ -70,6 +79,16 @@ def model_of(name: str) -> tuple[LinkedModel, Trial]:
     return MultibodyModel(known), Trial(
         name, "fit", clock, {}, swim=SwimInput(stroke=Cycle("stroke", stroke, 1.0 / stroke.period_s))
     )
+
+
+def kernels_of(name: str) -> LinkedModel:
+    """A built-in robot with its kernels, not compiled."""
+    catalogue.catalogue()
+    model, _ = model_of(name)
+    made = model.engine, model.tree.tables, len(model.coefficients)
+    model.kernel, room = Kernel(*made), model._room()
+    model.wide = None if room is None else WideKernel(*made, room)
+    return model
 
 
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
@@ -112,6 +131,42 @@ def bench_engine() -> None:
         )
 
 
+def bench_effects() -> None:
+    """A batch of runs with each effect, scalar and as they run."""
+    lanes, trial = model_of("tfish")
+    scalar, _ = model_of("tfish")
+    assert isinstance(lanes, MultilinkModel)
+    given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
+    swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
+    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3, 1.0)]
+    lanes.prepare(simulated_s=math.inf, affected_s=math.inf)
+    print(
+        f"{BATCH} runs of {DURATION_S:g} s, ms CPU{'scalar':>26}{'as it runs':>12}"
+        f"{'ratio':>8}{'off lanes':>11}"
+    )
+    for effect in [None, *effects]:
+        forms = [] if effect is None else list(effect.variants(lanes, swims))
+        if effect is not None and not forms:
+            continue
+        chosen = forms[:1]
+        own = [p for form in chosen for p in form.parameters(lanes, swims)]
+        point = np.array([np.clip(p.start + 0.3 * p.scale, p.lower, p.upper) for p in own])
+        runs = [(np.concatenate([given * (1.0 + 1e-6 * k), point]), swims[k % 2]) for k in range(BATCH)]
+        models = [Affected(model, chosen, swims) for model in (scalar, lanes)]
+        off = sum(
+            lanes.lane(lanes._asked(values[: len(given)], swim, models[1].hooks(values, swim))) is None
+            for values, swim in runs
+        )
+
+        def fresh(model: Affected, runs: Any = runs) -> None:
+            model.model.forget(swims)
+            model.simulate_many(runs)
+
+        slow, fast = best(*(partial(fresh, model) for model in models))
+        name = "none" if effect is None else effect.name
+        print(f"  {name:<38}{1e3 * slow:>9.0f}{1e3 * fast:>12.0f}{slow / fast:>8.1f}{off:>11}", flush=True)
+
+
 def child(words: Sequence[str], folder: Path, **environment: str) -> tuple[float, float]:
     """Wall and CPU seconds of a process."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -125,20 +180,27 @@ def child(words: Sequence[str], folder: Path, **environment: str) -> tuple[float
 def bench_compile() -> None:
     """Cold and warm start of a kernel."""
     print("a kernel's start, s CPU             cold    warm   cold, ms an operation")
-    for name in ("tfish", "dolphin", "sealion"):
+    for name, kind in (
+        *((name, "kernel") for name in ("tfish", "dolphin", "sealion")),
+        *((name, "wide") for name in ("tfish", "dolphin")),
+    ):
         with tempfile.TemporaryDirectory() as cache:
             code = (
-                f"from benchmarks.bench_lanes import model_of, Kernel\nm, t = model_of({name!r})\n"
-                "{}Kernel(m.engine, m.tree.tables, len(m.coefficients)).compiled()"
+                f"from benchmarks.bench_lanes import kernels_of\nk = kernels_of({name!r})\n"
+                f"{{}}k.{kind}.compiled()"
             )
-            alone = child([sys.executable, "-c", code.format("0 and ")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1]
+            # the second of them: importing has compiled what it needs
+            _, alone = (
+                child([sys.executable, "-c", code.format("0 and ")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1]
+                for _ in range(2)
+            )
             cold, warm = (
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        model, _ = model_of(name)
-        kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-        print(f"  {name:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / len(kernel.traced().operations):>12.1f}")
+        operations = len(getattr(kernels_of(name), kind).traced().operations)
+        words = f"{name}, with effects" if kind == "wide" else name
+        print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 
 
 def bench_commands(count: int = 6) -> None:
@@ -176,12 +238,20 @@ def bench_commands(count: int = 6) -> None:
             )
 
 
+PARTS = {
+    "engine": bench_engine,
+    "effects": bench_effects,
+    "compile": bench_compile,
+    "commands": bench_commands,
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--only", nargs="+", choices=("engine", "compile", "commands"))
-    only = parser.parse_args().only or ("engine", "compile", "commands")
+    parser.add_argument("--only", nargs="+", choices=tuple(PARTS))
+    only = parser.parse_args().only or PARTS
     for part in only:
-        {"engine": bench_engine, "compile": bench_compile, "commands": bench_commands}[part]()
+        PARTS[part]()
 
 
 if __name__ == "__main__":

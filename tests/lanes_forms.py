@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import math
 import operator
+import struct
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from swimid.swimmer.lanes import source
+from swimid.swimmer.lanes import source, symbols
 from swimid.swimmer.lanes.kernel import Kernel
 from swimid.swimmer.lanes.symbols import Symbol
 
+
+def bits(number: float) -> int:
+    """Of a double, as an integer."""
+    return struct.unpack("<q", struct.pack("<d", number))[0]
+
+
+def double(number: int) -> float:
+    """Of the last 64 bits of an integer."""
+    return struct.unpack("<d", (number & (2**64 - 1)).to_bytes(8, "little"))[0]
+
+
 ACTS = {
+    "two to": lambda x: 2.0 ** (x - symbols.ROUNDER),
+    "exponent": lambda x: math.frexp(x)[1] - 1.0,
+    "mantissa": lambda x: 2.0 * math.frexp(x)[0],
     "+": operator.add,
     "-": operator.sub,
     "*": operator.mul,
@@ -51,6 +66,11 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
 def uncompiled(kernel: Kernel) -> Any:
     """The generated module with a compiler that leaves it as it is."""
     text = source.text(kernel.traced()).replace("import numba", "")
-    names: dict[str, Any] = {"numba": SimpleNamespace(njit=lambda **_: lambda function: function)}
+    text = text.replace("from swimid.swimmer.lanes.bits import bits, double", "")
+    names: dict[str, Any] = {
+        "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
+        "bits": bits,
+        "double": double,
+    }
     exec(compile(text, "lanes", "exec"), names)
     return SimpleNamespace(integrate=names["integrate"])

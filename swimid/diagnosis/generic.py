@@ -14,7 +14,7 @@ import numpy as np
 from numba import cfunc
 
 from swimid.effects.base import Effect, Stage
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, traceable
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: What a residual force may depend on, in the order of the force's factors.
@@ -25,7 +25,7 @@ TERMS = (
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="base", constants=18)
 def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Axis, beat frequency (Hz), start and length of the trial, typical speed and yaw rate, factors."""
     u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2] / constants[5]
@@ -34,9 +34,11 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
     c, s = math.cos(phase), math.sin(phase)
     f = constants[6] + constants[7] * u + constants[8] * u * abs(u) + constants[9] * v + constants[10] * r
     f += constants[11] * late + constants[12] * c + constants[13] * s
-    f += constants[14] * math.cos(2.0 * phase) + constants[15] * math.sin(2.0 * phase)
+    f += constants[14] * (c * c - s * s) + constants[15] * 2.0 * c * s
     f += (constants[16] * c + constants[17] * s) * late
-    wrench[int(constants[0])] += f
+    # of the axes 0, 1 and 2 the one that is asked for
+    for axis in range(3):
+        wrench[axis] += f * max(1.0 - abs(constants[0] - axis), 0.0)
 
 
 #: The same for a body of one coordinate.

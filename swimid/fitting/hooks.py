@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numba import cfunc, types
@@ -36,14 +36,51 @@ def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 
 @dataclass(frozen=True)
+class Traceable:
+    """A function of a :class:`Force` that also runs on symbols, for many runs side by side.
+
+    Attributes
+    ----------
+    function : compiled function
+    on : str
+        The link of a multi-link robot on which it acts: the base, the heaviest or the last.
+    constants : int
+        How many it takes.
+    """
+
+    function: Any
+    on: Literal["base", "hull", "last"]
+    constants: int
+
+
+#: By module and name, of all modules that have been imported; a model takes them when it is prepared.
+TRACEABLE: dict[str, Traceable] = {}
+
+
+def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[Callable[..., None]], Any]:
+    """Compile a function of a :class:`Force` that can be traced (see :class:`Traceable`).
+
+    It asks no question of a value but by ``max``, ``min`` and ``abs``, and of the heading sine and cosine.
+    """
+
+    def compiled(function: Callable[..., None]) -> Any:
+        made = cfunc(FORCE_SIGNATURE, cache=True)(function)
+        TRACEABLE[f"{function.__module__}.{function.__qualname__}"] = Traceable(made, on, constants)
+        return made
+
+    return compiled
+
+
+@dataclass(frozen=True)
 class Force:
     """A force on one link, computed inside the compiled step."""
 
-    #: Numba cfunc of :data:`FORCE_SIGNATURE`. Adds to ``wrench`` (fx, fy, moment) at the point, in the link's
-    #: axes, N and N m. It is given the time (s), the ``pose`` (x, y of the reference point of the base in the
-    #: world, heading of the link, m and rad), the ``velocity`` of the point through the water in the link's
-    #: axes and the yaw rate of the link, m/s and rad/s, and its ``constants``. A rig has one coordinate:
-    #: pose[0], velocity[0], wrench[0]; velocity[2] is its speed over ground.
+    #: Numba cfunc of :data:`FORCE_SIGNATURE`, by :func:`traceable` where lanes shall take it. Adds to
+    #: ``wrench`` (fx, fy, moment) at the point, in the link's axes, N and N m. It is given the time (s), the
+    #: ``pose`` (x, y of the reference point of the base in the world, heading of the link, m and rad), the
+    #: ``velocity`` of the point through the water in the link's axes and the yaw rate of the link, m/s and
+    #: rad/s, and its ``constants``. A rig has one coordinate: pose[0], velocity[0], wrench[0]; velocity[2]
+    #: is its speed over ground.
     function: Any
     #: Shape (c,).
     constants: Array

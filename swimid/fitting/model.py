@@ -303,7 +303,12 @@ class Model(ABC):
         return self, {}
 
     def prepare(  # noqa: B027
-        self, progress: Progress = silent, *, simulated_s: float = 0.0, checkpoint: Checkpoint | None = None
+        self,
+        progress: Progress = silent,
+        *,
+        simulated_s: float = 0.0,
+        affected_s: float = 0.0,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         """Compile what it needs to be fast, under a bar that says so.
 
@@ -311,6 +316,9 @@ class Model(ABC):
         ----------
         simulated_s : float, s
             How much time of all trials together is about to be simulated: what compiling may cost.
+        affected_s : float, s
+            How much of that with effects that bring forces, or elements that the model does not have; their
+            modules have been imported, a user's own too.
         checkpoint : Checkpoint, optional
             A run that is taken up again goes on with what it began with.
         """

@@ -25,6 +25,7 @@ from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.lanes.kernel import Engine, Kernel
 from swimid.swimmer.lanes.source import LANES
+from swimid.swimmer.lanes.wide import Room, WideKernel
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import PASSIVE, sampled
@@ -135,6 +136,9 @@ class LinkedModel(Swimmer):
         #: The compiled form for several runs side by side, and whether runs take it (:meth:`prepare`).
         self.kernel: Kernel | None = None
         self.side_by_side = False
+        #: The same for runs with what effects bring.
+        self.wide: WideKernel | None = None
+        self.wide_side_by_side = False
 
     # -------------------------------------------------------- what it offers
 
@@ -207,18 +211,28 @@ class LinkedModel(Swimmer):
         return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
 
     def prepare(
-        self, progress: Progress = silent, *, simulated_s: float = 0.0, checkpoint: Checkpoint | None = None
+        self,
+        progress: Progress = silent,
+        *,
+        simulated_s: float = 0.0,
+        affected_s: float = 0.0,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         """Compile the kernels where that has not been done on this machine and pays."""
         kernel = self.kernel = self.kernel or Kernel(self.engine, self.tree.tables, self._count)
-        begun = None if checkpoint is None else checkpoint.get("lanes")
-        if begun is None:
-            self.side_by_side = kernel.worth(4.0 * simulated_s / self.max_step, progress)
-        else:
+        room = self._room() if affected_s > 0.0 else None
+        if room is not None:
+            self.wide = self.wide or WideKernel(self.engine, self.tree.tables, self._count, room)
+        begun = None if checkpoint is None else checkpoint.get("kernels")
+        if begun is not None:
             # forms differ in the last digits: what is taken up goes on in its own
-            self.side_by_side = bool(begun[0])
-        if checkpoint is not None and begun is None:
-            checkpoint.put("lanes", np.array([float(self.side_by_side)]))
+            self.side_by_side, self.wide_side_by_side = bool(begun[0]), bool(begun[1])
+            return
+        self.side_by_side = kernel.worth(4.0 * simulated_s / self.max_step, progress)
+        if self.side_by_side and self.wide is not None:
+            self.wide_side_by_side = self.wide.worth(4.0 * affected_s / self.max_step, progress)
+        if checkpoint is not None:
+            checkpoint.put("kernels", np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
 
     def refined(self) -> Self:
         """The same model with half the integration step."""
@@ -232,6 +246,7 @@ class LinkedModel(Swimmer):
         other = type(self)(self.robot, max_step=max_step)
         other.parameters = self.parameters
         other.kernel, other.side_by_side = self.kernel, self.side_by_side
+        other.wide, other.wide_side_by_side = self.wide, self.wide_side_by_side
         return other
 
     def _value(self, values: Array, name: str) -> float:
@@ -250,6 +265,10 @@ class LinkedModel(Swimmer):
     @abstractmethod
     def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Pose and velocity of the reference point."""
+
+    def _room(self) -> Room | None:
+        """What effects may bring; None where they bring nothing."""
+        return None
 
     def _influences(self, hooks: Hooks) -> list[int]:
         """The parameters that a run depends on."""
@@ -410,27 +429,41 @@ class LinkedModel(Swimmer):
         """Of each run; what is asked twice is run once."""
         trajectories = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
         missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
-        together = [(at, run) for at, run in missing.items() if self._beside_others(run)]
-        if together:
-            assert self.kernel is not None
-            motions = self.kernel.run(
-                [run.start for _, run in together],
-                [run.step_s for _, run in together],
-                [run.drive.table for _, run in together],
-                [run.tables for _, run in together],
+        lanes = {at: self.lane(run) for at, run in missing.items()}
+        for kernel in (self.kernel, self.wide):
+            together = [
+                (at, missing[at], lane[1]) for at, lane in lanes.items() if lane and lane[0] is kernel
+            ]
+            if kernel is None or not together:
+                continue
+            motions = kernel.run(
+                [run.start for _, run, _ in together],
+                [run.step_s for _, run, _ in together],
+                [run.drive.table for _, run, _ in together],
+                [tables for _, _, tables in together],
             )
-            for (at, run), (states, rates) in zip(together, motions, strict=True):
+            for (at, run, _), (states, rates) in zip(together, motions, strict=True):
                 trajectories[at] = self._keep(run, states, rates)
         for at, run in missing.items():
             if at not in trajectories:
                 trajectories[at] = self._keep(run, *self._integrate(run))
         return [trajectories[run.trial.id, run.key] for run in runs]
 
-    def _beside_others(self, run: Run) -> bool:
-        """Whether a run goes into the lanes: no force from outside, and the robot's own structure."""
-        if self.kernel is None or not self.side_by_side or run.hooks.force:
-            return False
-        return not run.hooks.tables or self.kernel.fits(run.tables)
+    def lane(self, run: Run) -> tuple[Kernel, Mapping[str, Any]] | None:
+        """The kernel that takes a run beside others, and its tables there; None where the engine must."""
+        if self.kernel is None or not self.side_by_side:
+            return None
+        if not run.hooks.force and (not run.hooks.tables or self.kernel.fits(run.tables)):
+            return self.kernel, run.tables
+        if self.wide is None or not self.wide_side_by_side:
+            return None
+        frame = self._frame(run)
+        tables = self.wide.widened(run.tables, run.hooks.force, frame, run.begin_s)
+        return None if tables is None else (self.wide, tables)
+
+    def _frame(self, run: Run) -> Array:
+        """Where forces from outside find a run, as the engine takes it."""
+        raise NotImplementedError
 
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
         trajectory = Trajectory(run.begin_s, run.step_s, states, rates, run.drive)

@@ -3,14 +3,13 @@
 import math
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.hooks import FORCE_SIGNATURE
+from swimid.fitting.hooks import traceable
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="hull", constants=2)
 def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """A force upwards and a righting moment; constants force and moment per sine of pitch."""
     c, s = math.cos(pose[2]), math.sin(pose[2])

@@ -3,17 +3,16 @@
 import math
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.hooks import FORCE_SIGNATURE
+from swimid.fitting.hooks import traceable
 
 #: Height over which the force sets in, m.
 ROUND = 0.002
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="hull", constants=5)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Weight of what has left the water; constants force per height, level, place of the point, lever."""
     s, c = math.sin(pose[2]), math.cos(pose[2])

@@ -3,14 +3,16 @@
 import math
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force
+from swimid.fitting.hooks import Force, traceable
+
+#: Less than any distance that can be told from none, m.
+TINY = 1e-30
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="base", constants=5)
 def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """A spring to a point of the world and a line that drags; stiffness, slack, line drag, the point."""
     dx, dy = pose[0] - constants[3], pose[1] - constants[4]
@@ -19,11 +21,11 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
     drag = constants[2] * distance * math.sqrt(u * u + v * v)
     wrench[0] -= drag * u
     wrench[1] -= drag * v
-    if distance > constants[1]:
-        pull = constants[0] * (distance - constants[1]) / distance
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        wrench[0] -= pull * (c * dx + s * dy)
-        wrench[1] -= pull * (c * dy - s * dx)
+    # at the anchor itself there is no direction, and no pull
+    pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, TINY)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    wrench[0] -= pull * (c * dx + s * dy)
+    wrench[1] -= pull * (c * dy - s * dx)
 
 
 class Tether(Effect):

@@ -7,26 +7,21 @@ from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force
+from swimid.fitting.hooks import FORCE_SIGNATURE, Force, traceable
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
 STEEPEST = 2.0
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="hull", constants=5)
 def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """A force along a world axis; constants force, decay length, axis, side and extreme coordinate."""
-    axis, side = constants[2], constants[3]
-    place = pose[0] if axis == 0.0 else pose[1]
-    gap = side * (constants[4] - place)
-    push = -side * constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
+    """A force along a world axis; constants force, decay length, direction to the wall, extreme along it."""
+    along, across = constants[2], constants[3]
+    gap = constants[4] - (along * pose[0] + across * pose[1])
+    push = constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    if axis == 0.0:
-        wrench[0] += push * c
-        wrench[1] -= push * s
-    else:
-        wrench[0] += push * s
-        wrench[1] += push * c
+    wrench[0] -= push * (c * along + s * across)
+    wrench[1] -= push * (c * across - s * along)
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -103,7 +98,8 @@ class Wall(Effect):
         body = model.body
         if body is not None:
             axis, end = self.side.split("_")
-            place = [0.0 if axis == "x" else 1.0, 1.0 if end == "max" else -1.0, self.extreme_m]
+            side = 1.0 if end == "max" else -1.0
+            place = [side if axis == "x" else 0.0, 0.0 if axis == "x" else side, side * self.extreme_m]
             return Hooks(force=(common.at_hull(body, push_off, np.array([*values, *place])),))
         constants = np.array([0.0, *values, self.extreme_m])
 

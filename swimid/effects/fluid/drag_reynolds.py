@@ -3,19 +3,21 @@
 from typing import Any
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force
+from swimid.fitting.hooks import Force, traceable
+
+#: Less than any speed that can be told from none, m/s or rad/s: what has none has no drag.
+TINY = 1e-30
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="hull", constants=3)
 def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """What ``C = C_0 (|u| / u_ref)^-n`` adds to ``-k u |u|``; constants k, n and u_ref."""
     u = velocity[0]
-    if u != 0.0:
-        wrench[0] -= constants[0] * u * abs(u) * ((abs(u) / constants[2]) ** -constants[1] - 1.0)
+    speed = max(abs(u), TINY)
+    wrench[0] -= constants[0] * u * abs(u) * ((speed / constants[2]) ** -constants[1] - 1.0)
 
 
 class DragReynolds(Effect):

@@ -5,14 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Stroke
+from swimid.fitting.hooks import Force, Stroke, traceable
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@traceable(on="last", constants=3)
 def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """What bending adds to the fin's normal force; constants compliance, quadratic and lift gain.
 

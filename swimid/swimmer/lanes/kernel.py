@@ -118,32 +118,42 @@ class Kernel:
 
     def _trace(self) -> Traced:
         tracer = symbols.Tracer()
-        arguments, count = [], 0
+        arguments: dict[str, Any] = {}
+        count = 0
         for name, example in self._example.items():
             fixed = self._fixed.get(name)
             if fixed is None:
-                arguments.append(example)
+                arguments[name] = example
                 continue
-            given = np.empty(fixed.shape, dtype=object)
-            flat = given.reshape(-1)
+            entries = np.empty(fixed.shape, dtype=object)
+            flat = entries.reshape(-1)
             for j, value in enumerate(fixed.reshape(-1)):
                 if np.isnan(value):
-                    flat[j], count = tracer.symbol("table", count), count + 1
+                    flat[j], count = tracer.symbol(self.kind(name), count), count + 1
                 else:
                     flat[j] = float(value)
-            arguments.append(given if given.ndim else given.item())
+            arguments[name] = entries if entries.ndim else entries.item()
         driven = int(self._example["topology"][:, 1].max()) + 1
         state = symbols.array(tracer, "state", (self.size,))
         row = symbols.array(tracer, "row", (driven, 5))
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
         rate = np.zeros(self.size, dtype=object)
-        symbols.on_symbols(self.engine.derivative)(state, row, *arguments, *self.engine.extra, *scratch, rate)
+        given = self._arguments(tracer, arguments)
+        symbols.on_symbols(self.engine.derivative)(state, row, *given, *scratch, rate)
         after = symbols.Tracer()
         settled = symbols.array(after, "state", (self.size if self.engine.settled else 0,))
         if self.engine.settled:
             symbols.on_symbols(self.engine.settled)(settled)
         used = _used(tracer.operations, rate)
         return Traced(used, list(rate), (_used(after.operations, settled), list(settled)), count, 5 * driven)
+
+    def kind(self, table: str) -> str:
+        """What the entries of a table are as inputs (:class:`swimid.swimmer.lanes.symbols.Symbol`)."""
+        return "table"
+
+    def _arguments(self, tracer: symbols.Tracer, tables: dict[str, Any]) -> list[Any]:
+        """Of the derivative: tables and what follows them."""
+        return [*tables.values(), *self.engine.extra]
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
         """Whether to run side by side, when the equations are about to be evaluated so many times.

@@ -35,6 +35,14 @@ COSINE = (
 )
 #: Half a turn over two in three parts, each short enough for exact products (Cody and Waite 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
+#: The logarithm of 2 in two parts, the first with zeros at its end (Cephes: exp.c, double precision).
+LOG_2 = (6.93145751953125e-1, 1.42860682030941723212e-6)
+#: Taylor's series of the exponential up to half the logarithm of 2, and that of ``artanh(x) / x`` in squares
+#: up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``; the first term left out is below 1e-17.
+EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
+LOGARITHM = tuple(1.0 / (2 * k + 1) for k in range(10, -1, -1))
+#: Exponents whose powers are ordinary doubles.
+LEAST, MOST = -708.0, 709.0
 #: 1.5 * 2^52: adding and taking it away again rounds to a whole number.
 ROUNDER = 6755399441055744.0
 
@@ -61,7 +69,10 @@ class Tracer:
 
 
 class Symbol:
-    """The result of an operation, or an input: ``state``, ``row`` (of the drive) or ``table`` by its place.
+    """The result of an operation, or an input by its place.
+
+    Inputs are ``state``, ``row`` (of the drive), ``table``, ``number`` (what a run brings beside the robot's
+    tables) and ``elapsed`` (the time since the start).
 
     Raises
     ------
@@ -105,10 +116,10 @@ class Symbol:
     def __neg__(self) -> Symbol | float:
         return self.of[0] if self.kind == "neg" else self.tracer.symbol("neg", self)
 
-    def __pow__(self, power: int) -> Symbol | float:
-        if power != 2:
-            raise TypeError("only squares can be traced")
-        return self * self
+    def __pow__(self, power: Symbol | float) -> Any:
+        if isinstance(power, int) and power > 0:
+            return math.prod([self] * power)
+        return _exponential(power * _logarithm(self))
 
     def __abs__(self) -> Symbol:
         return self.tracer.symbol("abs", self)
@@ -124,10 +135,21 @@ class Symbol:
     def __le__(self, other: object) -> bool:
         return not self._given(other)
 
+    __eq__ = __le__
+
     __hash__ = None  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
         raise TypeError("the equations ask for a value: write positive(), max() or min()")
+
+
+class Angle:
+    """An angle of which nothing but sine and cosine can be asked."""
+
+    __slots__ = ("cosine", "sine")
+
+    def __init__(self, sine: Any, cosine: Any) -> None:
+        self.sine, self.cosine = sine, cosine
 
 
 def _is(value: object, number: float) -> bool:
@@ -162,6 +184,8 @@ def _root(x: Any) -> Any:
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Of an angle up to some thousands of turns: sums, products and choices by sign, error below 2.3e-16."""
+    if isinstance(x, Angle):
+        return x.sine, x.cosine
     if not isinstance(x, Symbol):
         return math.sin(x), math.cos(x)
     quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
@@ -176,6 +200,36 @@ def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
     return positive(quadrant - 1.5, -sine, sine), positive(1.0 - abs(quadrant - 1.5), -cosine, cosine)
 
 
+def _facing(frame: Any, base: Any, turn: Any) -> Angle:
+    """As :func:`swimid.swimmer.choice.facing`."""
+    _, c, s = frame
+    cosine, sine = turn
+    return Angle(s * cosine + c * sine, c * cosine - s * sine)
+
+
+def _exponential(x: Any) -> Any:
+    """A power of two times a series for the rest; error below 3e-16 of the value from e^-708 to e^709."""
+    if not isinstance(x, Symbol):
+        return math.exp(x)
+    inside = _largest(_smallest(x, MOST), LEAST)
+    rounded = inside * (1.0 / math.log(2.0)) + ROUNDER
+    whole: Any = rounded - ROUNDER
+    rest = (inside - whole * LOG_2[0]) - whole * LOG_2[1]
+    return _horner(EXPONENTIAL, rest) * x.tracer.symbol("two to", rounded)
+
+
+def _logarithm(x: Any) -> Any:
+    """Of a positive number that is not denormal; error below 3e-16 or that share of the value."""
+    if not isinstance(x, Symbol):
+        return math.log(x)
+    power, rest = (x.tracer.symbol(kind, x) for kind in ("exponent", "mantissa"))
+    above = rest - math.sqrt(2.0)
+    power, rest = positive(above, power + 1.0, power), positive(above, 0.5 * rest, rest)
+    ratio = (rest - 1.0) / (rest + 1.0)
+    series = 2.0 * ratio * _horner(LOGARITHM, ratio * ratio)
+    return power * LOG_2[0] + (series + power * LOG_2[1])
+
+
 def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
     value: Any = coefficients[0]
     for c in coefficients[1:]:
@@ -186,8 +240,11 @@ def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
 #: ``math`` for symbols.
 MATH = SimpleNamespace(
     sqrt=_root,
+    exp=_exponential,
+    log=_logarithm,
     sin=lambda x: _sine_and_cosine(x)[0],
     cos=lambda x: _sine_and_cosine(x)[1],
+    pi=math.pi,
     nan=math.nan,
     inf=math.inf,
 )
@@ -201,12 +258,13 @@ def on_symbols(function: Any) -> Callable[..., Any]:
 def _plain(function: Any, known: dict[Any, Any]) -> Any:
     if function in known:
         return known[function]
-    text = function.py_func
+    # a function of a force is compiled for C
+    text = function.py_func if isinstance(function, Dispatcher) else function.__wrapped__
     names: dict[str, Any] = {}
     known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
     for name, value in text.__globals__.items():
         names[name] = _plain(value, known) if isinstance(value, Dispatcher) else value
-    names.update(math=MATH, max=_largest, min=_smallest, positive=positive)
+    names.update(math=MATH, max=_largest, min=_smallest, positive=positive, facing=_facing)
     return known[function]
 
 

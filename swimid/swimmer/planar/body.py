@@ -199,6 +199,11 @@ class PlanarBody(Body):
         tables["drag_link"] = np.append(tables["drag_link"], link)
         tables["drag"] = np.vstack([tables["drag"], [*at, 0.0, 0.0, linear, linear, 0.0, 0.0]])
 
+    def room(self) -> dict[str, list[int]]:
+        """Links of what :meth:`drag_more` at the heaviest link, :meth:`lift` and :meth:`shed` add."""
+        links, _ = self.normal_drag(self.tables())
+        return {"drag": [self.hull], "foil": [int(link) for link in links], "wake": [self.last]}
+
     def drag_times(self, tables: dict[str, Any], factor: float) -> None:
         """Multiply every quadratic drag coefficient of the links."""
         tables["drag"][:, QUADRATIC] *= factor

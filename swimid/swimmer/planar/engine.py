@@ -26,9 +26,10 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.fitting.hooks import MOST_FORCES, Force, no_force
-from swimid.swimmer.choice import BROKEN, positive
+from swimid.swimmer.choice import BROKEN, facing, positive
 
 #: Columns of the tables the kernels read.
 TOPOLOGY = ("parent", "driven", "passive")
@@ -224,9 +225,8 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
         a, b = state[0] + c * frame[4] - s * frame[5], state[1] + s * frame[4] + c * frame[5]
         pose[0] = frame[0] + frame[2] * a - frame[3] * b
         pose[1] = frame[1] + frame[3] * a + frame[2] * b
-        # the link's heading, continuous: that of the base and what the joints add
-        turn = math.atan2(work[i, 18] * c - work[i, 17] * s, work[i, 17] * c + work[i, 18] * s)
-        pose[2] = frame[6] + state[2] + turn
+        world = (frame[6], frame[2], frame[3])
+        pose[2] = facing(world, (state[2], c, s), (work[i, 17], work[i, 18]))
         wrench[:] = 0.0
         own = constants[ends[e] : ends[e + 1]]
         if e == 0:
@@ -598,18 +598,27 @@ def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
     return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 
 
-def outside(
-    forces: Sequence[Force], frame: Sequence[float], reference: tuple[float, float], links: int
-) -> tuple[Any, ...]:
+def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np.float64]:
+    """Where forces from outside find a run: shape (7,).
+
+    Parameters
+    ----------
+    frame : (x, y, heading)
+        Of the run's axes in the world.
+    reference : (x, y), m
+        The reference point in the base's axes, whose place the forces are given.
+    """
+    return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
+
+
+def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
     """Forces from outside as :func:`integrate` takes them.
 
     Parameters
     ----------
     forces : sequence of Force, at most :data:`swimid.fitting.hooks.MOST_FORCES`
-    frame : (x, y, heading)
-        Of the run's axes in the world.
-    reference : (x, y), m
-        The reference point in the base's axes, whose place the forces are given.
+    frame : ndarray, shape (7,)
+        As :func:`placed` gives it.
     links : int
         Number of links.
     """
@@ -620,7 +629,7 @@ def outside(
         np.array([(f.x, f.y) for f in forces]).reshape(-1, 2),
         np.concatenate([np.asarray(f.constants, dtype=float) for f in forces]),
         ends,
-        np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]]),
+        frame,
         np.zeros(3),
         np.zeros(3),
         np.zeros(3),

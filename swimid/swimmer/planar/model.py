@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from swimid.fitting.drives import Beat
-from swimid.fitting.hooks import Hooks
+from swimid.fitting.hooks import TRACEABLE, Hooks
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer.lanes.kernel import Engine
+from swimid.swimmer.lanes.wide import Room
 from swimid.swimmer.model import LinkedModel, Run, joint_motion, of_trial
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly
@@ -23,7 +24,6 @@ from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
 
 #: Grid on which the command of a drive is read, s.
 READ_S = 0.0025
-
 
 #: By plane of motion: its second axis, the velocity along that in the body's axes and in words, and the turn.
 PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
@@ -168,12 +168,22 @@ class MultilinkModel(LinkedModel):
     def _integrate(self, run: Run) -> tuple[Array, Array]:
         forced = None
         if run.hooks.force:
-            x, y, _ = run.trial.swim.posed()
-            frame = (x, y, 0.0 if self._heading_matters() else self._heading(run.values, run.trial))
-            forced = engine.outside(run.hooks.force, frame, self.reference_m, len(self.tree.links))
+            forced = engine.outside(run.hooks.force, self._frame(run), len(self.tree.links))
         tables = run.tables.values()
         states, rates = engine.integrate(run.start, run.step_s, run.drive.table, *tables, forced, run.begin_s)
         return states, rates
+
+    def _frame(self, run: Run) -> Array:
+        x, y, _ = run.trial.swim.posed()
+        heading = 0.0 if self._heading_matters() else self._heading(run.values, run.trial)
+        return engine.placed((x, y, heading), self.reference_m)
+
+    def _room(self) -> Room:
+        body = self.body
+        links = {"base": 0, "hull": body.hull, "last": body.last}
+        # a mass that moves, and the weights that move with it
+        filled = {"inertia": body.hull, "force": np.s_[:, :2]}
+        return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
         start, _ = _flows(hooks, np.array([begin_s]))

@@ -1,0 +1,248 @@
+"""Runs with effects that bring forces and elements: side by side as on the scalar engine."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import platform
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from swimid.diagnosis.generic import AXES, ResidualForce
+from swimid.effects import catalogue
+from swimid.effects.affected import Affected
+from swimid.effects.base import Effect
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting import drives
+from swimid.fitting.hooks import TRACEABLE
+from swimid.fitting.inputs import SwimInput
+from swimid.fitting.model import Trial
+from swimid.robots import file as robot_format
+from swimid.swimmer.lanes import source, symbols
+from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.lanes.wide import WideKernel
+from swimid.swimmer.planar.model import MultilinkModel
+from tests import lanes_forms
+
+
+def opened(name: str) -> MultilinkModel:
+    """A robot with both kernels, nothing compiled."""
+    catalogue.catalogue()
+    model = MultilinkModel(robot_format.read(name))
+    model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+    model.wide = WideKernel(model.engine, model.tree.tables, len(model.coefficients), model._room())
+    model.side_by_side = model.wide_side_by_side = True
+    return model
+
+
+@pytest.fixture(scope="module")
+def fish() -> MultilinkModel:
+    """The tendon fish, compiled."""
+    model = opened("tfish")
+    assert model.kernel is not None
+    assert model.wide is not None
+    model.kernel.compiled()
+    model.wide.compiled()
+    return model
+
+
+def given(model: MultilinkModel) -> np.ndarray:
+    return np.array([model.stated().get(p.name, p.start) for p in model.parameters])
+
+
+def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
+    """Two trials off the origin and off the axes, with what the model itself makes of them as measured."""
+    plain = MultilinkModel(model.robot)
+    found = []
+    for k in range(2):
+        swim = SwimInput(drives.Beat("sine", 1.0 + 0.2 * k, 0.3, 0.05 * k), pose=(0.3, -0.2 * k, 0.4 + k))
+        trial = Trial(f"run{k}", "fit", np.arange(0.5, 0.5 + duration_s, 0.02), {}, swim=swim)
+        found.append(replace(trial, measured=plain.simulate(given(plain), trial)))
+    return found
+
+
+def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
+    """Every form of every effect, and forces without physics, that the robot's own kernel has no room for."""
+    every = catalogue.applicable(catalogue.catalogue(), model, own)
+    every += [ResidualForce(axis, 0.05, 0.3, 1.0) for axis in AXES]
+    found = {}
+    for effect in every:
+        names = [p.name for p in effect.parameters(model, own)]
+        hooks = effect.hooks(acting(Affected(model, [effect], own)), own[0], model)
+        run = model._asked(given(model), own[0], hooks)
+        lane = model.lane(run)
+        if lane is None or lane[0] is model.wide:
+            found[f"{effect.name} {names[0]}"] = effect
+    return found
+
+
+def acting(affected: Affected) -> np.ndarray:
+    """Values of its effects at which all of them act."""
+    own = [p for parameters in affected.own for p in parameters]
+    return np.array([np.clip(p.start + 0.4 * p.scale, p.lower, p.upper) for p in own])
+
+
+def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], count: int) -> None:
+    """Channels within what rounding can add up to: a unit in the last place at each operation of a run."""
+    plain = MultilinkModel(model.robot)
+    one, many = (Affected(m, effects, own) for m in (plain, model))
+    values = np.concatenate([given(model), acting(one)])
+    runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
+    assert model.wide is not None
+    steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
+    operations = 4 * len(model.wide.traced().operations) * steps
+    model.forget(own)
+    for (point, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
+        for channel, series in one.simulate(point, trial).items():
+            far = operations * np.finfo(float).eps * np.max(np.abs(series))
+            np.testing.assert_allclose(simulated[channel], series, rtol=0.0, atol=far, err_msg=channel)
+
+
+@pytest.mark.kernels
+def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
+    own = swims(fish, 4.0)
+    found = widened(fish, own)
+    assert {name.split()[0] for name in found} >= {
+        "com-offset", "fin-flexibility", "drag-reynolds", "lift-damping", "linear-drag", "wake-lift",
+        "tether", "wall", "residual-force",
+    }  # fmt: skip
+    for effect in found.values():
+        hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)
+        assert fish.lane(fish._asked(given(fish), own[0], hooks)) is not None, effect
+        compared(fish, [effect], own, 3)
+
+
+@pytest.mark.kernels
+def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
+    own = swims(fish, 4.0)
+    found = widened(fish, own)
+    for several in itertools.islice(itertools.combinations(found.values(), 3), 0, None, 23):
+        compared(fish, list(several), own, 2)
+
+
+@pytest.mark.kernels
+def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None:
+    own = swims(fish, 1.0)
+    walls = [e for e in widened(fish, own).values() if e.name == "wall"][:2]
+    hooks = Affected(fish, walls, own).hooks(
+        np.concatenate([given(fish), acting(Affected(fish, walls, own))]), own[0]
+    )
+    assert len(hooks.force) == 2
+    assert fish.lane(fish._asked(given(fish), own[0], hooks)) is None
+    compared(fish, walls, own, 2)
+
+
+@pytest.mark.kernels
+def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel) -> None:
+    own = swims(fish, 1.0)
+    fish.forget(own)
+    lane = fish.lane(fish._asked(given(fish), own[0], Affected(fish, [], own).hooks(given(fish), own[0])))
+    assert lane is not None
+    assert lane[0] is fish.kernel
+
+
+def test_a_diagnosis_taken_up_again_keeps_its_kernels(
+    fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever has been compiled meanwhile; and without effects ahead nothing is asked of the wide one."""
+    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
+    model = MultilinkModel(fish.robot)
+    model.prepare(simulated_s=1e3)
+    assert (model.side_by_side, model.wide_side_by_side, model.wide) == (True, False, None)
+    model.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
+    assert model.wide_side_by_side
+    monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: False)
+    again = MultilinkModel(fish.robot)
+    again.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
+    assert (again.side_by_side, again.wide_side_by_side) == (True, True)
+    assert again.refined().wide is again.wide
+
+
+def test_forces_in_a_vertical_plane_as_plain_python() -> None:
+    """The module's text, not compiled, for the effects that only a swimmer in a side view has, too."""
+    dolphin = opened("dolphin")
+    assert dolphin.kernel is not None
+    assert dolphin.wide is not None
+    for kernel in (dolphin.kernel, dolphin.wide):
+        kernel._module = lanes_forms.uncompiled(kernel)
+    own = swims(dolphin, 0.06)
+    found = widened(dolphin, own)
+    assert {name.split()[0] for name in found} >= {"buoyancy", "surface-breach"}
+    for effect in found.values():
+        compared(dolphin, [effect], own, 1)
+
+
+def test_effects_change_no_text_of_the_lanes_without() -> None:
+    """Neither bits nor time cost a run that asks for none."""
+    text = source.text(opened("tfish").kernel.traced())
+    assert "bits" not in text
+    assert "0.5 * n *" not in text
+
+
+@pytest.mark.parametrize(
+    ("function", "exact", "numbers"),
+    [
+        (symbols.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
+        (symbols.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
+        (symbols.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
+        (symbols.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
+    ],
+)
+def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarray) -> None:
+    tracer = symbols.Tracer()
+    result = function(tracer.symbol("state", 0))
+    for number in numbers:
+        known: dict[int, float] = {}
+        for x in tracer.operations:
+            of = [known[a.number] if isinstance(a, symbols.Symbol) else a for a in x.of]
+            known[x.number] = float(number) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
+        assert known[result.number] == pytest.approx(
+            exact(number), rel=4e-16, abs=3e-16 * (exact is math.log)
+        )
+
+
+def test_every_traceable_force_can_be_traced() -> None:
+    """Those of all modules, with constants of which nothing is known."""
+    for known in TRACEABLE.values():
+        tracer = symbols.Tracer()
+        time = tracer.symbol("elapsed", 0)
+        own, velocity = (
+            symbols.array(tracer, "number", (known.constants,)),
+            symbols.array(tracer, "state", (3,)),
+        )
+        pose = np.array([*velocity[:2], symbols.Angle(velocity[0], velocity[1])], dtype=object)
+        wrench = np.zeros(3, dtype=object)
+        symbols.on_symbols(known.function)(time, pose, velocity, own, wrench)
+        assert any(isinstance(part, symbols.Symbol) for part in wrench)
+
+
+def test_a_number_of_a_run_answers_no_question() -> None:
+    number = symbols.Tracer().symbol("number", 0)
+    for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
+        with pytest.raises(TypeError):
+            ask()
+
+
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
+)
+@pytest.mark.kernels
+@pytest.mark.slow
+def test_the_wide_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bits, exponentials and powers do not keep the compiler from taking the loop over lanes whole."""
+    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
+    kernel = opened("tfish").wide
+    assert kernel is not None
+    names: dict[str, Any] = {}
+    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
+    names["integrate"].compile(names["SIGNATURE"])
+    assembly = next(iter(names["integrate"].inspect_asm().values()))
+    packed = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?pd\b", assembly))
+    single = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?sd\b", assembly))
+    assert packed > 10 * max(single, 1)
