@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, chain, nominal
+from swimid.diagnosis import answer, nominal, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import summary as diagnose_summary
@@ -81,8 +81,8 @@ def diagnose(
        2001: the gap as part of the model.
     .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
        Output error, coloured residuals.
-    .. [3] P. H. Westfall, S. S. Young, *Resampling-Based Multiple Testing*, Wiley, 1993: the threshold over
-       all effects.
+    .. [3] Y. Yao et al., "Using stacking to average Bayesian predictive distributions", Bayesian Analysis
+       13(3), 2018: weights of hypotheses by the Bayesian bootstrap.
     .. [4] K. R. Rad, A. Maleki, "A scalable estimate of the out-of-sample prediction error via approximate
        leave-one-out cross-validation", J. R. Stat. Soc. B 82(4), 2020: leaving out by one step.
     .. [5] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967: the
@@ -109,8 +109,10 @@ def diagnose(
         experiment, applied = loaded.experiment, loaded.applied
         model = experiment.model
         effects, own, seed = options.effects, options.own_effects, options.seed
-        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.unasked()
-        known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
+        own_made = [e for path in own for e in effect_catalogue.from_file(path)]
+        # the noise is what the best of all leaves, whichever are asked for
+        known = [*effect_catalogue.catalogue(), *own_made]
+        asked = {e.name for e in (*effect_catalogue.chosen(list(effects)), *own_made)} if effects else None
         given = _given(loaded)
         refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
         model.parameters = refitted
@@ -120,8 +122,6 @@ def diagnose(
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
-        # what differs between trials by chance does so whatever effects are tried
-        every = effect_catalogue.applicable(effect_catalogue.unasked(), model, fitted) if effects else tried
         same = _own_data(loaded)
         prior = nominal.prior(refitted, given, own_data=same)
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
@@ -130,9 +130,9 @@ def diagnose(
         ahead = {"simulated_s": RUNS * lasting, "affected_s": AFFECTED * lasting}
         model.prepare(progress, **ahead, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
-        state = chain.run(
+        state = search.run(
             model, refitted, fitted, prior, tried,
-            scattering=every, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
+            asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):

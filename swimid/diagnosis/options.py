@@ -23,8 +23,7 @@ class DiagnoseOptions(Options):
         (),
         separated=True,
         metavar="A,B",
-        help="Try these effects of the catalogue only. Repeatable. "
-        "Default: all that apply to the model, but for those tried by name only.",
+        help="Try these effects of the catalogue only. Repeatable. Default: all that apply to the model.",
     )
     own_effects: tuple[Path, ...] = option(
         (),
@@ -33,7 +32,7 @@ class DiagnoseOptions(Options):
         help="Try the effects of this Python file as well. Repeatable.",
     )
     jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
-    seed: int = option(0, ge=0, help="Of the random draws behind thresholds and intervals.")
+    seed: int = option(0, ge=0, help="Of the random draws behind intervals.")
     budget_s: float | None = option(
         None,
         gt=0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from swimid.diagnosis import gap_file as gap
+from swimid.diagnosis import summary as words
 from swimid.diagnosis.gap_file import Cause, GapFile, Value
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
@@ -86,11 +87,11 @@ def _causes(file: GapFile) -> Grid:
     ]
     together = " The effects of this table act together." if len(rows) > 1 else ""
     caption = (
-        "Weight: softmax of the gains of the effect and those not to be told from it against all others, at "
-        "most 85 %; a ranking, not a posterior probability. Good: near 85 %, and nothing that the trials "
-        f"cannot tell from it.{together}"
+        "Probability: that it, or one of those not to be told from it, is among what the model lacks; "
+        f"{words.otherwise_text(file)}. Good: near 100 %, and nothing that the trials cannot tell from "
+        f"it.{together}"
     )
-    columns = ["Effect", "Stage", "What it is", "Weight", "Not to be told from it", "Sources"]
+    columns = ["Effect", "Stage", "What it is", "Probability", "Not to be told from it", "Sources"]
     return Grid("Cause", columns, rows, caption)
 
 

@@ -1,0 +1,209 @@
+"""How likely is each set of causes, that there is no gap, and that the cause is none of the catalogue.
+
+Even a true effect has not quite the form it has in the catalogue: what a hypothesis leaves beyond the noise,
+its excess, is a discrepancy of unknown variance in some directions. With the variance at its likeliest the
+logarithm of the evidence falls by half of their number times that of the excess (a Student likelihood in
+place of a Gaussian one): a rival must leave several times as much, and not only a few samples' worth more.
+Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from swimid.fitting.model import Array
+
+#: A model whose error is a tenth of the noise has no gap to speak of.
+TENTH = 0.1
+#: Odds of one more cause, before any data (measured by no one: a gap of several causes is taken to be rarer).
+FURTHER = 0.1
+#: A gap, or one more cause, is told where that there is none is less likely than this.
+UNSURE = 0.1
+#: Weightings of the folds.
+WEIGHTINGS = 200
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is learnt from trials with known causes.
+
+    Attributes
+    ----------
+    directions : float
+        Of the discrepancy of a true effect of another form.
+    outside, grows : float
+        Of the evidence that a gap has a cause outside the catalogue: its logarithm where there is no gap,
+        and how much it grows with that of the gap.
+    """
+
+    directions: float
+    outside: float
+    grows: float
+
+
+#: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
+#: hidden from the catalogue.
+CALIBRATED = Calibration(8.3, -3.5, 1.5)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A hypothesis as it is judged.
+
+    Attributes
+    ----------
+    names : frozenset of str
+        Of its effects.
+    score : float
+        Squared residuals at its optimum, in units of the noise, and what its numbers must lower them by.
+    folds : ndarray, shape (folds,)
+        Squared residuals of each fold.
+    """
+
+    names: frozenset[str]
+    score: float
+    folds: Array
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities, which sum to one.
+
+    Attributes
+    ----------
+    sets : dict of frozenset of str to float
+        That these effects, and no others, are what the model lacks.
+    none : float
+        That it lacks nothing.
+    outside : float
+        That it lacks something else, alone or beside a set.
+    beside : dict of frozenset of str to float
+        The same beside each set, of the empty one alone.
+    excess : dict of frozenset of str to float
+        What each leaves beyond the noise, in its units; of the empty set the gap.
+    candidates : tuple of Candidate
+        What was weighed, the model as it is first.
+    """
+
+    sets: dict[frozenset[str], float]
+    none: float
+    outside: float
+    beside: dict[frozenset[str], float]
+    excess: dict[frozenset[str], float]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def known(self) -> dict[frozenset[str], float]:
+        """How likely each set is with nothing else of the catalogue, whatever from outside is beside it."""
+        return {names: p + self.beside[names] for names, p in self.sets.items()}
+
+    @property
+    def best(self) -> frozenset[str]:
+        """The likeliest set, of no more effects than are surely needed; empty if none was tried."""
+        known = self.known
+        total = sum(known.values())
+        size, fewer = 1, 0.0
+        while size < max((len(names) for names in known), default=1):
+            fewer += sum(p for names, p in known.items() if len(names) == size)
+            if fewer > UNSURE * total:
+                break
+            size += 1
+        mine = {names: p for names, p in known.items() if len(names) == size}
+        return max(mine, key=lambda names: mine[names], default=frozenset())
+
+    def having(self, *names: str) -> float:
+        """Probability that one of some effects is among the causes."""
+        return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
+
+    def instead(self, name: str, among: frozenset[str]) -> dict[str, float]:
+        """How likely each effect is in the place of one of a set, the others given; they sum to one."""
+        rest = among - {name}
+        found = {}
+        for names, p in self.known.items():
+            if len(names) == len(among) and rest < names:
+                (other,) = names - rest
+                found[other] = p
+        total = sum(found.values())
+        return {n: p / total for n, p in sorted(found.items(), key=lambda item: -item[1])}
+
+    @property
+    def left(self) -> float:
+        """Share of the gap's squared size that the likeliest set leaves."""
+        gap = self.excess[frozenset()]
+        return min(self.excess[self.best] / gap, 1.0) if gap > 0 and self.sets else 0.0
+
+
+def prior(size: int, effects: int) -> float:
+    """Logarithm of what a set of so many effects has before any data; of no effect it is 0."""
+    return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
+
+
+def unit(samples: float, known: Calibration = CALIBRATED) -> float:
+    """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it."""
+    return known.directions + TENTH**2 * samples
+
+
+def most(excess: float, samples: float) -> float:
+    """What a larger set may gain in logarithmic evidence at most."""
+    return 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(samples))
+
+
+def posterior(
+    null: Candidate,
+    candidates: Sequence[Candidate],
+    *,
+    samples: float,
+    effects: int,
+    calibration: Calibration = CALIBRATED,
+    seed: int = 0,
+) -> Posterior:
+    """Weigh all hypotheses.
+
+    Parameters
+    ----------
+    null : Candidate
+        The model as it is.
+    candidates : sequence of Candidate
+        At most one for each set of effects.
+    samples : float
+        Residuals in all.
+    effects : int
+        How many apply.
+
+    References
+    ----------
+    .. [1] Y. Yao, A. Vehtari, D. Simpson, A. Gelman, "Using stacking to average Bayesian predictive
+       distributions", Bayesian Analysis 13(3), 2018: weights by the Bayesian bootstrap.
+    .. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
+       distribution", J. Am. Stat. Assoc. 84(408), 1989.
+    """
+    every = [null, *candidates]
+    scores = np.array([c.score for c in every])
+    folds = np.array([c.folds for c in every])
+    excess = scores - min(float(scores.min()), samples)
+    count = folds.shape[1]
+    weight = np.random.default_rng(seed).dirichlet(np.ones(count), WEIGHTINGS) * count
+    leader = int(np.argmin(excess))
+    drawn = excess[:, None] + (folds - folds[leader]) @ (weight - 1.0).T
+    drawn -= np.minimum(drawn.min(axis=0), 0.0)
+    size = np.log1p(drawn / unit(samples, calibration))
+    known = np.array([prior(len(c.names), effects) for c in candidates])
+    known = np.concatenate(([0.0], known))
+    closes = known[:, None] + 0.5 * calibration.directions * (size[0] - size)
+    closes[0] = 0.0
+    evidence = np.vstack((closes, closes + calibration.outside + calibration.grows * size))
+    p = np.exp(evidence - logsumexp(evidence, axis=0)).mean(axis=1)
+    inside, beside = np.split(p, 2)
+    return Posterior(
+        {c.names: float(v) for c, v in zip(candidates, inside[1:], strict=True)},
+        float(inside[0]),
+        float(beside.sum()),
+        {c.names: float(v) for c, v in zip(every, beside, strict=True)},
+        {c.names: float(e) for c, e in zip(every, excess, strict=True)},
+        tuple(every),
+    )
