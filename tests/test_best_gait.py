@@ -307,6 +307,10 @@ def test_the_command_and_its_report(swimid: Callable[..., Ran], tmp_path: Path) 
     page = tmp_path / "page.html"
     assert swimid("report", out, "-o", page).status == 0
     assert "How sure the best gait is" in page.read_text()
+    # files written before have no number of draws inside
+    older = [line for line in out.read_text().splitlines(keepends=True) if not line.startswith("inside:")]
+    out.write_text("".join(older))
+    assert package.load_result(out).file.inside is None
 
 
 @pytest.mark.parametrize(
