@@ -45,7 +45,6 @@ from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.lanes.wide import WideKernel
 from swimid.swimmer.model import LinkedModel
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
@@ -85,9 +84,7 @@ def kernels_of(name: str) -> LinkedModel:
     """A built-in robot with its kernels, not compiled."""
     catalogue.catalogue()
     model, _ = model_of(name)
-    made = model.engine, model.tree.tables, len(model.coefficients)
-    model.kernel, room = Kernel(*made), model._room()
-    model.wide = None if room is None else WideKernel(*made, room)
+    model.kernels()
     return model
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 import struct
 from types import SimpleNamespace
 from typing import Any
@@ -61,6 +62,19 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
         else:
             known[x.number] = ACTS[x.kind](*(value(a) for a in x.of))
     return np.array([value(x) for x in kernel.traced().rates])
+
+
+def arithmetic(kernel: Kernel) -> tuple[int, int]:
+    """How many instructions of a compiled kernel act on packed doubles, and on single ones; x86-64 only."""
+    names: dict[str, Any] = {}
+    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
+    names["integrate"].compile(names["SIGNATURE"])
+    assembly = next(iter(names["integrate"].inspect_asm().values()))
+    packed, single = (
+        len(re.findall(rf"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?{width}\b", assembly))
+        for width in ("pd", "sd")
+    )
+    return packed, single
 
 
 def uncompiled(kernel: Kernel) -> Any:

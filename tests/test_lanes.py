@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import platform
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -28,7 +27,7 @@ from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
 from swimid.swimmer.lanes import kernel as kernels
-from swimid.swimmer.lanes import source, symbols
+from swimid.swimmer.lanes import symbols
 from swimid.swimmer.lanes.kernel import Kernel
 from swimid.swimmer.model import LinkedModel
 from swimid.swimmer.planar import engine as planar_engine
@@ -462,12 +461,7 @@ def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     tree = PlanarAssembly(Multilink.model_validate(body), Fluid(density_kg_m3=1000.0))
     kernel = Kernel(MultilinkModel.engine, tree.tables, 0)
-    names: dict[str, Any] = {}
-    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
-    names["integrate"].compile(names["SIGNATURE"])
-    assembly = next(iter(names["integrate"].inspect_asm().values()))
-    packed = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?pd\b", assembly))
-    single = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?sd\b", assembly))
+    packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)
 
 

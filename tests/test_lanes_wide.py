@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import platform
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer.lanes import source, symbols
 from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.lanes.wide import WideKernel
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
 
@@ -35,8 +33,7 @@ def opened(name: str) -> MultilinkModel:
     """A robot with both kernels, nothing compiled."""
     catalogue.catalogue()
     model = MultilinkModel(robot_format.read(name))
-    model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-    model.wide = WideKernel(model.engine, model.tree.tables, len(model.coefficients), model._room())
+    model.kernels()
     model.side_by_side = model.wide_side_by_side = True
     return model
 
@@ -239,10 +236,5 @@ def test_the_wide_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     kernel = opened("tfish").wide
     assert kernel is not None
-    names: dict[str, Any] = {}
-    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
-    names["integrate"].compile(names["SIGNATURE"])
-    assembly = next(iter(names["integrate"].inspect_asm().values()))
-    packed = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?pd\b", assembly))
-    single = len(re.findall(r"\tv?(?:add|sub|mul|fm\w+|fnm\w+)(?:\d+)?sd\b", assembly))
+    packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)

@@ -11,14 +11,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swimid.diagnosis import nominal
-from swimid.diagnosis.nominal import Given
 from swimid.diagnosis.options import DiagnoseOptions
-from swimid.files.provenance import digests_of
 from swimid.fitting.model import Model, Trial
 from swimid.simulation import catalogue as experiments
 
@@ -26,7 +24,7 @@ from swimid.simulation import catalogue as experiments
 STRONG = 6.0
 
 
-class Case:
+class Case(NamedTuple):
     """A case as the peers see it: a model whose coefficients are free, what is known of them, and trials.
 
     Attributes
@@ -41,21 +39,12 @@ class Case:
     trials: list[Trial]
     prior: dict[str, tuple[float, float]]
 
-    def __init__(self, trials: Path, params: Path) -> None:
-        loaded = experiments.load(trials, DiagnoseOptions(params=params))
-        self.model, file = loaded.experiment.model, loaded.applied.file
-        assert file is not None
-        given = {n: Given(e.value, e.stderr, e.status) for n, e in file.parameters.items() if "[" not in n}
-        own = loaded.applied.fitted_per_trial()
-        self.model.parameters = nominal.refitted(
-            self.model.parameters, given, loaded.applied.values(), own=own
-        )
-        logs = [p for p in loaded.experiment.inputs if p != params]
-        known = set((file.provenance.get("inputs") or {}).values())
-        fitted_here = bool(known & set(digests_of(logs).values()))
-        self.prior = nominal.prior(self.model.parameters, given, own_data=fitted_here)
-        apart = nominal.apart(self.model, loaded.experiment.trials)
-        self.trials = [nominal.widened(t, self.model.channels) for t in apart if t.role == "fit"]
+
+def case(trials: Path, params: Path) -> Case:
+    """What files tell, as ``swimid diagnose`` takes them."""
+    loaded = experiments.load(trials, DiagnoseOptions(params=params))
+    begun = nominal.begun(loaded)
+    return Case(loaded.experiment.model, [t for t in begun.trials if t.role == "fit"], begun.prior)
 
 
 def verdict(rounds: Sequence[Mapping[str, float]]) -> dict[str, Any]:
@@ -101,7 +90,7 @@ def main(argv: Sequence[str]) -> None:
     parser.add_argument("--no-progress", action="store_true")
     chosen = parser.parse_args(words)
     peer = import_module(f"benchmarks.gapbench.{name}")
-    found = verdict(peer.rounds(Case(chosen.trials, chosen.params)))
+    found = verdict(peer.rounds(case(chosen.trials, chosen.params)))
     chosen.output.write_text(json.dumps(found, indent=1) + "\n")
 
 

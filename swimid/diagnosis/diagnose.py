@@ -12,13 +12,11 @@ from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
-from swimid.diagnosis.nominal import Given
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.files.provenance import digests_of
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -26,10 +24,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
-from swimid.simulation.catalogue import Loaded
 
-#: Endings of logs among the inputs.
-LOGS = (".csv", ".parquet")
 #: Simulations of each trial that a diagnosis takes, about: 2,160 of each of six (``sample_logs/gap``).
 RUNS = 2000
 #: Of these, with effects that bring forces or elements: 123 where the cause is play (``sample_logs/gap``),
@@ -106,24 +101,19 @@ def diagnose(
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(trials, options)
-        experiment, applied = loaded.experiment, loaded.applied
+        experiment = loaded.experiment
         model = experiment.model
         effects, own, seed = options.effects, options.own_effects, options.seed
         own_made = [e for path in own for e in effect_catalogue.from_file(path)]
         # the noise is what the best of all leaves, whichever are asked for
         known = [*effect_catalogue.catalogue(), *own_made]
         asked = {e.name for e in (*effect_catalogue.chosen(list(effects)), *own_made)} if effects else None
-        given = _given(loaded)
-        refitted = nominal.refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
-        model.parameters = refitted
-        widened = [nominal.widened(t, model.channels) for t in nominal.apart(model, experiment.trials)]
-        fitted = [t for t in widened if t.role == "fit"]
-        validation = [t for t in widened if t.role == "validate"]
+        begun = nominal.begun(loaded)
+        fitted = [t for t in begun.trials if t.role == "fit"]
+        validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
-        same = _own_data(loaded)
-        prior = nominal.prior(refitted, given, own_data=same)
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
@@ -131,12 +121,12 @@ def diagnose(
         model.prepare(progress, **ahead, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
         state = search.run(
-            model, refitted, fitted, prior, tried,
+            model, model.parameters, fitted, begun.prior, tried,
             asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
-            gap = answer.answer(state, validation, given, fitted, seed=seed, progress=progress)
+            gap = answer.answer(state, validation, begun.given, fitted, seed=seed, progress=progress)
     file = diagnose_file.gap_file(
         gap,
         model=model.name,
@@ -147,7 +137,7 @@ def diagnose(
         settings={
             "prior": "none but the bounds"
             if options.params is None
-            else ("from other trials" if not same else "these trials: none but the bounds"),
+            else ("from other trials" if not begun.own_data else "these trials: none but the bounds"),
             "held_out": "validation trials"
             if validation
             else ("folds of settings" if state.bench.folds.whole else "stretches of trials"),
@@ -163,22 +153,3 @@ def diagnose(
     made = made.saved(output)
     keep.done()
     return made
-
-
-def _given(loaded: Loaded) -> dict[str, Given]:
-    file = loaded.applied.file
-    if file is None:
-        return {}
-    return {
-        name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
-    }
-
-
-def _own_data(loaded: Loaded) -> bool:
-    """Whether the parameters were fitted to one of these very logs."""
-    file = loaded.applied.file
-    if file is None:
-        return False
-    known = set((file.provenance.get("inputs") or {}).values())
-    logs = [p for p in loaded.experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
-    return any(digest in known for digest in digests_of(logs).values())

@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from swimid.files.provenance import digests_of
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.simulation.catalogue import Loaded
+
+#: Endings of logs among the inputs.
+LOGS = (".csv", ".parquet")
 
 #: Prior of a coefficient that these very trials told: a factor of its size. Of one from other trials: its
 #: standard error, and this share of its value on top, since days differ.
@@ -24,6 +30,56 @@ class Given:
     value: float
     stderr: float | None
     status: str
+
+
+@dataclass(frozen=True)
+class Begun:
+    """What a diagnosis sets out from, its model aside.
+
+    Attributes
+    ----------
+    trials : list of Trial
+        Of every role, as they are compared with the model.
+    given : dict of name to Given
+        Coefficients of the parameter file.
+    own_data : bool
+        Whether that was fitted to one of these very logs.
+    prior : dict of name to (mean, sd)
+        Of the coefficients that are refitted.
+    """
+
+    trials: list[Trial]
+    given: dict[str, Given]
+    own_data: bool
+    prior: dict[str, tuple[float, float]]
+
+
+def begun(loaded: Loaded) -> Begun:
+    """Where a diagnosis begins; the model gets the parameters that are refitted."""
+    model, applied = loaded.experiment.model, loaded.applied
+    given = _given(loaded)
+    model.parameters = refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
+    trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
+    same = _own_data(loaded)
+    return Begun(trials, given, same, prior(model.parameters, given, own_data=same))
+
+
+def _given(loaded: Loaded) -> dict[str, Given]:
+    file = loaded.applied.file
+    if file is None:
+        return {}
+    return {
+        name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
+    }
+
+
+def _own_data(loaded: Loaded) -> bool:
+    file = loaded.applied.file
+    if file is None:
+        return False
+    known = set((file.provenance.get("inputs") or {}).values())
+    logs = [p for p in loaded.experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
+    return any(digest in known for digest in digests_of(logs).values())
 
 
 def refitted(

@@ -32,14 +32,14 @@ class Draws:
     ----------
     vectors : list of ndarray
         Parameters of the model.
-    inside, tried : int
-        Independent draws within the bounds, and in all. Where fewer are inside than there are vectors, a
+    inside, refused : int
+        Independent draws within the bounds, and outside. Where fewer are inside than there are vectors, a
         Gibbs sampler drew these.
     """
 
     vectors: list[Array]
     inside: int
-    tried: int
+    refused: int
 
 
 def drawn(applied: Applied, count: int, seed: int) -> Draws:
@@ -68,14 +68,14 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
     while len(found) < count:
         if refused > TRIED * count:
             sampled = _sampled(model, centre, index, root, count, rng)
-            return Draws(sampled, len(found), len(found) + refused)
+            return Draws(sampled, len(found), refused)
         moved = centre.copy()
         moved[index] += root @ rng.standard_normal(len(names))
         if _possible(model, moved, index):
             found.append(moved)
         else:
             refused += 1
-    return Draws(found, count, count + refused)
+    return Draws(found, count, refused)
 
 
 def _sampled(

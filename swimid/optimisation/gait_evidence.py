@@ -78,13 +78,15 @@ def _checks(file: GaitFile) -> list[ev.Check]:
             )
         )
     if file.draws:
+        inside = file.draws if file.inside is None else file.inside
+        known = file.refused <= inside
         checks.append(
             ev.check(
                 "draws within the coefficients' bounds",
-                f"{file.inside} of {file.tried}",
-                2 * file.inside >= file.tried,
+                f"{inside} of {inside + file.refused}",
+                known,
                 "half or more",
-                "" if 2 * file.inside >= file.tried else "the coefficients are hardly known: fit them better",
+                "" if known else "the coefficients are hardly known: fit them better",
             )
         )
     elif len(file.goals) == 1:

@@ -80,10 +80,10 @@ class GaitFile(yamlio.ResultFile):
     #: The gait that loses least in the worst tenth of draws; the best one where no other can be told from it.
     robust: Gait | None = None
     draws: int = 0
-    #: Independent draws within the coefficients' bounds, of all that were tried. Where they are fewer than
-    #: ``draws``, a Gibbs sampler drew these within the bounds.
-    inside: int = 0
-    tried: int = 0
+    #: Independent draws outside the coefficients' bounds, replaced by others; and those within, where they
+    #: were fewer than ``draws``: these a Gibbs sampler drew within the bounds.
+    refused: int = 0
+    inside: int | None = None
     #: Best gait of each draw, in the order of ``vary``.
     drawn: Rows = []
     #: Of two goals: the front, what is varied and then the goals.

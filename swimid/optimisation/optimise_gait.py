@@ -455,8 +455,9 @@ def _gait(problem: Problem, x: Array) -> Gait:
 def _uncertain(problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress) -> None:
     """Intervals from draws of the coefficients, and the robust gait."""
     draws = drawn(problem.performance.applied, options.draws, options.seed)
-    vectors, file.inside, file.tried = draws.vectors, draws.inside, draws.tried
+    vectors, file.refused = draws.vectors, draws.refused
     file.draws = len(vectors)
+    file.inside = draws.inside if draws.inside < file.draws else None
     low, high = problem.ends
     nominal = (np.array(list(file.optimum.at.values())) - low) / (high - low)
     with progress("gaits of draws", total=DRAW_STEPS) as step:

@@ -219,10 +219,7 @@ class LinkedModel(Swimmer):
         checkpoint: Checkpoint | None = None,
     ) -> None:
         """Compile the kernels where that has not been done on this machine and pays."""
-        kernel = self.kernel = self.kernel or Kernel(self.engine, self.tree.tables, self._count)
-        room = self._room() if affected_s > 0.0 else None
-        if room is not None:
-            self.wide = self.wide or WideKernel(self.engine, self.tree.tables, self._count, room)
+        kernel = self.kernels(effects=affected_s > 0.0)
         begun = None if checkpoint is None else checkpoint.get("kernels")
         if begun is not None:
             # forms differ in the last digits: what is taken up goes on in its own
@@ -233,6 +230,21 @@ class LinkedModel(Swimmer):
             self.wide_side_by_side = self.wide.worth(4.0 * affected_s / self.max_step, progress)
         if checkpoint is not None:
             checkpoint.put("kernels", np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
+
+    def kernels(self, *, effects: bool = True) -> Kernel:
+        """Make the kernels, not compiled: the robot's own, and the one with room for what effects bring.
+
+        Returns
+        -------
+        Kernel
+            The robot's own.
+        """
+        made = self.engine, self.tree.tables, self._count
+        self.kernel = self.kernel or Kernel(*made)
+        room = self._room() if effects and self.wide is None else None
+        if room is not None:
+            self.wide = WideKernel(*made, room)
+        return self.kernel
 
     def refined(self) -> Self:
         """The same model with half the integration step."""
