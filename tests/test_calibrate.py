@@ -15,7 +15,7 @@ from tests.blind import calibrate
 
 def _rows(null: float, **scores: float) -> list[Candidate]:
     def made(names: frozenset[str], score: float) -> Candidate:
-        return Candidate(names, score, np.full(5, score / 5))
+        return Candidate(names, score, np.full(5, score / 5), len(names))
 
     return [made(frozenset(), null), *(made(frozenset(n.split("_")), s) for n, s in scores.items())]
 
@@ -34,7 +34,7 @@ def test_without_a_twin_it_would_still_be_explained() -> None:
 def test_what_cannot_be_seen_may_as_well_be_none() -> None:
     (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], 1000, 20)
     assert only.small
-    known = Calibration(7.0, -2.0, 1.5)
+    known = Calibration(7.0, 0.001, 0.0, -2.0, 1.5)
     assert only.probability(known) > 0.5
 
 
@@ -53,7 +53,13 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
             "samples": 1000,
             "tried": 20,
             "hypotheses": [
-                {"effects": sorted(c.names), "score": c.score, "folds": c.folds.tolist()} for c in rows
+                {
+                    "effects": sorted(c.names),
+                    "numbers": c.numbers,
+                    "score": c.score,
+                    "folds": c.folds.tolist(),
+                }
+                for c in rows
             ],
         }
         with (place / "gap.yaml").open("w") as out:
@@ -62,7 +68,7 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
     cases = calibrate.read([tmp_path])
     assert len(cases) == 4 + 2 * 8
-    start = Calibration(1.0, 0.0, 0.0)
+    start = Calibration(1.0, 0.01, 0.0, 0.0, 0.0)
     known = calibrate.calibrated(cases, start)
 
     def likelihood(c: Calibration) -> float:

@@ -731,7 +731,7 @@ def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) 
 
 def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0) -> posterior.Posterior:
     def made(names: frozenset[str], score: float) -> posterior.Candidate:
-        return posterior.Candidate(names, score, np.full(5, score / 5))
+        return posterior.Candidate(names, score, np.full(5, score / 5), len(names))
 
     found = [made(frozenset(names.split("+")), score) for names, score in others]
     return posterior.posterior(made(frozenset(), null), found, samples=samples, effects=20)
@@ -761,10 +761,10 @@ class TestPosterior:
         assert _posterior(20000.0, ("a", 3000.0), ("a+b", 1000.0)).best == frozenset("ab")
 
     def test_a_gain_in_one_fold_alone_is_unsure(self) -> None:
-        null = posterior.Candidate(frozenset(), 1060.0, np.full(6, 1060.0 / 6))
-        even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6))
+        null = posterior.Candidate(frozenset(), 1060.0, np.full(6, 1060.0 / 6), 0)
+        even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6), 1)
         one = np.array([-50.0, *[10.0] * 5])
-        lone = posterior.Candidate(frozenset("a"), 1000.0, 1000.0 / 6 + one)
+        lone = posterior.Candidate(frozenset("a"), 1000.0, 1000.0 / 6 + one, 1)
         sure, unsure = (posterior.posterior(null, [c], samples=1000.0, effects=20).none for c in (even, lone))
         assert unsure > sure
 

@@ -10,7 +10,7 @@ import numpy as np
 from swimid.diagnosis.bench import errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chance import CHANCE
-from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.posterior import UNSURE, Candidate
 from swimid.diagnosis.result import Score, Verdict
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
@@ -87,18 +87,10 @@ def scores(state: State) -> tuple[Score, ...]:
     return tuple(sorted(rows.values(), key=lambda s: (not s.refitted, -s.probability, -s.gain)))
 
 
-def hypotheses(state: State) -> tuple[tuple[tuple[str, ...], float, tuple[float, ...], float], ...]:
+def hypotheses(state: State) -> tuple[tuple[Candidate, float], ...]:
     """Every set of effects that was weighed, as :attr:`swimid.diagnosis.result.Gap.hypotheses` has them."""
     found = state.posterior
-    return tuple(
-        (
-            tuple(sorted(c.names)),
-            c.score,
-            tuple(float(f) for f in c.folds),
-            found.sets.get(c.names, found.none),
-        )
-        for c in found.candidates
-    )
+    return tuple((c, found.sets.get(c.names, found.none)) for c in found.candidates)
 
 
 def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, float]:

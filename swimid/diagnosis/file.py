@@ -70,8 +70,15 @@ def gap_file(
         no_gap=gap.no_gap,
         outside=gap.outside,
         hypotheses=[
-            Hypothesis(effects=list(names), score=score, folds=list(folds), probability=p)
-            for names, score, folds, p in gap.hypotheses
+            Hypothesis(
+                effects=sorted(c.names),
+                numbers=c.numbers,
+                score=c.score,
+                slow=c.slow,
+                folds=c.folds.tolist(),
+                probability=p,
+            )
+            for c, p in gap.hypotheses
         ],
         samples=gap.samples or None,
         tried=gap.tried or None,

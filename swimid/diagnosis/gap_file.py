@@ -176,8 +176,12 @@ class Hypothesis(yamlio.Document):
     """A set of effects that was fitted together with the model; the empty one is the model as it is."""
 
     effects: list[str]
+    #: Kinds of numbers its effects have; what each trial has of its own is one kind.
+    numbers: int = 0
     #: Squared residuals of the optimum in units of the noise, and what its numbers must lower them by.
     score: Number
+    #: The same with noise of long memory, where trials are too few to tell which it is.
+    slow: Number = None
     #: Squared residuals of each fold.
     folds: list[Number] = []
     probability: Number = None

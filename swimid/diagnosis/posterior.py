@@ -5,6 +5,10 @@ its excess, is a discrepancy of unknown variance in some directions. With the va
 logarithm of the evidence falls by half of their number times that of the excess (a Student likelihood in
 place of a Gaussian one): a rival must leave several times as much, and not only a few samples' worth more.
 Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
+
+A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then
+judged by noise of short memory, as instruments have it; which set closes it must be likely with noise of
+long memory, too: the two are pooled by their logarithms.
 """
 
 from __future__ import annotations
@@ -36,19 +40,25 @@ class Calibration:
     ----------
     directions : float
         Of the discrepancy of a true effect of another form.
+    form : float
+        Share of the gap's squared size that such a form may leave and be no evidence.
+    number : float
+        Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
     outside, grows : float
         Of the evidence that a gap has a cause outside the catalogue: its logarithm where there is no gap,
         and how much it grows with that of the gap.
     """
 
     directions: float
+    form: float
+    number: float
     outside: float
     grows: float
 
 
 #: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
-CALIBRATED = Calibration(8.3, -3.5, 1.5)
+CALIBRATED = Calibration(8.3, 0.001, 1.0, -3.5, 1.5)
 
 
 @dataclass(frozen=True)
@@ -63,11 +73,17 @@ class Candidate:
         Squared residuals at its optimum, in units of the noise, and what its numbers must lower them by.
     folds : ndarray, shape (folds,)
         Squared residuals of each fold.
+    numbers : int
+        How many kinds of them its effects have; what each trial has of its own is one kind.
+    slow : float, optional
+        The score with noise of long memory, where trials are too few to tell which it is.
     """
 
     names: frozenset[str]
     score: float
     folds: Array
+    numbers: int
+    slow: float | None = None
 
 
 @dataclass(frozen=True)
@@ -143,14 +159,17 @@ def prior(size: int, effects: int) -> float:
     return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
 
 
-def unit(samples: float, known: Calibration = CALIBRATED) -> float:
-    """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it."""
-    return known.directions + TENTH**2 * samples
+def unit(samples: float, gap: float, known: Calibration = CALIBRATED) -> float:
+    """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it, or
+    what another form of the true effect leaves of the gap.
+    """
+    return known.directions + TENTH**2 * samples + known.form * max(gap, 0.0)
 
 
-def most(excess: float, samples: float) -> float:
+def most(excess: float, samples: float, gap: float) -> float:
     """What a larger set may gain in logarithmic evidence at most."""
-    return 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(samples))
+    gained = 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(samples, gap))
+    return gained - CALIBRATED.number
 
 
 def posterior(
@@ -181,6 +200,7 @@ def posterior(
        distributions", Bayesian Analysis 13(3), 2018: weights by the Bayesian bootstrap.
     .. [2] K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t
        distribution", J. Am. Stat. Assoc. 84(408), 1989.
+    .. [3] C. Genest, J. V. Zidek, "Combining probability distributions", Statistical Science 1(1), 1986.
     """
     every = [null, *candidates]
     scores = np.array([c.score for c in every])
@@ -191,12 +211,17 @@ def posterior(
     leader = int(np.argmin(excess))
     drawn = excess[:, None] + (folds - folds[leader]) @ (weight - 1.0).T
     drawn -= np.minimum(drawn.min(axis=0), 0.0)
-    size = np.log1p(drawn / unit(samples, calibration))
-    known = np.array([prior(len(c.names), effects) for c in candidates])
+    size = np.log1p(drawn / unit(samples, float(excess[0]), calibration))
+    known = np.array([prior(len(c.names), effects) - calibration.number * c.numbers for c in candidates])
     known = np.concatenate(([0.0], known))
     closes = known[:, None] + 0.5 * calibration.directions * (size[0] - size)
     closes[0] = 0.0
-    evidence = np.vstack((closes, closes + calibration.outside + calibration.grows * size))
+    pooled = _pooled(every, samples, calibration)
+    beyond = closes + calibration.outside + calibration.grows * size
+    if pooled is not None:
+        closes[1:] = _spread(closes[1:], pooled[1:])
+        beyond = _spread(beyond, pooled)
+    evidence = np.vstack((closes, beyond))
     p = np.exp(evidence - logsumexp(evidence, axis=0)).mean(axis=1)
     inside, beside = np.split(p, 2)
     return Posterior(
@@ -207,3 +232,21 @@ def posterior(
         {c.names: float(e) for c, e in zip(every, excess, strict=True)},
         tuple(every),
     )
+
+
+def _pooled(every: Sequence[Candidate], samples: float, known: Calibration) -> Array | None:
+    """What each gains with noise of long memory, shape (candidates,); None where trials tell the noise."""
+    slow = np.array([math.nan if c.slow is None else c.slow for c in every])
+    if np.isnan(slow).any():
+        return None
+    excess = slow - min(float(slow.min()), samples)
+    size = np.log1p(excess / unit(samples, float(excess[0]), known))
+    return np.asarray(0.5 * known.directions * (size[0] - size))
+
+
+def _spread(evidence: Array, gained: Array) -> Array:
+    """Logarithmic evidence, shape (c, m), spread over the candidates anew; its sum stays."""
+    if not len(evidence):
+        return evidence
+    moved = evidence + gained[:, None]
+    return np.asarray(moved + logsumexp(evidence, axis=0) - logsumexp(moved, axis=0))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from swimid.diagnosis.posterior import Candidate
 from swimid.fitting.model import Array
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
@@ -258,7 +259,7 @@ class Gap:
     ----------
     no_gap, outside : float
         Probability that there is none, and that its cause is outside the catalogue.
-    hypotheses : tuple of (names, score, folds, probability)
+    hypotheses : tuple of (Candidate, probability)
         Every set of effects that was fitted: what it leaves in units of the noise, with what its numbers must
         lower that by, and in each fold; the model as it is first.
     samples, tried : int
@@ -296,6 +297,6 @@ class Gap:
     forces: Mapping[str, float] = field(default_factory=dict)
     rounds: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
-    hypotheses: tuple[tuple[tuple[str, ...], float, tuple[float, ...], float], ...] = ()
+    hypotheses: tuple[tuple[Candidate, float], ...] = ()
     samples: int = 0
     tried: int = 0

@@ -407,7 +407,12 @@ class Search:
         return float(sum(len(r) for r in self.null.fit.residuals))
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        return Candidate(h.names, h.score, h.inside)
+        kinds = {n.split("[")[0] for n in h.fit.labels if _belongs(n, h.fit.effects)}
+        slow = None
+        if self.lens.slow is not None:
+            inner = gram.folded(self.bench, h.fit, self.lens.slow)
+            slow = float(gram.projected(inner)[-1, -1]) + self.penalty(h.fit)
+        return Candidate(h.names, h.score, h.inside, len(kinds), slow)
 
     def likeliest(self, found: Posterior) -> Hypothesis:
         """The hypothesis of the likeliest set, the model itself where there is none."""
@@ -530,7 +535,7 @@ def chosen(
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        if posterior.most(found.excess[best.names], search.samples) < loses:
+        if posterior.most(found.excess[best.names], search.samples, found.excess[frozenset()]) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)

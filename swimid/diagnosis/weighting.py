@@ -109,10 +109,11 @@ def see(
     still = quiet(fit, residuals, columns) if apart else residuals
     unknowns += len(kinds) * len(residuals) if apart else 0
     lens = coloured(fit.problem, still, Lens(lens.sd), unknowns=unknowns)
-    # few trials do not tell what is slow in noise from a gap
-    slow = remainder.moves(remainder.slow(fit, still)) if apart else list(lens.colour)
-    lens = brief(lens, fit.problem, still, slow)
-    if common is None or not apart:
+    if not apart:
+        # few trials do not tell what is slow in noise from a gap
+        return replace(brief(lens, fit.problem, still, list(lens.colour)), slow=lens), []
+    lens = brief(lens, fit.problem, still, remainder.moves(remainder.slow(fit, still)))
+    if common is None:
         return lens, []
     own = [fit.own(k) for k in range(len(bench.trials))]
     sd = chance.spread(

@@ -70,7 +70,9 @@ def read(folders: Iterable[Path]) -> list[Truth]:
             gap = YAML(typ="safe").load(place.read_text())
             label = json.loads((folder / "labels" / f"{place.parent.name}.json").read_text())
             rows = [
-                Candidate(frozenset(h["effects"]), h["score"], np.array(h["folds"]))
+                Candidate(
+                    frozenset(h["effects"]), h["score"], np.array(h["folds"]), h["numbers"], h.get("slow")
+                )
                 for h in gap["hypotheses"]
             ]
             found += truths(rows, label["kind"], label["effects"], gap["samples"], gap["tried"])
@@ -107,16 +109,20 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     """The constants under which what is true is likeliest."""
 
     def loss(x: np.ndarray) -> float:
-        known = Calibration(float(np.exp(x[0])), float(x[1]), float(x[2]))
+        known = _constants(x)
         p = np.array([c.probability(known) for c in cases])
         weight = np.array([c.weight for c in cases])
         return float(-weight @ np.log((1.0 - CHANCE) * p + CHANCE))
 
-    begin = np.array([np.log(start.directions), start.outside, start.grows])
-    simplex = np.vstack((begin, begin + 0.5 * np.eye(3)))
-    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01}
-    x = minimize(loss, begin, method="Nelder-Mead", options=options).x
-    return Calibration(float(np.exp(x[0])), float(x[1]), float(x[2]))
+    begin = np.array([np.log(start.directions), np.log(start.form), start.number, start.outside, start.grows])
+    simplex = np.vstack((begin, begin + 0.5 * np.eye(len(begin))))
+    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01, "maxfev": 2000}
+    return _constants(minimize(loss, begin, method="Nelder-Mead", options=options).x)
+
+
+def _constants(x: np.ndarray) -> Calibration:
+    """Positive ones by their logarithms."""
+    return Calibration(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]), float(x[3]), float(x[4]))
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
@@ -139,7 +145,7 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
 def main() -> None:
     """Print the constants and how they do on the very cases."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(7.0, -2.0, 1.5))
+    known = calibrated(cases, Calibration(7.0, 0.001, 1.0, -2.0, 1.5))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")
