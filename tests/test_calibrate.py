@@ -22,19 +22,19 @@ def _rows(null: float, **scores: float) -> list[Candidate]:
 
 def test_a_single_effect_is_judged_once_more_without_it() -> None:
     seen, hidden = calibrate.truths(_rows(5000.0, lag=1000.0, delay=3000.0), "single", ["lag"], 1000, 20)
-    assert (seen.true, hidden.true) == (frozenset({"lag"}), None)
+    assert (seen.true, hidden.true) == ((frozenset({"lag"}),), ())
     assert [c.names for c in hidden.candidates] == [frozenset({"delay"})]
 
 
 def test_without_a_twin_it_would_still_be_explained() -> None:
     (only,) = calibrate.truths(_rows(5000.0, lag=1000.0, delay=1005.0), "single", ["lag"], 1000, 20)
-    assert only.true == frozenset({"lag"})
+    assert only.true == (frozenset({"lag"}),)
 
 
 def test_what_cannot_be_seen_may_as_well_be_none() -> None:
     (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], 1000, 20)
     assert only.small
-    known = Calibration(7.0, 0.001, 0.0, -2.0, 1.5)
+    known = Calibration(7.0, 0.001, 0.0, -2.0, 1.5, 0.1)
     assert only.probability(known) > 0.5
 
 
@@ -68,7 +68,7 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
     cases = calibrate.read([tmp_path])
     assert len(cases) == 4 + 2 * 8
-    start = Calibration(1.0, 0.01, 0.0, 0.0, 0.0)
+    start = Calibration(1.0, 0.01, 0.0, 0.0, 0.0, 0.1)
     known = calibrate.calibrated(cases, start)
 
     def likelihood(c: Calibration) -> float:

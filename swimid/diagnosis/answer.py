@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
-from swimid.diagnosis.bench import Bench, Fit, errors
+from swimid.diagnosis.bench import Bench, Fit
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
@@ -189,7 +189,7 @@ def _causes(
 ) -> list[Cause]:
     if not chosen:
         return []
-    sd = conclusion.parameter_errors(state)
+    sd = conclusion.parameter_errors(state, state.base)
     absorbed = _absorbed(state, nominal, given, sd)
     beyond = _extrapolations(state, nominal)
     causes = []
@@ -231,8 +231,7 @@ def _causes(
 def _absorbed(
     state: State, nominal: Fit, given: Mapping[str, Given], sd: Mapping[str, float]
 ) -> tuple[Absorbed, ...]:
-    _, weight = state.bench.expected(nominal.problem)
-    plain = dict(zip(nominal.labels, errors(nominal, state.lens, weight), strict=True))
+    plain = conclusion.parameter_errors(state, nominal)
     found = []
     for p in state.bench.parameters:
         if p.per_trial or p.name not in nominal.labels:

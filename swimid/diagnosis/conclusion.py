@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.bench import errors
+from swimid.diagnosis.bench import Fit, errors
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.chance import CHANCE
+from swimid.diagnosis.lens import Lens, coloured
 from swimid.diagnosis.posterior import UNSURE, Candidate
 from swimid.diagnosis.result import Score, Verdict
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
+from swimid.fitting.sandwich import sandwich
 
 #: Effects that cannot be told from a cause are the fewest that with it make up so much of the probability.
 CREDIBLE = 0.9
@@ -123,7 +125,7 @@ def verdict(state: State, chosen: Sequence[Named], *, dropout: bool) -> Verdict:
     if not chosen or posterior.none > UNSURE:
         if dropout:
             return "explained"
-        return "unexplained" if posterior.outside > posterior.none else "none"
+        return "unexplained" if posterior.outside > max(posterior.none, 0.5) else "none"
     first = chosen[0]
     if posterior.outside > sum(posterior.sets.values()):
         return "unexplained"
@@ -137,8 +139,17 @@ def differs(state: State) -> list[str]:
     return [kind.name for kind in state.chance if least * kind.sd > DIFFERS * CHANCE]
 
 
-def parameter_errors(state: State) -> Mapping[str, float]:
-    """Standard errors of the final fit's numbers, by label."""
-    _, weight = state.bench.expected(state.base.problem)
-    sd = errors(state.base, state.lens, weight)
-    return dict(zip(state.base.labels, sd, strict=True))
+def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
+    """Standard errors of a fit's numbers, by label.
+
+    What few trials leave is correlated, be it noise or gap: it makes them as much larger as it does.
+    """
+    _, weight = state.bench.expected(fit.problem)
+    sd = errors(fit, state.lens, weight)
+    if state.lens.slow is not None:
+        scale = fit.problem.scale
+        colour = coloured(fit.problem, fit.residuals, Lens(state.lens.sd)).colour
+        rows = [r * scale for r in fit.rows]
+        covariance = sandwich(fit.problem, rows, list(fit.residuals), dict(colour)).covariance
+        sd = np.fmax(sd, scale * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    return dict(zip(fit.labels, sd, strict=True))

@@ -44,9 +44,9 @@ class Calibration:
         Share of the gap's squared size that such a form may leave and be no evidence.
     number : float
         Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
-    outside, grows : float
-        Of the evidence that a gap has a cause outside the catalogue: its logarithm where there is no gap,
-        and how much it grows with that of the gap.
+    outside, grows, foreign : float
+        Of the evidence that something from outside the catalogue is at work, too: its logarithm where nothing
+        is left, how much it grows with the logarithm of what is, and the share of the gap that is little.
     """
 
     directions: float
@@ -54,11 +54,12 @@ class Calibration:
     number: float
     outside: float
     grows: float
+    foreign: float
 
 
 #: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
-CALIBRATED = Calibration(8.3, 0.001, 1.0, -3.5, 1.5)
+CALIBRATED = Calibration(8.3, 0.001, 1.0, -3.5, 3.0, 0.1)
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,8 @@ def posterior(
     closes = known[:, None] + 0.5 * calibration.directions * (size[0] - size)
     closes[0] = 0.0
     pooled = _pooled(every, samples, calibration)
-    beyond = closes + calibration.outside + calibration.grows * size
+    little = unit(samples, float(excess[0]), calibration) + calibration.foreign * max(float(excess[0]), 0.0)
+    beyond = closes + calibration.outside + calibration.grows * np.log1p(drawn / little)
     if pooled is not None:
         closes[1:] = _spread(closes[1:], pooled[1:])
         beyond = _spread(beyond, pooled)

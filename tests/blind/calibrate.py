@@ -18,17 +18,17 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
-from swimid.diagnosis.posterior import Calibration, Candidate, posterior
+from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, posterior
 
 #: What an effect must lower the score by for its case to tell anything of it.
 SEEN = 20.0
 #: A hidden effect has a twin where its best rival leaves no more than this share of what it leaves itself,
 #: and what is seen, beyond it.
 TWIN = 0.1
-#: Weight of a case with its effect hidden, of which there is one for each single effect.
-HIDDEN = 0.35
 #: Share of answers that are right by chance: no single case decides.
 CHANCE = 0.004
+#: Standard deviation of what is known of a constant, or of the logarithm of a positive one, before any case.
+WIDE = 1.5
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,11 @@ class Truth:
     ----------
     null : Candidate
     candidates : list of Candidate
-    true : frozenset of str or None
-        The effects; empty where there is no gap, None where the cause is outside the catalogue.
+    true : tuple of frozenset of str
+        The effects, and sets of them that leave nothing that is seen; empty where the cause is outside the
+        catalogue.
+    hidden : bool
+        Whether the case is of an effect that is hidden from the catalogue.
     small : bool
         Whether there might as well be no gap.
     """
@@ -49,8 +52,8 @@ class Truth:
     candidates: list[Candidate]
     samples: int
     effects: int
-    true: frozenset[str] | None
-    weight: float = 1.0
+    true: tuple[frozenset[str], ...]
+    hidden: bool = False
     small: bool = False
 
     def probability(self, known: Calibration) -> float:
@@ -58,8 +61,19 @@ class Truth:
         found = posterior(
             self.null, self.candidates, samples=self.samples, effects=self.effects, calibration=known
         )
-        inside = found.outside if self.true is None else found.sets.get(self.true, 0.0)
-        return found.none if self.true == frozenset() else inside + self.small * found.none
+        p = sum(self.answers(found).get(names, 0.0) for names in self.true) if self.true else found.outside
+        return p + (self.small and frozenset() not in self.true) * found.none
+
+    @staticmethod
+    def answers(found: Posterior) -> dict[frozenset[str] | None, float]:
+        """How likely each is; None is a cause from outside."""
+        return {**found.sets, frozenset(): found.none, None: found.outside}
+
+    def right(self, answer: frozenset[str] | None) -> bool:
+        """Whether an answer is true."""
+        if self.small and answer == frozenset():
+            return True
+        return answer in self.true if self.true else answer is None
 
 
 def read(folders: Iterable[Path]) -> list[Truth]:
@@ -89,32 +103,53 @@ def truths(
         return []
     best = min(c.score for c in rows)
     if kind == "clean":
-        return [Truth(null, rest, samples, tried, frozenset())]
+        return [Truth(null, rest, samples, tried, (frozenset(),))]
     if kind == "outside":
-        return [Truth(null, rest, samples, tried, None, small=null.score - best < SEEN)]
-    mine = next((c for c in rest if c.names == true), None)
-    if mine is None:
+        return [Truth(null, rest, samples, tried, (), small=null.score - best < SEEN)]
+    mine = [c for c in rest if c.names <= true]
+    if not mine:
         return []
-    small = null.score - mine.score < SEEN
-    found = [Truth(null, rest, samples, tried, true, small=small)]
+    least = min(c.score for c in mine)
+    small = null.score - least < SEEN
+    told = tuple(c.names for c in mine if c.score - least < SEEN)
+    found = [Truth(null, rest, samples, tried, told, small=small)]
     without = [c for c in rest if not c.names & true]
     nearest = min((c.score for c in without), default=null.score)
-    alike = SEEN + TWIN * max(mine.score - samples, 0.0)
-    if kind == "single" and not small and nearest - mine.score > alike:
-        found.append(Truth(null, without, samples, tried, None, HIDDEN))
+    alike = SEEN + TWIN * max(least - samples, 0.0)
+    if kind == "single" and not small and nearest - least > alike:
+        found.append(Truth(null, without, samples, tried, (), hidden=True))
     return found
+
+
+def weights(cases: Sequence[Truth]) -> np.ndarray:
+    """Of each case: all with a cause from outside, made or hidden, together as those that were made so."""
+    foreign = np.array([not c.true for c in cases])
+    hidden = np.array([c.hidden for c in cases])
+    share = (foreign & ~hidden).sum() / max(foreign.sum(), 1)
+    return np.where(foreign, max(float(share), 1.0 / len(cases)), 1.0)
 
 
 def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     """The constants under which what is true is likeliest."""
+    begin = np.array(
+        [
+            np.log(start.directions),
+            np.log(start.form),
+            start.number,
+            start.outside,
+            start.grows,
+            np.log(start.foreign),
+        ]
+    )
+
+    weight = weights(cases)
 
     def loss(x: np.ndarray) -> float:
         known = _constants(x)
         p = np.array([c.probability(known) for c in cases])
-        weight = np.array([c.weight for c in cases])
-        return float(-weight @ np.log((1.0 - CHANCE) * p + CHANCE))
+        told = float(-weight @ np.log((1.0 - CHANCE) * p + CHANCE))
+        return told + 0.5 * float(np.sum(((x - begin) / WIDE) ** 2))
 
-    begin = np.array([np.log(start.directions), np.log(start.form), start.number, start.outside, start.grows])
     simplex = np.vstack((begin, begin + 0.5 * np.eye(len(begin))))
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01, "maxfev": 2000}
     return _constants(minimize(loss, begin, method="Nelder-Mead", options=options).x)
@@ -122,30 +157,31 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
 
 def _constants(x: np.ndarray) -> Calibration:
     """Positive ones by their logarithms."""
-    return Calibration(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]), float(x[3]), float(x[4]))
+    directions, form, foreign = (float(v) for v in np.exp(x[[0, 1, 5]]))
+    return Calibration(directions, form, float(x[2]), float(x[3]), float(x[4]), foreign)
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
     """Probability given to the likeliest answer on average, how often it was the truth, and of how many."""
     edges, given = (0.0, 0.5, 0.8, 0.95, 1.01), []
-    for c in cases:
+    for c, weight in zip(cases, weights(cases), strict=True):
         found = posterior(c.null, c.candidates, samples=c.samples, effects=c.effects, calibration=known)
-        answers = {**found.sets, frozenset(): found.none, None: found.outside}
-        said = max(answers, key=lambda a: answers[a])  # type: ignore[arg-type]
-        given.append((answers[said], said == c.true or (c.small and said == frozenset())))
+        answers = c.answers(found)
+        said = max(answers, key=lambda a: answers[a])
+        given.append((answers[said], c.right(said), weight))
     rows = []
     for low, high in pairwise(edges):
-        mine = [(p, right) for p, right in given if low <= p < high]
-        if mine:
-            p, right = (float(np.mean(x)) for x in zip(*mine, strict=True))
-            rows.append((p, right, len(mine)))
+        mine = np.array([g for g in given if low <= g[0] < high])
+        if len(mine):
+            p, right = mine[:, 2] @ mine[:, :2] / mine[:, 2].sum()
+            rows.append((float(p), float(right), len(mine)))
     return rows
 
 
 def main() -> None:
     """Print the constants and how they do on the very cases."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(7.0, 0.001, 1.0, -2.0, 1.5))
+    known = calibrated(cases, Calibration(8.0, 0.001, 1.0, -3.0, 3.0, 0.1))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")
