@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from swimid.diagnosis.posterior import Calibration, Candidate
+from swimid.diagnosis.posterior import Calibration, Candidate, Record
 from tests.blind import calibrate
+
+RECORD = Record(1000.0, 3, 20)
 
 
 def _rows(null: float, **scores: float) -> list[Candidate]:
@@ -21,20 +23,20 @@ def _rows(null: float, **scores: float) -> list[Candidate]:
 
 
 def test_a_single_effect_is_judged_once_more_without_it() -> None:
-    seen, hidden = calibrate.truths(_rows(5000.0, lag=1000.0, delay=3000.0), "single", ["lag"], 1000, 20)
+    seen, hidden = calibrate.truths(_rows(5000.0, lag=1000.0, delay=3000.0), "single", ["lag"], RECORD)
     assert (seen.true, hidden.true) == ((frozenset({"lag"}),), ())
     assert [c.names for c in hidden.candidates] == [frozenset({"delay"})]
 
 
 def test_without_a_twin_it_would_still_be_explained() -> None:
-    (only,) = calibrate.truths(_rows(5000.0, lag=1000.0, delay=1005.0), "single", ["lag"], 1000, 20)
+    (only,) = calibrate.truths(_rows(5000.0, lag=1000.0, delay=1005.0), "single", ["lag"], RECORD)
     assert only.true == (frozenset({"lag"}),)
 
 
 def test_what_cannot_be_seen_may_as_well_be_none() -> None:
-    (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], 1000, 20)
+    (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], RECORD)
     assert only.small
-    known = Calibration(7.0, 0.001, 0.0, -2.0, 1.5, 0.1)
+    known = Calibration(7.0, 0.0, -2.0, 1.5, 0.1)
     assert only.probability(known) > 0.5
 
 
@@ -50,6 +52,7 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         place.mkdir(parents=True)
         (tmp_path / "labels").mkdir(exist_ok=True)
         file = {
+            "trials": ["one"] * 3,
             "samples": 1000,
             "tried": 20,
             "hypotheses": [
@@ -68,18 +71,19 @@ def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Pa
         (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
     cases = calibrate.read([tmp_path])
     assert len(cases) == 4 + 2 * 8
-    start = Calibration(1.0, 0.01, 0.0, 0.0, 0.0, 0.1)
+    start = Calibration(1.0, 0.0, 0.0, 0.0, 0.1)
     known = calibrate.calibrated(cases, start)
 
     def likelihood(c: Calibration) -> float:
-        return float(sum(case.weight * np.log(case.probability(c)) for case in cases))
+        p = np.array([case.probability(c) for case in cases])
+        return float(calibrate.weights(cases) @ np.log(p))
 
     assert likelihood(known) > likelihood(start) + 5.0
     assert all(case.probability(known) > 0.5 for case in cases)
     assert sum(count for *_, count in calibrate.bins(cases, known)) == len(cases)
 
 
-@pytest.mark.parametrize("kind, true", [("clean", frozenset()), ("outside", None)])
-def test_other_truths(kind: str, true: frozenset[str] | None) -> None:
-    (only,) = calibrate.truths(_rows(5000.0, lag=4000.0), kind, [], 1000, 20)
+@pytest.mark.parametrize("kind, true", [("clean", (frozenset(),)), ("outside", ())])
+def test_other_truths(kind: str, true: tuple[frozenset[str], ...]) -> None:
+    (only,) = calibrate.truths(_rows(5000.0, lag=4000.0), kind, [], RECORD)
     assert only.true == true

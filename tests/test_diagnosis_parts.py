@@ -734,7 +734,7 @@ def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0)
         return posterior.Candidate(names, score, np.full(5, score / 5), len(names))
 
     found = [made(frozenset(names.split("+")), score) for names, score in others]
-    return posterior.posterior(made(frozenset(), null), found, samples=samples, effects=20)
+    return posterior.posterior(made(frozenset(), null), found, record=posterior.Record(samples, 3, 20))
 
 
 class TestPosterior:
@@ -765,7 +765,9 @@ class TestPosterior:
         even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6), 1)
         one = np.array([-50.0, *[10.0] * 5])
         lone = posterior.Candidate(frozenset("a"), 1000.0, 1000.0 / 6 + one, 1)
-        sure, unsure = (posterior.posterior(null, [c], samples=1000.0, effects=20).none for c in (even, lone))
+        sure, unsure = (
+            posterior.posterior(null, [c], record=posterior.Record(1000.0, 3, 20)).none for c in (even, lone)
+        )
         assert unsure > sure
 
     def test_what_is_left_is_a_share_of_the_squared_gap(self) -> None:

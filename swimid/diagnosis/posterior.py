@@ -1,9 +1,10 @@
 """How likely is each set of causes, that there is no gap, and that the cause is none of the catalogue.
 
 Even a true effect has not quite the form it has in the catalogue: what a hypothesis leaves beyond the noise,
-its excess, is a discrepancy of unknown variance in some directions. With the variance at its likeliest the
-logarithm of the evidence falls by half of their number times that of the excess (a Student likelihood in
-place of a Gaussian one): a rival must leave several times as much, and not only a few samples' worth more.
+its excess, is a discrepancy of unknown variance in some directions of each trial. With the variance at its
+likeliest the logarithm of the evidence falls by half of their number times that of the excess (a Student
+likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a few samples'
+worth more.
 Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
 
 A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then
@@ -22,7 +23,8 @@ from scipy.special import logsumexp
 
 from swimid.fitting.model import Array
 
-#: A model whose error is a tenth of the noise has no gap to speak of.
+#: A model whose error is a tenth of the noise has no gap to speak of; and a tenth of the gap is what a true
+#: effect may leave by its form alone (blind cases do not tell: their likelihood is the same from 2 to 17 %).
 TENTH = 0.1
 #: Odds of one more cause, before any data (measured by no one: a gap of several causes is taken to be rarer).
 FURTHER = 0.1
@@ -39,9 +41,7 @@ class Calibration:
     Attributes
     ----------
     directions : float
-        Of the discrepancy of a true effect of another form.
-    form : float
-        Share of the gap's squared size that such a form may leave and be no evidence.
+        In each trial, of the discrepancy of a true effect of another form.
     number : float
         Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
     outside, grows, foreign : float
@@ -50,7 +50,6 @@ class Calibration:
     """
 
     directions: float
-    form: float
     number: float
     outside: float
     grows: float
@@ -59,7 +58,7 @@ class Calibration:
 
 #: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
-CALIBRATED = Calibration(8.3, 0.001, 1.0, -3.5, 3.0, 0.1)
+CALIBRATED = Calibration(11.8, 2.7, -2.8, 3.0, 0.085)
 
 
 @dataclass(frozen=True)
@@ -160,16 +159,35 @@ def prior(size: int, effects: int) -> float:
     return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
 
 
-def unit(samples: float, gap: float, known: Calibration = CALIBRATED) -> float:
+@dataclass(frozen=True)
+class Record:
+    """How much there is to judge by.
+
+    Attributes
+    ----------
+    samples : float
+        Residuals in all.
+    trials : int
+    effects : int
+        How many apply.
+    """
+
+    samples: float
+    trials: int
+    effects: int
+
+
+def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it, or
     what another form of the true effect leaves of the gap.
     """
-    return known.directions + TENTH**2 * samples + known.form * max(gap, 0.0)
+    return known.directions * record.trials + TENTH**2 * (record.samples + max(gap, 0.0))
 
 
-def most(excess: float, samples: float, gap: float) -> float:
+def most(excess: float, gap: float, record: Record) -> float:
     """What a larger set may gain in logarithmic evidence at most."""
-    gained = 0.5 * CALIBRATED.directions * math.log1p(max(excess, 0.0) / unit(samples, gap))
+    directions = CALIBRATED.directions * record.trials
+    gained = 0.5 * directions * math.log1p(max(excess, 0.0) / unit(record, gap))
     return gained - CALIBRATED.number
 
 
@@ -177,8 +195,7 @@ def posterior(
     null: Candidate,
     candidates: Sequence[Candidate],
     *,
-    samples: float,
-    effects: int,
+    record: Record,
     calibration: Calibration = CALIBRATED,
     seed: int = 0,
 ) -> Posterior:
@@ -190,10 +207,7 @@ def posterior(
         The model as it is.
     candidates : sequence of Candidate
         At most one for each set of effects.
-    samples : float
-        Residuals in all.
-    effects : int
-        How many apply.
+    record : Record
 
     References
     ----------
@@ -206,19 +220,20 @@ def posterior(
     every = [null, *candidates]
     scores = np.array([c.score for c in every])
     folds = np.array([c.folds for c in every])
-    excess = scores - min(float(scores.min()), samples)
+    excess = scores - min(float(scores.min()), record.samples)
     count = folds.shape[1]
     weight = np.random.default_rng(seed).dirichlet(np.ones(count), WEIGHTINGS) * count
     leader = int(np.argmin(excess))
     drawn = excess[:, None] + (folds - folds[leader]) @ (weight - 1.0).T
     drawn -= np.minimum(drawn.min(axis=0), 0.0)
-    size = np.log1p(drawn / unit(samples, float(excess[0]), calibration))
-    known = np.array([prior(len(c.names), effects) - calibration.number * c.numbers for c in candidates])
+    size = np.log1p(drawn / unit(record, float(excess[0]), calibration))
+    costs = np.array([calibration.number * c.numbers for c in candidates])
+    known = np.array([prior(len(c.names), record.effects) for c in candidates]) - costs
     known = np.concatenate(([0.0], known))
-    closes = known[:, None] + 0.5 * calibration.directions * (size[0] - size)
+    closes = known[:, None] + 0.5 * calibration.directions * record.trials * (size[0] - size)
     closes[0] = 0.0
-    pooled = _pooled(every, samples, calibration)
-    little = unit(samples, float(excess[0]), calibration) + calibration.foreign * max(float(excess[0]), 0.0)
+    pooled = _pooled(every, record, calibration)
+    little = unit(record, float(excess[0]), calibration) + calibration.foreign * max(float(excess[0]), 0.0)
     beyond = closes + calibration.outside + calibration.grows * np.log1p(drawn / little)
     if pooled is not None:
         closes[1:] = _spread(closes[1:], pooled[1:])
@@ -236,14 +251,14 @@ def posterior(
     )
 
 
-def _pooled(every: Sequence[Candidate], samples: float, known: Calibration) -> Array | None:
+def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> Array | None:
     """What each gains with noise of long memory, shape (candidates,); None where trials tell the noise."""
     slow = np.array([math.nan if c.slow is None else c.slow for c in every])
     if np.isnan(slow).any():
         return None
-    excess = slow - min(float(slow.min()), samples)
-    size = np.log1p(excess / unit(samples, float(excess[0]), known))
-    return np.asarray(0.5 * known.directions * (size[0] - size))
+    excess = slow - min(float(slow.min()), record.samples)
+    size = np.log1p(excess / unit(record, float(excess[0]), known))
+    return np.asarray(0.5 * known.directions * record.trials * (size[0] - size))
 
 
 def _spread(evidence: Array, gained: Array) -> Array:

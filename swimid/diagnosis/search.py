@@ -25,7 +25,7 @@ from swimid.diagnosis.chance import Kind
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import quiet
 from swimid.diagnosis.lens import Lens
-from swimid.diagnosis.posterior import Candidate, Posterior
+from swimid.diagnosis.posterior import Candidate, Posterior, Record
 from swimid.diagnosis.remainder import Left, Slow
 from swimid.diagnosis.weighting import chance_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
@@ -392,8 +392,7 @@ class Search:
         return posterior.posterior(
             self._candidate(self.null),
             [self._candidate(h) for h in found],
-            samples=self.samples,
-            effects=self.count,
+            record=self.record,
         )
 
     @property
@@ -402,9 +401,10 @@ class Search:
         return max(len({e.name for e in self.effects}), 1)
 
     @property
-    def samples(self) -> float:
-        """Residuals in all."""
-        return float(sum(len(r) for r in self.null.fit.residuals))
+    def record(self) -> Record:
+        """How much there is to judge by."""
+        residuals = self.null.fit.residuals
+        return Record(float(sum(len(r) for r in residuals)), len(residuals), self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         kinds = {n.split("[")[0] for n in h.fit.labels if _belongs(n, h.fit.effects)}
@@ -535,7 +535,7 @@ def chosen(
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        if posterior.most(found.excess[best.names], search.samples, found.excess[frozenset()]) < loses:
+        if posterior.most(found.excess[best.names], found.excess[frozenset()], search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)

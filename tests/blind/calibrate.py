@@ -18,7 +18,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
-from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, posterior
+from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record, posterior
 
 #: What an effect must lower the score by for its case to tell anything of it.
 SEEN = 20.0
@@ -50,17 +50,14 @@ class Truth:
 
     null: Candidate
     candidates: list[Candidate]
-    samples: int
-    effects: int
+    record: Record
     true: tuple[frozenset[str], ...]
     hidden: bool = False
     small: bool = False
 
     def probability(self, known: Calibration) -> float:
         """What the truth is given."""
-        found = posterior(
-            self.null, self.candidates, samples=self.samples, effects=self.effects, calibration=known
-        )
+        found = posterior(self.null, self.candidates, record=self.record, calibration=known)
         p = sum(self.answers(found).get(names, 0.0) for names in self.true) if self.true else found.outside
         return p + (self.small and frozenset() not in self.true) * found.none
 
@@ -89,13 +86,12 @@ def read(folders: Iterable[Path]) -> list[Truth]:
                 )
                 for h in gap["hypotheses"]
             ]
-            found += truths(rows, label["kind"], label["effects"], gap["samples"], gap["tried"])
+            record = Record(gap["samples"], len(gap["trials"]), gap["tried"])
+            found += truths(rows, label["kind"], label["effects"], record)
     return found
 
 
-def truths(
-    rows: Sequence[Candidate], kind: str, effects: Sequence[str], samples: int, tried: int
-) -> list[Truth]:
+def truths(rows: Sequence[Candidate], kind: str, effects: Sequence[str], record: Record) -> list[Truth]:
     """What one case tells."""
     null, *rest = rows
     true = frozenset(effects)
@@ -103,21 +99,21 @@ def truths(
         return []
     best = min(c.score for c in rows)
     if kind == "clean":
-        return [Truth(null, rest, samples, tried, (frozenset(),))]
+        return [Truth(null, rest, record, (frozenset(),))]
     if kind == "outside":
-        return [Truth(null, rest, samples, tried, (), small=null.score - best < SEEN)]
+        return [Truth(null, rest, record, (), small=null.score - best < SEEN)]
     mine = [c for c in rest if c.names <= true]
     if not mine:
         return []
     least = min(c.score for c in mine)
     small = null.score - least < SEEN
     told = tuple(c.names for c in mine if c.score - least < SEEN)
-    found = [Truth(null, rest, samples, tried, told, small=small)]
+    found = [Truth(null, rest, record, told, small=small)]
     without = [c for c in rest if not c.names & true]
     nearest = min((c.score for c in without), default=null.score)
-    alike = SEEN + TWIN * max(least - samples, 0.0)
+    alike = SEEN + TWIN * max(least - record.samples, 0.0)
     if kind == "single" and not small and nearest - least > alike:
-        found.append(Truth(null, without, samples, tried, (), hidden=True))
+        found.append(Truth(null, without, record, (), hidden=True))
     return found
 
 
@@ -134,7 +130,6 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     begin = np.array(
         [
             np.log(start.directions),
-            np.log(start.form),
             start.number,
             start.outside,
             start.grows,
@@ -157,15 +152,15 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
 
 def _constants(x: np.ndarray) -> Calibration:
     """Positive ones by their logarithms."""
-    directions, form, foreign = (float(v) for v in np.exp(x[[0, 1, 5]]))
-    return Calibration(directions, form, float(x[2]), float(x[3]), float(x[4]), foreign)
+    directions, foreign = (float(v) for v in np.exp(x[[0, 4]]))
+    return Calibration(directions, float(x[1]), float(x[2]), float(x[3]), foreign)
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
     """Probability given to the likeliest answer on average, how often it was the truth, and of how many."""
     edges, given = (0.0, 0.5, 0.8, 0.95, 1.01), []
     for c, weight in zip(cases, weights(cases), strict=True):
-        found = posterior(c.null, c.candidates, samples=c.samples, effects=c.effects, calibration=known)
+        found = posterior(c.null, c.candidates, record=c.record, calibration=known)
         answers = c.answers(found)
         said = max(answers, key=lambda a: answers[a])
         given.append((answers[said], c.right(said), weight))
@@ -181,7 +176,7 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
 def main() -> None:
     """Print the constants and how they do on the very cases."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(8.0, 0.001, 1.0, -3.0, 3.0, 0.1))
+    known = calibrated(cases, Calibration(10.0, 2.0, -3.0, 3.0, 0.1))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")
