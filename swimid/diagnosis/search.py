@@ -535,7 +535,9 @@ def chosen(
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        if posterior.most(found.excess[best.names], found.excess[frozenset()], search.record) < loses:
+        # noise read off the best of all has what it leaves in it: so much as the screen promises may be left
+        left = found.excess[best.names] + max(0.0, *(t.gain for t in search.screened(best).tried))
+        if posterior.most(left, found.excess[frozenset()], search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)
