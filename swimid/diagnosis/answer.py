@@ -68,7 +68,8 @@ def answer(
     chosen = [conclusion.named(state, r) for r in state.rounds]
     word = conclusion.verdict(state, chosen, dropout=failed > 0)
     surely = state.posterior.none <= UNSURE
-    chosen = [c for c in chosen if surely and (word != "unexplained" or c.probability > UNSURE)]
+    # beside something from outside only what acts rather than not
+    chosen = [c for c in chosen if surely and (word != "unexplained" or c.probability > 0.5)]
     rows = conclusion.scores(state)
     shipped = {p.name: p.start for p in bench.parameters if not p.per_trial}
     total = len(validation) or bench.folds.count

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, nominal, search
+from swimid.diagnosis import answer, nominal, power, power_file, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.options import DiagnoseOptions
+from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
@@ -39,7 +40,7 @@ def diagnose(
     options: DiagnoseOptions,
     output: Path | None = None,
     progress: Progress = silent,
-) -> Diagnosis:
+) -> Diagnosis | DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the robot file's values are where its refit begins, and nothing is taken as known
@@ -58,7 +59,8 @@ def diagnose(
 
     Returns
     -------
-    Diagnosis
+    Diagnosis or DetectionPower
+        The second where ``power`` is asked for: what the trials could show of each effect.
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``; ``.causes`` has the
         parameters of each cause in their units; ``.shrinkage`` the errors before and after on held-out data
         (over the measured range); ``.where`` the gap of each channel against its noise floor.
@@ -120,6 +122,23 @@ def diagnose(
         ahead = {"simulated_s": RUNS * lasting, "affected_s": AFFECTED * lasting}
         model.prepare(progress, **ahead, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
+        params = "the robot file" if options.params is None else str(parameters_format.place(options.params))
+        if options.power:
+            with threadpool_limits(limits=1, user_api="blas"):
+                at = power.begun(model, model.parameters, fitted, begun.prior, tried, seed=seed, jobs=workers)
+                rows, left_out = power.shown(at, [e for e in tried if asked is None or e.name in asked])
+            keep.done()
+            could = PowerFile(
+                model=model.name,
+                robot=experiment.robot.name,
+                experiment=experiment.name,
+                params=params,
+                trials=[t.id for t in experiment.trials],
+                effects=power_file.rows(rows),
+                left_out=dict(left_out),
+                provenance=origin,
+            )
+            return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         state = search.run(
             model, model.parameters, fitted, begun.prior, tried,
             asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
@@ -132,7 +151,7 @@ def diagnose(
         model=model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params="the robot file" if options.params is None else str(parameters_format.place(options.params)),
+        params=params,
         trials=[t.id for t in experiment.trials],
         settings={
             "prior": "none but the bounds"

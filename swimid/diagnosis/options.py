@@ -40,6 +40,11 @@ class DiagnoseOptions(Options):
         help="Stop trying further effects after this wall time, s. Default: no limit.",
     )
     max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
+    power: bool = option(
+        False,
+        help="Say what these trials could show, not what they do: the smallest size of each effect that is "
+        "seen, and which effects are never told apart.",
+    )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")

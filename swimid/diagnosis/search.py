@@ -451,6 +451,36 @@ def based(bench: Bench, lens: Lens, begin: Array) -> Fit:
     return bench.fit((), lens, bench.begins(bench.problem((), lens.chance), begin), tolerance=FINE)
 
 
+def bench_of(
+    model: Model,
+    parameters: Sequence[Parameter],
+    trials: Sequence[Trial],
+    prior: Mapping[str, tuple[float, float]],
+    effects: Sequence[Effect],
+    *,
+    jobs: int = 1,
+) -> tuple[Bench, Lens, Fit, Dropouts]:
+    """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
+    start = [np.array([p.start for p in parameters])] * len(trials)
+    fine, model = model, coarser(model, start, trials) or model
+
+    def weighed(sound: Sequence[Trial]) -> tuple[Bench, Lens, Fit]:
+        found = Bench(model, parameters, sound, prior, jobs=jobs)
+        return (found, *weigh(found))
+
+    bench, lens, fit = weighed(trials)
+    dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
+    if dropouts.count:
+        bench, lens, fit = weighed(dropouts.without(trials))
+    # a coarse step may do at the start values, and not from where trials were found to begin
+    own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
+    if model is not fine and coarser(fine, own, bench.trials) is None:
+        model = fine
+        bench, lens, fit = weighed(bench.trials)
+    lens, _ = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
+    return bench, lens, fit, dropouts
+
+
 def run(
     model: Model,
     parameters: Sequence[Parameter],
@@ -482,23 +512,7 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        start = [np.array([p.start for p in parameters])] * len(trials)
-        fine, model = model, coarser(model, start, trials) or model
-
-        def weighed(sound: Sequence[Trial]) -> tuple[Bench, Lens, Fit]:
-            found = Bench(model, parameters, sound, prior, jobs=jobs)
-            return (found, *weigh(found))
-
-        bench, lens, fit = weighed(trials)
-        dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
-        if dropouts.count:
-            bench, lens, fit = weighed(dropouts.without(trials))
-        # a coarse step may do at the start values, and not from where trials were found to begin
-        own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
-        if model is not fine and coarser(fine, own, bench.trials) is None:
-            model = fine
-            bench, lens, fit = weighed(bench.trials)
-        lens, _ = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
+        bench, lens, fit, dropouts = bench_of(model, parameters, trials, prior, effects, jobs=jobs)
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(

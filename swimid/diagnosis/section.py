@@ -1,10 +1,11 @@
-"""Gap files (``swimid-gap/1``)."""
+"""Gap files (``swimid-gap/1``) and power files (``swimid-power/1``)."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from swimid.diagnosis import gap_file as gap
+from swimid.diagnosis import power_file as power
 from swimid.diagnosis import summary as words
 from swimid.diagnosis.gap_file import Cause, GapFile, Value
 from swimid.results import numbers
@@ -29,6 +30,27 @@ def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
         ),
         facts=_facts(file),
         blocks=_blocks(file),
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=power.FORMAT, read=power.PowerFile.read)
+def power_section(path: Path, file: power.PowerFile, evidence: Evidence | None) -> Section:
+    """The section of a power file."""
+    return Section(
+        path=path,
+        kind="Power",
+        title=f"What trials could show: {file.robot}",
+        verdict=Verdict(level="good", text=power.answer(file)),
+        facts=[
+            ("Robot", file.robot),
+            ("Model", file.model),
+            ("Experiment", file.experiment),
+            ("Parameters", file.params),
+            ("Trials", str(len(file.trials))),
+        ],
+        blocks=[],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),
     )
