@@ -42,6 +42,7 @@ class DiagnoseOptions(Options):
     max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
     power: bool = option(
         False,
+        recorded=False,
         help="Say what these trials could show, not what they do: the smallest size of each effect that is "
         "seen, and which effects are never told apart.",
     )
