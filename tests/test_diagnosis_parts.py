@@ -734,7 +734,7 @@ def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0)
         return posterior.Candidate(names, score, np.full(5, score / 5), len(names))
 
     found = [made(frozenset(names.split("+")), score) for names, score in others]
-    return posterior.posterior(made(frozenset(), null), found, record=posterior.Record(samples, 3, 20))
+    return posterior.posterior(made(frozenset(), null), found, record=posterior.Record(samples, 8, 20))
 
 
 class TestPosterior:
@@ -766,7 +766,7 @@ class TestPosterior:
         one = np.array([-50.0, *[10.0] * 5])
         lone = posterior.Candidate(frozenset("a"), 1000.0, 1000.0 / 6 + one, 1)
         sure, unsure = (
-            posterior.posterior(null, [c], record=posterior.Record(1000.0, 3, 20)).none for c in (even, lone)
+            posterior.posterior(null, [c], record=posterior.Record(1000.0, 8, 20)).none for c in (even, lone)
         )
         assert unsure > sure
 

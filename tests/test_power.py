@@ -18,7 +18,7 @@ from tests.conftest import ROOT
 RIG = ROOT / "sample_logs" / "rig"
 
 
-@pytest.mark.parametrize("record", [posterior.Record(3000.0, 6, 20), posterior.Record(400.0, 1, 12)])
+@pytest.mark.parametrize("record", [posterior.Record(3000.0, 6, 20), posterior.Record(400.0, 4, 12)])
 def test_what_is_needed_is_what_the_posterior_asks(record: posterior.Record) -> None:
     """A single effect that leaves nothing: there being no gap has a tenth of what the two have."""
     excess = power.needed(record, 1)
@@ -54,8 +54,9 @@ def of_the_rig() -> pd.DataFrame:
 
 def test_two_names_of_one_force_are_never_told_apart(of_the_rig: pd.DataFrame) -> None:
     """Friction in proportion to the speed, and drag; mass of water, of a pulley, of the body."""
-    assert of_the_rig.loc["linear-drag", "alike"] == ["pulley-viscous"]
-    assert set(of_the_rig.loc["added-mass", "alike"]) == {"water-ingress", "pulley-inertia"}
+    assert "pulley-viscous" in of_the_rig.loc["linear-drag", "alike"]
+    assert {"water-ingress", "pulley-inertia"} <= set(of_the_rig.loc["added-mass", "alike"])
+    assert "linear-drag" not in of_the_rig.loc["start-offset", "alike"]
     assert of_the_rig.loc["linear-drag", "size"] == pytest.approx(of_the_rig.loc["pulley-viscous", "size"])
 
 

@@ -1,10 +1,10 @@
 """How likely is each set of causes, that there is no gap, and that the cause is none of the catalogue.
 
 Even a true effect has not quite the form it has in the catalogue: what a hypothesis leaves beyond the noise,
-its excess, is a discrepancy of unknown variance in some directions of each trial. With the variance at its
-likeliest the logarithm of the evidence falls by half of their number times that of the excess (a Student
-likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a few samples'
-worth more.
+its excess, is a discrepancy of unknown variance in some directions of each part of the data. With the
+variance at its likeliest the logarithm of the evidence falls by half of their number times that of the excess
+(a Student likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a
+few samples' worth more.
 Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
 
 A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then
@@ -23,8 +23,7 @@ from scipy.special import logsumexp
 
 from swimid.fitting.model import Array
 
-#: A model whose error is a tenth of the noise has no gap to speak of; and a tenth of the gap is what a true
-#: effect may leave by its form alone (blind cases do not tell: their likelihood is the same from 2 to 17 %).
+#: A model whose error is a tenth of the noise has no gap to speak of.
 TENTH = 0.1
 #: Odds of one more cause, before any data (measured by no one: a gap of several causes is taken to be rarer).
 FURTHER = 0.1
@@ -41,24 +40,26 @@ class Calibration:
     Attributes
     ----------
     directions : float
-        In each trial, of the discrepancy of a true effect of another form.
+        In each part of the data, of the discrepancy of a true effect of another form.
+    form : float
+        Share of the squared gap that a true effect may leave by its form alone.
     number : float
         Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
-    outside, grows, foreign : float
+    outside, grows : float
         Of the evidence that something from outside the catalogue is at work, too: its logarithm where nothing
-        is left, how much it grows with the logarithm of what is, and the share of the gap that is little.
+        is left, and how much it grows with that of what is.
     """
 
     directions: float
+    form: float
     number: float
     outside: float
     grows: float
-    foreign: float
 
 
 #: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
-CALIBRATED = Calibration(12.5, 2.4, -2.8, 3.1, 0.083)
+CALIBRATED = Calibration(4.1, 0.1, 1.5, -2.4, 2.6)
 
 
 @dataclass(frozen=True)
@@ -167,13 +168,14 @@ class Record:
     ----------
     samples : float
         Residuals in all.
-    trials : int
+    parts : int
+        Folds of the cross-validation: settings, or stretches of a few trials.
     effects : int
         How many apply.
     """
 
     samples: float
-    trials: int
+    parts: int
     effects: int
 
 
@@ -181,12 +183,12 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it, or
     what another form of the true effect leaves of the gap.
     """
-    return known.directions * record.trials + TENTH**2 * (record.samples + max(gap, 0.0))
+    return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 
 
 def most(excess: float, gap: float, record: Record) -> float:
     """What a larger set may gain in logarithmic evidence at most."""
-    directions = CALIBRATED.directions * record.trials
+    directions = CALIBRATED.directions * record.parts
     gained = 0.5 * directions * math.log1p(max(excess, 0.0) / unit(record, gap))
     return gained - CALIBRATED.number
 
@@ -230,11 +232,10 @@ def posterior(
     costs = np.array([calibration.number * c.numbers for c in candidates])
     known = np.array([prior(len(c.names), record.effects) for c in candidates]) - costs
     known = np.concatenate(([0.0], known))
-    closes = known[:, None] + 0.5 * calibration.directions * record.trials * (size[0] - size)
+    closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     closes[0] = 0.0
     pooled = _pooled(every, record, calibration)
-    little = unit(record, float(excess[0]), calibration) + calibration.foreign * max(float(excess[0]), 0.0)
-    beyond = closes + calibration.outside + calibration.grows * np.log1p(drawn / little)
+    beyond = closes + calibration.outside + calibration.grows * size
     if pooled is not None:
         closes[1:] = _spread(closes[1:], pooled[1:])
         beyond = _spread(beyond, pooled)
@@ -258,7 +259,7 @@ def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> A
         return None
     excess = slow - min(float(slow.min()), record.samples)
     size = np.log1p(excess / unit(record, float(excess[0]), known))
-    return np.asarray(0.5 * known.directions * record.trials * (size[0] - size))
+    return np.asarray(0.5 * known.directions * record.parts * (size[0] - size))
 
 
 def _spread(evidence: Array, gained: Array) -> Array:

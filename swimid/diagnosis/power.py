@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.stats import ncx2
 
 from swimid.diagnosis import candidates, gram, posterior
-from swimid.diagnosis.posterior import CALIBRATED, TENTH, UNSURE, Record
+from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
 from swimid.diagnosis.search import Search, bench_of
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -71,9 +71,9 @@ class _Line:
     shared: int
     per_trial: int
 
-    def penalty(self, record: Record) -> float:
+    def penalty(self, record: Record, trials: int) -> float:
         """What its numbers must lower the cost by."""
-        each = self.per_trial * math.log(record.samples / record.trials)
+        each = self.per_trial * math.log(record.samples / trials)
         return self.shared * math.log(record.samples) + each
 
 
@@ -81,10 +81,10 @@ def needed(record: Record, kinds: int) -> float:
     """Excess of the model without an effect from which a gap is told, the effect leaving none."""
     costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
     wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
-    directions = CALIBRATED.directions * record.trials
+    directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # u grows with the gap: beyond a hundred times that nothing is enough
-    room = 1.0 - TENTH**2 * share
+    # u grows with the gap: beyond so many times it nothing is enough
+    room = 1.0 - CALIBRATED.form * share
     return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
 
 
@@ -103,7 +103,7 @@ def noncentrality(drop: float, numbers: int) -> float:
 def told_apart(record: Record, cosine: float) -> bool:
     """Whether a very large effect is told from another whose change is so like its own."""
     left = max(1.0 - cosine**2, 0.0)
-    return 0.5 * CALIBRATED.directions * record.trials * math.log1p(left / TENTH**2) > math.log(
+    return 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form) > math.log(
         (1.0 - UNSURE) / UNSURE
     )
 
@@ -156,7 +156,7 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
     record = search.record
     best: dict[str, tuple[float, Shown, int]] = {}
     for line in lines:
-        drop = needed(record, line.kinds) + line.penalty(record)
+        drop = needed(record, line.kinds) + line.penalty(record, len(bench.trials))
         wanted = noncentrality(drop, line.shared + line.per_trial)
         squares = np.array([max(left[c.place, c.place], 0.0) for c in line.columns])
         total = np.array([whole[c.place, c.place] for c in line.columns])

@@ -404,7 +404,7 @@ class Search:
     def record(self) -> Record:
         """How much there is to judge by."""
         residuals = self.null.fit.residuals
-        return Record(float(sum(len(r) for r in residuals)), len(residuals), self.count)
+        return Record(float(sum(len(r) for r in residuals)), self.bench.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         kinds = {n.split("[")[0] for n in h.fit.labels if _belongs(n, h.fit.effects)}

@@ -86,7 +86,7 @@ def read(folders: Iterable[Path]) -> list[Truth]:
                 )
                 for h in gap["hypotheses"]
             ]
-            record = Record(gap["samples"], len(gap["trials"]), gap["tried"])
+            record = Record(gap["samples"], len(rows[0].folds), gap["tried"])
             found += truths(rows, label["kind"], label["effects"], record)
     return found
 
@@ -130,10 +130,10 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
     begin = np.array(
         [
             np.log(start.directions),
+            np.log(start.form),
             start.number,
             start.outside,
             start.grows,
-            np.log(start.foreign),
         ]
     )
 
@@ -152,8 +152,8 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
 
 def _constants(x: np.ndarray) -> Calibration:
     """Positive ones by their logarithms."""
-    directions, foreign = (float(v) for v in np.exp(x[[0, 4]]))
-    return Calibration(directions, float(x[1]), float(x[2]), float(x[3]), foreign)
+    directions, form = (float(v) for v in np.exp(x[:2]))
+    return Calibration(directions, form, float(x[2]), float(x[3]), float(x[4]))
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
@@ -176,7 +176,7 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
 def main() -> None:
     """Print the constants and how they do on the very cases."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(10.0, 2.0, -3.0, 3.0, 0.1))
+    known = calibrated(cases, Calibration(5.0, 0.1, 2.0, -3.0, 3.0))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")
