@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,7 +18,8 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
-from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record, posterior
+from swimid.diagnosis import posterior
+from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record
 
 #: What an effect must lower the score by for its case to tell anything of it.
 SEEN = 20.0
@@ -57,7 +58,7 @@ class Truth:
 
     def probability(self, known: Calibration) -> float:
         """What the truth is given."""
-        found = posterior(self.null, self.candidates, record=self.record, calibration=known)
+        found = posterior.posterior(self.null, self.candidates, record=self.record, calibration=known)
         p = sum(self.answers(found).get(names, 0.0) for names in self.true) if self.true else found.outside
         return p + (self.small and frozenset() not in self.true) * found.none
 
@@ -160,7 +161,7 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
     """Probability given to the likeliest answer on average, how often it was the truth, and of how many."""
     edges, given = (0.0, 0.5, 0.8, 0.95, 1.01), []
     for c, weight in zip(cases, weights(cases), strict=True):
-        found = posterior(c.null, c.candidates, record=c.record, calibration=known)
+        found = posterior.posterior(c.null, c.candidates, record=c.record, calibration=known)
         answers = c.answers(found)
         said = max(answers, key=lambda a: answers[a])
         given.append((answers[said], c.right(said), weight))
@@ -173,13 +174,47 @@ def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float,
     return rows
 
 
+def told(case: Truth, known: Calibration) -> tuple[str, frozenset[str]]:
+    """The answer in short: whether there is a gap, whether from outside, and the effects named."""
+    found = posterior.posterior(case.null, case.candidates, record=case.record, calibration=known)
+    if found.none > posterior.UNSURE:
+        return ("unexplained" if found.outside > 0.5 else "none"), frozenset()
+    outside = found.outside > sum(found.sets.values())
+    named = frozenset() if outside and found.having(*found.best) <= 0.5 else found.best
+    return ("unexplained" if outside else "explained"), named
+
+
+def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, float, float]]:
+    """Share of the answers that are others with half of a constant, and with half as much again."""
+    plain = [told(c, known) for c in cases]
+
+    def changed(other: Calibration) -> float:
+        return float(np.mean([told(c, other) != p for c, p in zip(cases, plain, strict=True)]))
+
+    rows = []
+    for field in fields(known):
+        value = getattr(known, field.name)
+        rows.append((field.name, *(changed(replace(known, **{field.name: f * value})) for f in (0.5, 1.5))))
+    for name in ("TENTH", "FURTHER", "UNSURE"):
+        value, shares = getattr(posterior, name), []
+        for f in (0.5, 1.5):
+            setattr(posterior, name, f * value)
+            shares.append(changed(known))
+            setattr(posterior, name, value)
+        rows.append((name, shares[0], shares[1]))
+    return rows
+
+
 def main() -> None:
-    """Print the constants and how they do on the very cases."""
+    """Print the constants, how they do on the very cases, and what changing each by half does."""
     cases = read(Path(a) for a in sys.argv[1:])
     known = calibrated(cases, Calibration(5.0, 0.1, 2.0, -3.0, 3.0))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")
+    made = [c for c in cases if not c.hidden]
+    for name, less, more in sensitivity(made, known):
+        print(f"{name}: halved {less:.1%}, half as much again {more:.1%} of {len(made)} answers change")
 
 
 if __name__ == "__main__":
