@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.bench import FINE, Bench, Fit
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
@@ -75,7 +75,7 @@ def answer(
     total = len(validation) or bench.folds.count
     with progress("held-out trials", total=total) as step:
         held = shrinkage.pieces(
-            bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
+            bench, _alone(state), state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
@@ -129,6 +129,17 @@ def answer(
         samples=sum(len(r) for r in nominal.residuals),
         tried=state.tried,
     )
+
+
+def _alone(state: State) -> Fit:
+    """The model refitted as if trials did not differ: what differs may have stood in for a cause, and nothing
+    is known of it in a trial to come.
+    """
+    if not state.lens.chance:
+        return state.nominal
+    bench, lens = state.bench, replace(state.lens, chance=())
+    begin = bench.start((), lens, state.nominal)
+    return bench.fit((), lens, bench.begins(bench.problem(()), begin), tolerance=FINE)
 
 
 def _reasons(state: State) -> tuple[str, ...]:
