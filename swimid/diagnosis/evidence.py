@@ -176,7 +176,7 @@ def _rivals(file: GapFile) -> list[ev.Check]:
             value="; ".join(f"{c.effect}: {words.listed(c.equivalent)}" for c in sets) if sets else "none",
             limit="none",
             verdict="warn" if sets else "pass",
-            text="effects whose gain or signature these trials cannot tell from the cause's",
+            text="effects that have 90 % of the probability with the cause, the other causes given",
         )
     ]
 
