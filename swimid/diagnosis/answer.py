@@ -80,7 +80,7 @@ def answer(
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
     sound = shrinkage.sound(held)
-    if chosen and not (sound and shrinkage.helps(held, floor)):
+    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
         names = ", ".join(c.best.tried.effect.name for c in chosen)
         hides = "are no better with it: what differs between trials by chance hides it"
         reasons.append(
@@ -129,6 +129,15 @@ def answer(
         samples=sum(len(r) for r in nominal.residuals),
         tried=state.tried,
     )
+
+
+def _by_coefficients(state: State) -> bool:
+    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
+    these imitate the causes, and held-out errors are as small.
+    """
+    null, *found = state.posterior.candidates
+    best = next((c for c in found if c.names == state.posterior.best), null)
+    return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)
 
 
 def _alone(state: State) -> Fit:
