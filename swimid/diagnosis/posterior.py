@@ -57,7 +57,7 @@ class Calibration:
     grows: float
 
 
-#: By ``python -m tests.blind.calibrate`` on trials made by other code, each also judged with its true effect
+#: By ``python -m tests.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
 CALIBRATED = Calibration(6.9, 0.16, 2.0, -2.5, 3.3)
 

@@ -1,4 +1,4 @@
-"""``python -m tests.blind.calibrate OUT [OUT ...]``: the constants of the probabilities, from blind cases.
+"""``python -m tests.calibrate OUT [OUT ...]``: the constants of the probabilities, from blind cases.
 
 OUT are folders that ``python -m tests.blind`` has filled. Every case with a single effect is judged once more
 with that effect hidden from the catalogue (leave one effect out): what is left is a cause from outside. The
