@@ -57,6 +57,7 @@ NAMES = {
     "Simulation": "swimid.simulation.run",
     "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.diagnosed",
+    "DetectionPower": "swimid.diagnosis.power_file",
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",
@@ -171,7 +172,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : path
-        A parameter, comparison, gap, sensitivity, map, rule or gait file, or a log.
+        A parameter, comparison, gap, power, sensitivity, map, rule or gait file, or a log.
 
     Returns
     -------
@@ -211,6 +212,7 @@ RESULTS = (
     "Fitted",
     "Comparison",
     "Diagnosis",
+    "DetectionPower",
     "Sensitivity",
     "PerformanceMap",
     "StiffnessRule",

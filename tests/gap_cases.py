@@ -25,7 +25,6 @@ from swimid.diagnosis.result import (
     Score,
     Shrinkage,
     Sketch,
-    Threshold,
 )
 from swimid.results import evidence as ev
 
@@ -151,7 +150,8 @@ EXPLAINED = Gap(
         ),
     ),
     scores=_scores(),
-    threshold=Threshold(noise=18.2, per_sample=75.0, constant=50.0),
+    no_gap=0.001,
+    outside=0.03,
     floor_from="repeats of one setting, and residuals of a saturated description",
     sketches=(
         Sketch(

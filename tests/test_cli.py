@@ -157,6 +157,7 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "mapping",
         "comparison",
         "gap",
+        "power",
         "sensitivity",
         "map",
         "rule",

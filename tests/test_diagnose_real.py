@@ -79,9 +79,13 @@ def test_a_drive_modelled_as_viscous_lacks_dry_friction(
     assert gap["verdict"] in ("explained", "unexplained")
     assert [c["effect"] for c in gap["causes"]] == ["pulley-friction"]
     assert answer(gap) == {"pulley-friction"}
-    assert left(gap) < 0.6
+    # 1.4 % of the travel: the refit without friction, which 3 % were left of, is at 1.8 % now
+    assert gap["causes"][0]["shrinkage"][0]["after"] < 0.014
+    assert left(gap) < 0.8
     first = gap["causes"][0]
-    assert first["parameters"]["friction_N"]["value"] == pytest.approx(20.4, rel=0.1)
+    friction = first["parameters"]["friction_N"]
+    assert friction["value"] == pytest.approx(20.4, rel=0.1)
+    assert abs(friction["value"] - 20.4) < 2.0 * friction["stderr"]
     numbers = {a["coefficient"]: a["with_effect"]["value"] for a in first["absorbed"]}
     assert numbers["linear_drag"] == pytest.approx(203.5, rel=0.08)
     assert 60 + numbers["added_mass"] == pytest.approx(95.1, rel=0.06)

@@ -12,19 +12,20 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from swimid.diagnosis import (
-    answer,
     candidates,
-    chain,
     conclusion,
     dropouts,
     folds,
     gram,
     places,
-    result,
+    posterior,
+    remainder,
+    search,
     shrinkage,
+    weighting,
 )
 from swimid.diagnosis.bench import START_PRIOR, Bench, errors
-from swimid.diagnosis.candidates import Refitted, _allowed, own_gains
+from swimid.diagnosis.candidates import _allowed, own_gains
 from swimid.diagnosis.chance import CHANCE, kinds, spread
 from swimid.diagnosis.floor import floors, quiet, split
 from swimid.diagnosis.gram import Drawn, Folded
@@ -170,7 +171,7 @@ def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generato
     ]
     bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
     fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    lens, (kind,) = chain.see(bench, fit, Lens(bench.shape.sd), fit.residuals, [Tilt()], 0, common=0)
+    lens, (kind,) = weighting.see(bench, fit, Lens(bench.shape.sd), fit.residuals, [Tilt()], 0, common=0)
     # the error of a median absolute deviation of 60 values is 15 %
     assert kind.sd == pytest.approx(3.0, rel=0.45)
     assert [k.sd for k in lens.chance] == [CHANCE]
@@ -222,7 +223,7 @@ def test_a_spread_grows_until_trials_agree_with_it(rng: np.random.Generator) -> 
     for begun in (0.1 * size, size):
         lens = replace(lens, chance=(replace(kind, sd=begun),))
         fit = bench.fit((), lens, [bench.problem((), lens.chance).start])
-        (settled,) = chain.settled(bench, fit, lens).chance
+        (settled,) = weighting.settled(bench, fit, lens).chance
         # 30 trials tell their spread to 13 %, and it stops within a factor of two below
         assert settled.sd == begun if begun == size else 0.37 * size < settled.sd < 1.4 * size
 
@@ -616,7 +617,7 @@ def test_closed(before: float, after: float, floor: float, share: float) -> None
     assert np.isnan(closed(floor, after, floor))
 
 
-# ---------------------------------------------------------------- chain
+# ---------------------------------------------------------------- search
 
 
 def test_a_fit_also_begins_at_what_is_known(bench: Bench) -> None:
@@ -665,32 +666,112 @@ class Hooked(Toy):
         return hooks.seen(self.simulate(values, trial), trial.time_s)
 
 
-def test_what_stood_in_for_two_effects_is_taken_back(rng: np.random.Generator) -> None:
-    """A curve like the sum of two others is found first, and is no cause once both are there."""
+def rise(t: np.ndarray) -> np.ndarray:
+    return np.tanh(t)
 
-    def rise(t: np.ndarray) -> np.ndarray:
-        return np.tanh(t)
 
-    def ring(t: np.ndarray) -> np.ndarray:
-        return np.sin(2.0 * t)
+def ring(t: np.ndarray) -> np.ndarray:
+    return np.sin(2.0 * t)
+
+
+def plainly(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    return {"y": values[0] * np.exp(-t)}
+
+
+PLAIN = (parameter("a", 0.5),)
+
+
+def seen_trials(rng: np.random.Generator, rising: float, ringing: float) -> list[Trial]:
+    """Six trials with something of two curves."""
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0 + 0.3 * k, 200)
+        y = np.exp(-t) + rising * rise(t) + ringing * ring(t) + 0.02 * rng.normal(size=len(t))
+        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, rig=RigInput(force=1.0 + k)))
+    return trials
+
+
+def test_two_effects_are_found_beside_one_that_stands_in_for_both(rng: np.random.Generator) -> None:
+    """A curve like the sum of two others is better than either, and no cause once both are fitted jointly."""
 
     def both(t: np.ndarray) -> np.ndarray:
         return rise(t) + ring(t) + 0.4 * np.cos(5.0 * t)
 
-    def plainly(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-        return {"y": values[0] * np.exp(-t)}
-
-    model = Hooked(plainly, (parameter("a", 0.5),), ("y",))
-    trials = []
-    for k in range(6):
-        t = np.linspace(0.0, 5.0 + 0.3 * k, 200)
-        y = np.exp(-t) + 1.0 * rise(t) + 1.4 * ring(t) + 0.02 * rng.normal(size=len(t))
-        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, rig=RigInput(force=1.0 + k)))
+    model = Hooked(plainly, PLAIN, ("y",))
     effects = [Seen("rise", rise), Seen("ring", ring), Seen("both", both)]
-    state = chain.run(model, model.parameters, trials, {"a": (1.0, 0.1)}, effects)
+    state = search.run(model, PLAIN, seen_trials(rng, 1.0, 1.4), {"a": (1.0, 0.1)}, effects)
     assert {e.name for e in state.base.effects} == {"rise", "ring"}
-    assert list(state.taken_back) == ["both"]
-    assert [r.ranked[0].tried.effect.name for r in state.rounds[:2]] == [e.name for e in state.base.effects]
+    assert state.posterior.sets[frozenset({"rise", "ring"})] > 0.5
+
+
+def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Generator) -> None:
+    """More candidates never lower what is found for the others."""
+    model = Hooked(plainly, PLAIN, ("y",))
+    trials = seen_trials(rng, 0.3, 0.0)
+    effects = [Seen("rise", rise), Seen("ring", ring), Seen("wave", lambda t: np.cos(3.0 * t))]
+    whole = search.run(model, PLAIN, trials, {"a": (1.0, 0.1)}, effects)
+    alone = search.run(model, PLAIN, trials, {"a": (1.0, 0.1)}, effects, asked=["rise"])
+    assert [e.name for e in whole.base.effects] == [e.name for e in alone.base.effects] == ["rise"]
+    np.testing.assert_array_equal(whole.base.theta, alone.base.theta)
+    assert whole.base.cost == alone.base.cost
+    rows = {r.tried.effect.name: r for r in whole.singles.ranked}
+    (own,) = alone.singles.ranked
+    np.testing.assert_array_equal(own.gains, rows["rise"].gains)
+
+
+def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) -> None:
+    model = Hooked(plainly, PLAIN, ("y",))
+    effects = [Seen("rise", rise), Seen("ring", ring)]
+    state = search.run(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}, effects)
+    assert state.posterior.none > 0.5
+    assert (
+        conclusion.verdict(state, [conclusion.named(state, r) for r in state.rounds], dropout=False) == "none"
+    )
+
+
+def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0) -> posterior.Posterior:
+    def made(names: frozenset[str], score: float) -> posterior.Candidate:
+        return posterior.Candidate(names, score, np.full(5, score / 5), len(names))
+
+    found = [made(frozenset(names.split("+")), score) for names, score in others]
+    return posterior.posterior(made(frozenset(), null), found, record=posterior.Record(samples, 8, 20))
+
+
+class TestPosterior:
+    def test_it_sums_to_one(self) -> None:
+        found = _posterior(5000.0, ("a", 1010.0), ("b", 2000.0), ("a+b", 1000.0))
+        assert sum(found.sets.values()) + found.none + found.outside == pytest.approx(1.0)
+
+    def test_what_leaves_several_times_more_is_no_rival_and_what_leaves_as_much_is_one(self) -> None:
+        found = _posterior(20000.0, ("a", 1000.0), ("b", 1900.0), ("c", 1000.0))
+        assert found.instead("a", frozenset({"a"}))["b"] < 0.01
+        assert found.sets[frozenset("a")] == pytest.approx(found.sets[frozenset("c")])
+
+    def test_of_causes_that_leave_much_the_same_share_none_is_sure(self) -> None:
+        found = _posterior(20000.0, ("a", 9000.0), ("b", 9500.0))
+        assert found.instead("a", frozenset({"a"}))["b"] > 0.2
+        assert found.outside > 0.5
+
+    def test_a_gap_that_no_effect_closes_has_another_cause(self) -> None:
+        found = _posterior(5000.0, ("a", 4900.0), ("b", 4950.0))
+        assert found.outside > 0.9
+
+    def test_the_second_cause_must_be_sure(self) -> None:
+        assert _posterior(20000.0, ("a", 1400.0), ("a+b", 1250.0)).best == frozenset("a")
+        assert _posterior(20000.0, ("a", 3000.0), ("a+b", 1000.0)).best == frozenset("ab")
+
+    def test_a_gain_in_one_fold_alone_is_unsure(self) -> None:
+        null = posterior.Candidate(frozenset(), 1060.0, np.full(6, 1060.0 / 6), 0)
+        even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6), 1)
+        one = np.array([-50.0, *[10.0] * 5])
+        lone = posterior.Candidate(frozenset("a"), 1000.0, 1000.0 / 6 + one, 1)
+        sure, unsure = (
+            posterior.posterior(null, [c], record=posterior.Record(1000.0, 8, 20)).none for c in (even, lone)
+        )
+        assert unsure > sure
+
+    def test_what_is_left_is_a_share_of_the_squared_gap(self) -> None:
+        assert _posterior(3000.0, ("a", 1500.0)).left == pytest.approx(0.25)
 
 
 class Fragile(Seen):
@@ -720,57 +801,12 @@ def test_a_trial_that_breaks_down_leaves_an_effect_to_the_others(rng: np.random.
         assert all(np.abs(c).max() > 1.0 for c in changes[1:])
 
 
-def test_the_share_that_stays_in_a_channel_of_some_trials(bench: Bench) -> None:
-    trials = [replace(bench.trials[0], measured={"y": bench.trials[0].measured["y"]}), *bench.trials[1:]]
-    some = Bench(bench.model, bench.parameters, trials, bench.prior)
-    lens = Lens([[np.full(len(t.time_s), 0.05)] * len(t.measured) for t in trials])
-    fit = some.fit((), lens, [some.shape.start])
-    half = replace(fit, residuals=[0.5 * r for r in fit.residuals])
-    state = SimpleNamespace(rounds=[SimpleNamespace(base=fit)], base=half)
-    assert conclusion.stays(state, "v") == pytest.approx(0.25)  # type: ignore[arg-type]
-
-
 def test_a_start_that_changes_nothing_is_no_obstacle(bench: Bench) -> None:
     fit = bench.fit((), Lens([[np.full(len(t.time_s), 0.05)] * 2 for t in bench.trials]), [bench.shape.start])
     without = replace(fit, rows=[np.zeros_like(rows) for rows in fit.rows])
     own = [[r.copy() for r in fit.residuals]]
     gains = own_gains(bench, without, Lens(fit.problem.sd), own)
     assert np.isfinite(gains).all()
-
-
-@pytest.mark.parametrize(
-    ("gains", "why"),
-    [
-        ([60.0, 50.0, 40.0, 0.5], ""),
-        ([10.0, 5.0, 4.0, 3.0], "no more than noise"),
-        ([90.0, 80.0, -30.0, -30.0], "loses in others"),
-        ([250.0, 150.0, -5.0, -10.0], "too many"),
-        ([2500.0, 1500.0, -5.0, -10.0], ""),
-        ([200.0, 5.0, 4.0, 3.0], "one held-out fold"),
-    ],
-)
-def test_what_counts(gains: list[float], why: str) -> None:
-    tried = SimpleNamespace(effect=SimpleNamespace(name="wall"), parameters=(parameter("force", 0.0),))
-    fit = SimpleNamespace(labels=["wall/force"], theta=np.array([1.0]))
-    found = SimpleNamespace(threshold=30.0)
-    best = Refitted(tried, fit, np.array(gains))  # type: ignore[arg-type]
-    said = chain.why_not(SimpleNamespace(rounds=[]), found, best)  # type: ignore[arg-type]
-    assert why in said
-    assert bool(said) == bool(why)
-
-
-@pytest.mark.parametrize(("left", "rivals"), [(1e6, ("wall",)), (5e3, ())])
-def test_a_rival_that_leaves_many_times_what_the_best_leaves_is_none(
-    left: float, rivals: tuple[str, ...]
-) -> None:
-    """It gains 16 000 less: twice what form may explain, and thrice what the best leaves in all."""
-
-    def refitted(name: str, gain: float) -> Refitted:
-        tried = SimpleNamespace(effect=SimpleNamespace(name=name), parameters=())
-        return Refitted(tried, SimpleNamespace(cost=left), np.full(4, gain / 4))  # type: ignore[arg-type]
-
-    found = SimpleNamespace(ranked=[refitted("tether", 1e5), refitted("wall", 8.4e4)])
-    assert conclusion.named(SimpleNamespace(), found, 0.0).equivalent == rivals  # type: ignore[arg-type]
 
 
 def piece(before: float, after: float) -> shrinkage.Piece:
@@ -792,44 +828,8 @@ def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bo
     assert shrinkage.helps([piece(before, after)], {"x_m": 0.01}) is helps
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "clear", "much"),
-    [
-        pytest.param(8.0, 3.2, 7.8, True, id="a third of the gap, three times the noise"),
-        pytest.param(53.0, 2.9, 73.0, False, id="nearly all of it is closed"),
-        pytest.param(3.0, 1.8, 2.9, False, id="what is left is near the noise"),
-        pytest.param(4.7, 4.2, 1.9, False, id="most of the gap is what differs between trials by chance"),
-    ],
-)
-def test_a_gap_that_stays_wide_open_is_told(before: float, after: float, clear: float, much: bool) -> None:
-    largest, small = (
-        result.Shrinkage(name, b, a, b, 1.0, closed(b, a, 1.0), (np.nan, np.nan))
-        for name, b, a in (("x_m", before, after), ("y_m", 1.5, 1.4))
-    )
-    assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 1.5}) is (largest if much else None)
-    # in fitted trials the gap is largest in the other channel, and closed
-    assert shrinkage.wide_open([small, largest], {"x_m": clear, "y_m": 2 * clear}) is None
-
-
-@pytest.mark.parametrize(("after", "probabilities"), [(5.0, [0.8 * 3 / 7]), (7.8, []), (9.0, [])])
-def test_of_a_gap_that_stays_open_a_cause_is_told_as_far_as_it_closes_it(
-    after: float, probabilities: list[float]
-) -> None:
-    best = SimpleNamespace(tried=SimpleNamespace(effect=SimpleNamespace(name="tether")))
-    cause = conclusion.Named(best, (), 0.8, 0.8, found=None)  # type: ignore[arg-type]
-    open_channel = result.Shrinkage("x_m", 8.0, after, 8.0, 1.0, closed(8.0, after, 1.0), (np.nan, np.nan))
-    kept, said = answer._partly([cause], open_channel)
-    assert [c.probability for c in kept] == pytest.approx(probabilities)
-    assert f"tether: with it, held-out trials still miss x_m by {after} times the noise" in said
-
-
-def test_a_gap_without_a_channel_to_close_is_not_wide_open() -> None:
-    nothing = result.Shrinkage("x_m", 1.0, 1.0, 1.0, 1.0, np.nan, (np.nan, np.nan))
-    assert shrinkage.wide_open([nothing], {"x_m": 5.0}) is None
-
-
 def test_few_samples_need_less_gain_and_never_less_than_noise_may_give() -> None:
-    assert [candidates.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
+    assert [remainder.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
 
 
 def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: np.random.Generator) -> None:
@@ -847,7 +847,7 @@ def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: 
     lens = Lens([[np.full(200, 0.05)] for _ in trials])
     trapped = bench.fit((), lens, [np.array([2.5])])
     assert abs(trapped.value("rate") - 1.05) > 0.5
-    based = chain._based(bench, (), lens, trapped.theta)
+    based = search.based(bench, lens, trapped.theta)
     # five standard errors: a sample moves by some five of its units with the rate
     assert based.value("rate") == pytest.approx(1.05, abs=5 * 0.05 / np.sqrt(800) / 5)
     assert based.cost < trapped.cost
@@ -862,11 +862,3 @@ def test_a_cause_with_which_a_held_out_trial_breaks_down_is_told(
 ) -> None:
     """The trial's range is 200 times its noise; beside it another one that is well with the cause."""
     assert shrinkage.sound([piece(5.0, 0.0), piece(before, after)]) is sound
-
-
-@pytest.mark.parametrize(
-    ("gains", "steady"), [([30.0, 5.0, 80.0], True), ([30.0, -0.5, 80.0], True), ([30.0, -9.0, 80.0], False)]
-)
-def test_a_steady_cause_helps_in_every_fold(gains: list[float], steady: bool) -> None:
-    best = Refitted(None, None, np.array(gains))  # type: ignore[arg-type]
-    assert conclusion.Named(best, (), 0.8, 0.9, None).steady is steady  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from swimid.diagnosis import gap_file as gap
+from swimid.diagnosis import power_file
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.logs import mapping, trials
@@ -31,6 +32,7 @@ def schemas() -> dict[str, dict[str, Any]]:
         "mapping": mapping.Mapping,
         "comparison": comparison.ComparisonFile,
         "gap": gap.GapFile,
+        "power": power_file.PowerFile,
         "sensitivity": sensitivity.SensitivityFile,
         "map": map_file.MapFile,
         "rule": rule.RuleFile,

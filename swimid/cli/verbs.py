@@ -176,9 +176,9 @@ VERBS = (
 
         TRIALS is a trials file of any experiment; the parameter file says which model is to describe it, and
         without one the robot file does. The model is refitted alone and with every effect that applies to it;
-        an effect counts by what it gains on trials left out of the fit, against what noise alone would gain.
-        The answer is one effect, a combination, several that the trials cannot tell apart, or none. Every
-        answer is a result: exit status 0.
+        what each leaves beyond the noise says how likely it is, that there is no gap, and that the cause is
+        none of these. The answer is one effect, a combination, several that the trials cannot tell apart, or
+        none. Every answer is a result: exit status 0.
 
         \b
         Examples:
@@ -186,6 +186,7 @@ VERBS = (
           swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
           swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
           swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+          swimid diagnose trials.yaml --params tfish.yaml --power
           swimid report gap.yaml -o gap.html
         """,
     ),

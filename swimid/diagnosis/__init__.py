@@ -2,10 +2,12 @@
 
 ``lens`` weighs residuals by the noise, ``chance`` says what differs between trials, ``bench`` fits,
 ``nominal`` says which numbers are refitted, ``folds`` what is held out together; ``candidates`` tries
-effects, ``gram`` compares them on held-out trials, ``remainder`` and ``generic`` find what no effect
-explains, ``floor`` says how large the noise is, ``dropouts`` which samples are none, ``places`` where the
-gap is, ``shrinkage`` how far it closes, ``advice`` names the next experiment. ``chain`` strings them
-together, ``conclusion`` and ``answer`` say what was found, as ``result``. ``diagnose`` is the verb,
+effects, ``gram`` compares them on held-out trials, ``weighting`` learns the noise from what is left,
+``search`` fits every effect and sets of them, ``posterior`` says how likely each is, ``remainder`` and
+``generic`` find what no effect explains, ``floor`` says how large the noise is, ``dropouts`` which samples
+are none, ``places`` where the gap is, ``shrinkage`` how far it closes, ``advice`` names the next experiment;
+``power`` and ``power_file`` what trials could show. ``conclusion`` and ``answer`` say what was found, as
+``result``. ``diagnose`` is the verb,
 ``options`` what it can be told, ``diagnosed`` its result, with ``gap_file``, ``file``, ``section``,
 ``summary``, ``evidence`` and ``figures``.
 """

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
-from swimid.diagnosis.bench import Bench, Fit, errors
-from swimid.diagnosis.chain import Round, State, passes, why_not
+from swimid.diagnosis.bench import FINE, Bench, Fit
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.nominal import Given
+from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.result import (
     Absorbed,
     Advice,
@@ -28,21 +28,14 @@ from swimid.diagnosis.result import (
     Remaining,
     Score,
     Shrinkage,
-    Threshold,
 )
+from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.fitting.model import Array, Trial
 from swimid.progress import Progress, silent
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.
 FAILED, FAILED_MISFIT = 4, 50.0
-#: A gap stands above the noise where it is this many times as large: twice the error of a floor read off some
-#: hundred independent samples.
-STANDS = 1.15
-#: Where it does not, a cause must gain so many times the standard error of its gain.
-SURE = 3.0
-#: Of a gap that stays open, causes that close less than this share are none.
-PARTLY = 0.1
 
 
 def answer(
@@ -67,58 +60,36 @@ def answer(
     """
     rng = np.random.default_rng(seed)
     bench = state.bench
-    nominal = state.rounds[0].base if state.rounds else state.base
-    unknown = conclusion.unknown_share(state)
+    nominal = state.nominal
     floor, how = noise_floors(bench, state.base, state.quiet, conclusion.structured_share(state))
     for channel in remainder.moves(state.slow):
         floor[channel] *= math.sqrt(1.0 - state.slow[channel].share)
-    found = [r for r in state.rounds if r.ranked and passes(state, r)]
-    chosen = [conclusion.named(state, r, unknown) for r in found]
     failed = _failed(state, nominal, raw, floor)
-    word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+    chosen = [conclusion.named(state, r) for r in state.rounds]
+    word = conclusion.verdict(state, chosen, dropout=failed > 0)
+    surely = state.posterior.none <= UNSURE
+    # beside something from outside only what acts rather than not
+    chosen = [c for c in chosen if surely and (word != "unexplained" or c.probability > 0.5)]
     rows = conclusion.scores(state)
     shipped = {p.name: p.start for p in bench.parameters if not p.per_trial}
     total = len(validation) or bench.folds.count
     with progress("held-out trials", total=total) as step:
         held = shrinkage.pieces(
-            bench, nominal, state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
+            bench, _alone(state), state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
     sound = shrinkage.sound(held)
-    if chosen and not (sound and shrinkage.helps(held, floor)):
-        # simulated from their own start states, held-out trials are no better with it
+    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
         names = ", ".join(c.best.tried.effect.name for c in chosen)
-        steady = word != "unexplained" and all(c.steady for c in chosen)
-        if sound and (steady or shrinkage.hidden(bench, nominal, state.base, state.lens, validation)):
-            reasons.append(
-                f"{names}: it gains on held-out data, but held-out trials, simulated anew, are no better "
-                "with it: what differs between trials by chance hides it"
-            )
-            if word != "unexplained":
-                word = "ambiguous"
-        else:
-            worse = "are no better" if sound else "break down"
-            reasons.append(f"{names}: held-out trials, simulated anew, {worse} with it")
-            chosen = []
-            word = conclusion.verdict(state, chosen, unknown, dropout=failed > 0)
+        hides = "are no better with it: what differs between trials by chance hides it"
+        reasons.append(
+            f"{names}: held-out trials, simulated anew, {hides if sound else 'break down with it'}"
+        )
+        word = "ambiguous" if word == "explained" else word
     # what a cause accounts for is none of the chance differences of the model without it
     gap_left = nominal.unaided([e.name for e in state.base.effects])
     size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
-    # parts of a trial do not tell how large its noise is
-    whole = bool(chosen) and (bool(validation) or bench.folds.whole)
-    ratio = {c: size[c] / floor[c] for c in size if floor[c] > 0}
-    wide = shrinkage.wide_open(closing, ratio) if whole else None
-    if wide is not None:
-        chosen, said = _partly(chosen, wide)
-        reasons.append(said)
-        word = "unexplained"
-    stands = any(size[c] > STANDS * floor[c] for c in size)
-    sure = any(c.best.gain > SURE * c.best.stderr for c in chosen)
-    if word != "none" and not (failed or stands or sure or conclusion.structured(state)):
-        names = ", ".join(c.best.tried.effect.name for c in chosen) or "what differs between trials"
-        reasons.append(f"{names}: the gap is no larger than the noise, as well as that is known")
-        chosen, word = [], "none"
     if word == "none":
         # nothing it leaves can be told from noise and from what differs between trials by chance
         floor = {c: max(v, size[c]) for c, v in floor.items()}
@@ -141,53 +112,48 @@ def answer(
         regime=places.regimes(where),
         time=places.times(where),
         causes=tuple(causes) if gap else (),
-        remaining=_remaining(state, unknown, nominal, gap_left, floor, wide),
-        advice=_advice(state, found, chosen, word, floor),
+        remaining=_remaining(state, nominal, gap_left, floor),
+        advice=_advice(state, chosen, word, floor),
         scores=rows,
-        threshold=state.rounds[0].needs if state.rounds else Threshold(math.nan, math.nan, math.nan),
+        no_gap=state.posterior.none,
+        outside=state.posterior.outside,
         floor_from=how,
         held_out="validation" if validation else "trials" if bench.folds.whole else "stretches",
         sketches=places.sketches(bench, state.base, left) if left is not None and left.found else (),
         overlays=shrinkage.overlays(held, units),
         maps=places.maps(where),
         forces=dict(left.places) if left is not None else {},
-        rounds=tuple(_told(r, state) for r in state.rounds),
+        rounds=tuple(state.told),
         reasons=(*reasons, *_reasons(state)),
+        hypotheses=conclusion.hypotheses(state),
+        samples=sum(len(r) for r in nominal.residuals),
+        tried=state.tried,
     )
 
 
-def _partly(chosen: Sequence[Named], wide: Shrinkage) -> tuple[list[Named], str]:
-    """What is to be said of causes that leave most of a gap, and which are worth to be named all the same."""
-    names = ", ".join(c.best.tried.effect.name for c in chosen)
-    said = (
-        f"{names}: with it, held-out trials still miss {wide.channel} by {wide.after / wide.floor:.1f} times "
-        f"the noise, {100 * (1 - wide.closed):.0f} % of the gap there: something else is missing"
-    )
-    # that they are all that is missing is as likely as what they close
-    kept = [replace(c, probability=c.probability * wide.closed) for c in chosen]
-    return (kept if wide.closed > PARTLY else []), said
+def _by_coefficients(state: State) -> bool:
+    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
+    these imitate the causes, and held-out errors are as small.
+    """
+    null, *found = state.posterior.candidates
+    best = next((c for c in found if c.names == state.posterior.best), null)
+    return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)
 
 
-def _told(found: Round, state: State) -> str:
-    if not found.ranked:
-        return "no effect gains anything on held-out data"
-    best = found.ranked[0]
-    why = why_not(state, found, best)
-    return (
-        f"{best.tried.effect.name} gains {best.gain:.0f} ± {best.stderr:.0f} on held-out data against a "
-        f"threshold of {found.threshold:.0f}: {f'it does not count, since {why}' if why else 'it counts'}"
-    )
+def _alone(state: State) -> Fit:
+    """The model refitted as if trials did not differ: what differs may have stood in for a cause, and nothing
+    is known of it in a trial to come.
+    """
+    if not state.lens.chance:
+        return state.nominal
+    bench, lens = state.bench, replace(state.lens, chance=())
+    begin = bench.start((), lens, state.nominal)
+    return bench.fit((), lens, bench.begins(bench.problem(()), begin), tolerance=FINE)
 
 
 def _reasons(state: State) -> tuple[str, ...]:
     said: list[str] = []
-    leader = state.rounds[0].ranked[0] if state.rounds and state.rounds[0].ranked else None
-    if leader is not None and leader.gain > state.rounds[0].threshold:
-        why = why_not(state, state.rounds[0], leader)
-        said += [f"{leader.tried.effect.name}: {why}"] if why else []
-    said += [f"{name}: beside {other} it gains nothing" for name, other in state.taken_back.items()]
-    if state.rounds:
-        said += [f"{name}: {why}" for name, why in state.rounds[0].screen.left_out.items()]
+    said += [f"{name}: {why}" for name, why in state.singles.screen.left_out.items()]
     if state.out_of_time:
         said.append("the time budget ran out before every effect was refitted")
     said += [
@@ -244,7 +210,7 @@ def _causes(
 ) -> list[Cause]:
     if not chosen:
         return []
-    sd = conclusion.parameter_errors(state)
+    sd = conclusion.parameter_errors(state, state.base)
     absorbed = _absorbed(state, nominal, given, sd)
     beyond = _extrapolations(state, nominal)
     causes = []
@@ -286,8 +252,7 @@ def _causes(
 def _absorbed(
     state: State, nominal: Fit, given: Mapping[str, Given], sd: Mapping[str, float]
 ) -> tuple[Absorbed, ...]:
-    _, weight = state.bench.expected(nominal.problem)
-    plain = dict(zip(nominal.labels, errors(nominal, state.lens, weight), strict=True))
+    plain = conclusion.parameter_errors(state, nominal)
     found = []
     for p in state.bench.parameters:
         if p.per_trial or p.name not in nominal.labels:
@@ -340,18 +305,9 @@ def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) ->
 
 
 def _remaining(
-    state: State,
-    unknown: float,
-    nominal: Fit,
-    residuals: Sequence[Array],
-    floor: Mapping[str, float],
-    wide: Shrinkage | None,
+    state: State, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
 ) -> Remaining:
     left = state.left
-    if wide is not None:
-        share = (wide.after**2 - wide.floor**2) / (wide.before**2 - wide.floor**2)
-        gain = 0.0 if left is None else max(left.gain, 0.0)
-        return Remaining(min(share, 1.0), f"{wide.channel} of held-out trials", False, gain)
     if left is None:
         return Remaining(0.0, "", True, 0.0)
     where = _where(state)
@@ -363,7 +319,7 @@ def _remaining(
             return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
         apart = bool(conclusion.differs(state))
         return Remaining(float(apart), where, not apart, max(left.gain, 0.0))
-    return Remaining(unknown, where, False, left.gain)
+    return Remaining(state.posterior.left, where, False, left.gain)
 
 
 def _where(state: State) -> str:
@@ -382,9 +338,9 @@ def _where(state: State) -> str:
 
 
 def _advice(
-    state: State, found: Sequence[Round], chosen: Sequence[Named], word: str, floor: Mapping[str, float]
+    state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]
 ) -> tuple[Advice, ...]:
-    bench = state.bench
+    bench, found = state.bench, state.rounds
     if chosen:
         names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent)
         rivals = [next(r for r in found[0].ranked if r.tried.effect.name == n) for n in names]

@@ -24,6 +24,9 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of a fit.
 TOLERANCE = 1e-5
+#: Of several starts all go so many steps with lent derivatives; so many of them go as far with their own, and
+#: the best to the end, in so many at most. The tolerances meanwhile and there.
+HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 20, 1e-3, 1e-4
 #: A coefficient this many prior standard deviations from what was known of it is distorted.
 DISTORTED = 2.0
 #: A prior as wide as this share of a coefficient says little.
@@ -354,28 +357,36 @@ class Bench:
         finally:
             problem.close()
 
-    def outside(self, fit: Fit, lens: Lens, trial: Trial, shared: Mapping[str, float]) -> float:
-        """Squared residuals of a trial with shared numbers given and its own fitted to it, prior included.
+    def raced(
+        self, effects: Sequence[Effect], lens: Lens, starts: Sequence[Array], *, chord: Fit, jobs: int = 1
+    ) -> Fit:
+        """The best optimum from many starts: all begin with the derivatives of a fit nearby, few go on.
 
         Parameters
         ----------
-        fit : Fit
-            Of the model.
-        lens : Lens
-        shared : mapping of label to float
+        starts : sequence of ndarray, shape (p,)
+        chord : Fit
+            Whose derivatives are lent.
         """
-        problem = self.problem(fit.effects, lens.chance, jobs=1, trials=[trial], known=shared)
-        problem.sd = [[self._typical_sd(lens, c) * np.ones(len(trial.time_s)) for c in problem.channels[0]]]
-        return self._search(problem, lens, [problem.start], TOLERANCE, 30).cost
+        problem = self.problem(effects, lens.chance, jobs=jobs)
+        lens.install(problem)
 
-    def _typical_sd(self, lens: Lens, channel: str) -> float:
-        """Standard deviation that the lens gives a sample of a channel in the trials at hand."""
-        found = [
-            np.median(sds[names.index(channel)])
-            for sds, names in zip(lens.sd, self.shape.channels, strict=True)
-            if channel in names
-        ]
-        return float(np.median(found)) if found else math.inf
+        def search(start: Array, tolerance: float = ROUGH, steps: int = HEAT) -> levenberg.Solution:
+            return self._search(problem, lens, [start], tolerance, steps)
+
+        def cost(found: levenberg.Solution) -> float:
+            return found.cost if math.isfinite(found.cost) else math.inf
+
+        try:
+            if len(starts) > FINALISTS:
+                problem.hold_derivatives(chord.labels, chord.rows)
+                starts = [found.x for found in sorted(map(search, starts), key=cost)[:FINALISTS]]
+                problem.hold_derivatives((), ())
+            first = min(map(search, starts), key=cost)
+            best = min(first, search(first.x, FINE, STEPS), key=cost)
+            return self._at(problem, effects, best.x, best.cost)
+        finally:
+            problem.close()
 
     def _search(
         self, problem: Mixed, lens: Lens, starts: Sequence[Array], tolerance: float, iterations: int

@@ -13,7 +13,6 @@ from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
 from swimid.diagnosis.gram import Folded
 from swimid.diagnosis.lens import Lens
 from swimid.effects.base import Effect
-from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Parameter
 
 #: A change smaller than this (squared, in units of the noise) is none.
@@ -22,28 +21,10 @@ NOTHING = 1e-6
 BROKEN = 3e4
 #: Share of trials that must not break down for an effect to be judged by them.
 SOUND = 0.7
-#: An effect counts when it lowers the held-out misfit by more than this per sample, too.
-PER_SAMPLE = 0.002
-#: Draws of pure noise for the threshold, and the quantile of the largest gain that counts as noise.
-DRAWS, QUANTILE = 400, 0.975
-#: No effect counts for less; of few samples, whose noise is read off themselves, for half their number, but
-#: never for less than the second.
-LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
-#: Starts of a refit beyond the one the screen predicts, of effects that are not smooth.
-STARTS = 2
-#: Relative tolerance of a first refit, and of the last.
-ROUGH, FINE = 5e-4, 1e-4
-#: Steps after which the best of several starts goes on alone.
-HEAT = 3
-#: Shares of a predicted size to begin at where the prediction was no start.
-NEARER = (0.5, 0.2, 0.0)
+#: Starts of a fit beyond the one the screen predicts: the sizes that help most as they are.
+STARTS = 3
 #: Parts of a trial that are judged in turn where each trial has a size for itself.
 PARTS = 4
-
-
-def least_gain(samples: float) -> float:
-    """The gain below which nothing counts, whatever noise alone would give."""
-    return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)
@@ -88,26 +69,19 @@ class Refitted:
     ----------
     gains : ndarray, shape (folds,)
         Drop of each fold's held-out misfit against the model without it.
+    inside : ndarray, shape (folds,)
+        The same of the fits to all.
     """
 
     tried: Tried
     fit: Fit
     gains: Array
+    inside: Array
 
     @property
     def gain(self) -> float:
         """Over all folds."""
         return float(self.gains.sum())
-
-    @property
-    def lost(self) -> float:
-        """What is lost in folds where it makes things worse."""
-        return float(-np.minimum(self.gains, 0.0).sum())
-
-    @property
-    def merit(self) -> float:
-        """The gain, less what is lost where it does not help: a cause helps everywhere or does nothing."""
-        return self.gain - 2.0 * self.lost
 
     @property
     def size(self) -> float:
@@ -131,14 +105,11 @@ class Screen:
     ----------
     tried : list of Tried
         Best first.
-    threshold : float
-        Held-out gain that the best of all effects reaches on pure noise at most once in forty.
     left_out : dict of name to reason
         Effects that change nothing here.
     """
 
     tried: list[Tried]
-    threshold: float
     left_out: dict[str, str] = field(default_factory=dict)
 
 
@@ -190,9 +161,7 @@ def simulate(
         return list(pool.map(one, effects))
 
 
-def screen(
-    bench: Bench, base: Fit, lens: Lens, simulated: Sequence[Trialled], *, rng: np.random.Generator
-) -> Screen:
+def screen(bench: Bench, base: Fit, lens: Lens, simulated: Sequence[Trialled]) -> Screen:
     """Compare all effects at all strengths, the base's numbers projected out."""
     columns: list[list[Array]] = []
     places: list[list[int]] = []
@@ -201,11 +170,8 @@ def screen(
         columns += [changed for _, changed in tried.points]
     inner = gram.folded(bench, base, lens, columns)
     plain = gram.held_out(inner)
-    draws = gram.noise(inner, rng, DRAWS)
-    plain_drawn = gram.held_out(inner, draws=draws)
     left = gram.projected(inner)
     total = inner.products.sum(axis=0)
-    largest = np.zeros(DRAWS)
     found, left_out = [], {}
     for tried, at in zip(simulated, places, strict=True):
         effect, parameters, points = tried.effect, tried.parameters, tried.points
@@ -213,8 +179,7 @@ def screen(
         if len(shared) < len(parameters):
             best = _apart(bench, base, lens, effect, parameters, points, plain)
         else:
-            best, drawn = _best(inner, effect, parameters, points, at, plain, draws, plain_drawn, left, total)
-            largest = np.maximum(largest, drawn)
+            best = _best(inner, effect, parameters, points, at, plain, left, total)
         if best is None:
             broke = not tried.points
             left_out[effect.name] = (
@@ -226,7 +191,7 @@ def screen(
             found.append(best)
             left_out.pop(effect.name, None)
     found.sort(key=lambda t: -t.gain)
-    return Screen(found, float(np.quantile(largest, QUANTILE)), left_out)
+    return Screen(found, left_out)
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
@@ -253,24 +218,20 @@ def _best(
     points: list[tuple[Array, list[Array]]],
     at: list[int],
     plain: Array,
-    draws: gram.Drawn,
-    plain_drawn: Array,
     left: Array,
     total: Array,
-) -> tuple[Tried | None, Array]:
-    """The best of an effect's tries, single ones and one per parameter together; what noise would do."""
-    drawn = np.zeros(DRAWS)
+) -> Tried | None:
+    """The best of an effect's tries, single ones and one per parameter together."""
     best: Tried | None = None
     leaders: dict[tuple[int, ...], tuple[float, int]] = {}
     null = np.array([p.start for p in parameters])
     s = inner.shared
 
     def consider(chosen: list[int]) -> None:
-        nonlocal best, drawn
+        nonlocal best
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [at[i] for i in chosen]
         gains = plain - gram.held_out(inner, where, prior)
-        drawn = np.maximum(drawn, (plain_drawn - gram.held_out(inner, where, prior, draws)).sum(axis=0))
         factors = gram.together(inner, where, prior)[s:]
         inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
         if len(chosen) == 1:
@@ -305,17 +266,13 @@ def _best(
             consider([i])
     if len(leaders) > 1:
         consider([i for _, i in leaders.values()])
-    if best is not None and not effect.smooth:
+    if best is not None:
         raw = [(float((plain - gram.held_out_less(inner, at[i])).sum()), i) for i, _ in enumerate(points)]
         helped = sorted(raw)[::-1][:STARTS]
-        best = replace(
-            best,
-            starts=[points[i][0] for _, i in helped],
-            gains=best.gains
-            if not helped or helped[0][0] <= best.gain
-            else plain - gram.held_out_less(inner, at[helped[0][1]]),
-        )
-    return best, drawn
+        best = replace(best, starts=[points[i][0] for _, i in helped])
+        if not effect.smooth and helped and helped[0][0] > best.gain:
+            best = replace(best, gains=plain - gram.held_out_less(inner, at[helped[0][1]]))
+    return best
 
 
 def _apart(
@@ -353,82 +310,6 @@ def _apart(
     return best
 
 
-def refit(
-    bench: Bench,
-    base: Fit,
-    base_gram: Folded,
-    lens: Lens,
-    tried: Tried,
-    *,
-    begin: Fit | None = None,
-    iterations: int = 16,
-    jobs: int = 1,
-    checkpoint: Checkpoint | None = None,
-) -> Refitted:
-    """Fit an effect together with everything the base has; its gain fold by fold.
-
-    Parameters
-    ----------
-    begin : Fit, optional
-        A first refit to go on from with derivatives of its own; without it those of the base are lent.
-    jobs : int
-        Threads among which simulations are shared.
-    checkpoint : Checkpoint, optional
-        Where an earlier run left optima; this one's are added.
-    """
-    effects = (*base.effects, tried.effect)
-    own = {f"{tried.effect.name}/{p.name}": v for p, v in zip(tried.parameters, tried.point, strict=True)}
-    points = [tried.point, *tried.starts]
-    starts = [
-        bench.start(effects, lens, base, {**own, **dict(zip(own, point, strict=True))}) for point in points
-    ]
-    chord = base if begin is None else None
-    if begin is not None:
-        starts = bench.begins(bench.problem(effects, lens.chance), bench.start(effects, lens, begin))
-    checkpoint = checkpoint or Checkpoint()
-    name = "+".join(
-        [
-            *(e.name for e in effects),
-            *(p.name for p in tried.parameters),
-            "first" if begin is None else "last",
-        ]
-    )
-    kept = checkpoint.get(name)
-    if kept is not None and len(kept) == len(starts[0]):
-        starts = [kept]
-
-    # a first refit need not be exact: what comes near the best is fitted again
-    tolerance = ROUGH if begin is None else FINE
-
-    def fitted(begins: list[Array], most: int = iterations) -> Fit:
-        return bench.fit(effects, lens, begins, iterations=most, tolerance=tolerance, jobs=jobs, chord=chord)
-
-    def raced(begins: list[Array]) -> Fit:
-        # of several starts the one that is ahead after a few steps
-        return fitted([fitted(begins, HEAT).theta] if len(begins) > 1 else begins)
-
-    fit = raced(starts)
-    if begin is None and not fit.cost <= base.cost:
-        # far from null a linear guess may be no start: towards the model that has it not
-        towards = [
-            {
-                n: p.start + share * (v - p.start)
-                for n, p, v in zip(own, tried.parameters, tried.point, strict=True)
-            }
-            for share in NEARER
-        ]
-        fit = min(
-            fit, raced([bench.start(effects, lens, base, near) for near in towards]), key=lambda f: f.cost
-        )
-    checkpoint.put(name, fit.theta)
-    gains = gram.held_out(base_gram) - gram.held_out(gram.folded(bench, fit, lens))
-    single = [p for p in tried.parameters if p.per_trial]
-    if single:
-        alone = [_single(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
-        gains = own_gains(bench, base, lens, alone)
-    return Refitted(tried, fit, gains)
-
-
 def alike(bench: Bench, base: Fit, lens: Lens, first: Tried, second: Tried) -> float:
     """Cosine between two effects' changes, the base's numbers projected out."""
     inner = gram.projected(gram.folded(bench, base, lens, [first.signature, second.signature]))
@@ -436,7 +317,7 @@ def alike(bench: Bench, base: Fit, lens: Lens, first: Tried, second: Tried) -> f
     return float(inner[0, 1] / norm) if norm > 0 else 0.0
 
 
-def _single(fit: Fit, name: str, scale: float) -> list[Array]:
+def own(fit: Fit, name: str, scale: float) -> list[Array]:
     """Derivatives of each trial to its own value of a parameter, per typical size."""
     found = []
     for k, rows in enumerate(fit.rows):

@@ -7,115 +7,61 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis import candidates, remainder
-from swimid.diagnosis.bench import errors
+from swimid.diagnosis.bench import Fit, errors
 from swimid.diagnosis.candidates import Refitted
-from swimid.diagnosis.chain import FORM, STEADY, Round, State, passes
 from swimid.diagnosis.chance import CHANCE
-from swimid.diagnosis.floor import by_channel
+from swimid.diagnosis.lens import Lens, coloured
+from swimid.diagnosis.posterior import UNSURE, Candidate
 from swimid.diagnosis.result import Score, Verdict
+from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
+from swimid.fitting.sandwich import sandwich
 
-#: An effect this likely against the best is told as equivalent to it.
-EQUIVALENT = 0.12
-#: So is one of whose change this much looks the same, if it gains nearly as much.
-COSINE, NEARLY = 0.97, 0.85
-#: Largest set of equivalents that still is an answer: of more, the likeliest are told.
+#: Effects that cannot be told from a cause are the fewest that with it make up so much of the probability.
+CREDIBLE = 0.9
+#: Largest such set that still is an answer: of more, the likeliest are told.
 SET = 3
-#: The best explains the gap when what a generic description still finds is at most this share of it.
-REMAINDER = 0.3
-#: Something that moves this much more than noise is left whatever was found.
-STRONG = 3.0
 #: Trials that differ by so many times what chance may make them do not differ by chance.
 DIFFERS = 2.0
-#: Of answers that the evidence alone would make sure, so many name another cause than the true one: a true
-#: effect never has quite its form in the catalogue, or is not in it. Read off blind cases with known causes.
-MISTAKEN = 0.15
-#: Softmax weight that the leader alone needs for a clear verdict.
-CLEAR = 0.55
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect chosen in a round, with its rivals there; the likeliest of them if they are too many.
+    """A cause, with its rivals.
 
     Attributes
     ----------
     probability : float
-        Softmax weight of the effect and its equivalents, times ``1 - MISTAKEN``; no posterior probability.
+        That it, or one of its equivalents, is among what the model lacks.
     alone : float
-        Softmax weight of the best alone.
+        How likely it is against its rivals, the other causes given.
+    crowded : bool
+        Whether more effects than are told cannot be told from it.
     """
 
     best: Refitted
     equivalent: tuple[str, ...]
     probability: float
     alone: float
-    found: Round
     crowded: bool = False
 
-    @property
-    def steady(self) -> bool:
-        """Whether it helps in every held-out fold."""
-        return self.best.lost <= STEADY * self.best.gain
 
-
-def named(state: State, found: Round, unknown: float) -> Named:
-    """The effect a round chose, those it cannot be told from, and their weight.
-
-    Parameters
-    ----------
-    unknown : float
-        Share of what can be found at all that no chosen effect accounts for.
-    """
+def named(state: State, found: Round) -> Named:
+    """The cause of a round and those that cannot be told from it."""
     best = found.ranked[0]
-    weight = _by_name(found)
     name = best.tried.effect.name
-    rivals = []
-    for other in found.ranked[1:]:
-        own = other.tried.effect.name
-        if own == name or own in rivals:
-            continue
-        close = weight[own] >= EQUIVALENT
-        if not close and other.gain > NEARLY * best.gain:
-            close = (
-                abs(candidates.alike(state.bench, found.base, found.lens, best.tried, other.tried)) > COSINE
-            )
-        if close:
-            rivals.append(own)
-    total = sum(weight.values())
-    shown = sorted(rivals, key=lambda n: -weight[n])[: SET - 1]
-    inside = sum(weight[n] for n in (name, *shown))
-    alone = weight[name] / total
-    known = 1.0 - unknown
-    probability, alone = (1.0 - MISTAKEN) * known * inside / total, known * alone
-    return Named(best, tuple(shown), probability, alone, found, crowded=len(rivals) > len(shown))
-
-
-def _by_name(found: Round) -> dict[str, float]:
-    """Softmax weight of each effect, its best variant's, against the best of all.
-
-    The temperature grows with the best one's own merit: no likelihood, hence no posterior probability.
-    """
-    best = found.ranked[0]
-    top = best.merit
-    # an effect of unlike form would not leave many times what another leaves
-    scale = max(2.0, min(FORM * top, best.fit.cost))
-    weight: dict[str, float] = {}
-    for r in found.ranked:
-        w = float(np.exp(min(r.merit - top, 0.0) / scale))
-        name = r.tried.effect.name
-        weight[name] = max(weight.get(name, 0.0), w)
-    return weight
+    posterior = state.posterior
+    share = posterior.instead(name, frozenset(e.name for e in state.base.effects))
+    order = [name, *(n for n in share if n != name)]
+    before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
+    alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
+    shown = alike[:SET]
+    return Named(best, tuple(shown[1:]), posterior.having(*shown), share[name], len(alike) > SET)
 
 
 def scores(state: State) -> tuple[Score, ...]:
-    """How every effect did in the first round."""
-    if not state.rounds:
-        return ()
-    found = state.rounds[0]
-    weight = _by_name(found) if found.ranked else {}
-    total = sum(weight.values()) or 1.0
+    """How every effect did alone."""
+    found = state.singles
     rows: dict[str, Score] = {}
     for r in found.ranked:
         e = r.tried.effect
@@ -131,7 +77,7 @@ def scores(state: State) -> tuple[Score, ...]:
             r.tried.absorbed,
             r.tried.gain,
             True,
-            weight[e.name] / total if r.gain > found.threshold else 0.0,
+            state.posterior.having(e.name),
         )
     for t in found.screen.tried:
         e = t.effect
@@ -140,7 +86,13 @@ def scores(state: State) -> tuple[Score, ...]:
                 e.name, e.stage, ", ".join(p.name for p in t.parameters), t.gain, float("nan"),
                 (int(np.sum(t.gains > 0)), len(t.gains)), t.absorbed, t.gain, False, 0.0,
             )  # fmt: skip
-    return tuple(sorted(rows.values(), key=lambda s: (not s.refitted, -s.gain)))
+    return tuple(sorted(rows.values(), key=lambda s: (not s.refitted, -s.probability, -s.gain)))
+
+
+def hypotheses(state: State) -> tuple[tuple[Candidate, float], ...]:
+    """Every set of effects that was weighed, as :attr:`swimid.diagnosis.result.Gap.hypotheses` has them."""
+    found = state.posterior
+    return tuple((c, found.sets.get(c.names, found.none)) for c in found.candidates)
 
 
 def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, float]:
@@ -155,15 +107,6 @@ def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, flo
     return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
 
 
-def unknown_share(state: State) -> float:
-    """Share of what can be found at all that no chosen effect accounts for."""
-    left = state.left
-    if left is None or not left.found:
-        return 0.0
-    gained = sum(r.ranked[0].gain for r in state.rounds if r.ranked and passes(state, r))
-    return float(np.clip(left.gain / max(left.gain + gained, 1e-300), 0.0, 1.0))
-
-
 def structured_share(state: State) -> float:
     """Share of the final squared residuals through the lens that a generic description still finds."""
     left = state.left
@@ -176,43 +119,37 @@ def structured_share(state: State) -> float:
     return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
 
 
-def stays(state: State, channel: str) -> float:
-    """Share of a channel's squared residuals that stays once the causes are in the model."""
-    fits = (state.rounds[0].base, state.base)
-    before, after = (float(np.sum(by_channel(fit, fit.residuals)[channel] ** 2)) for fit in fits)
-    return after / max(before, 1e-300)
-
-
-def structured(state: State) -> bool:
-    """Whether what is left in the end is more than noise."""
-    return bool((state.left is not None and state.left.found) or remainder.moves(state.slow))
-
-
-def verdict(state: State, chosen: Sequence[Named], share: float, *, dropout: bool) -> Verdict:
-    """The verdict in one word."""
-    found = state.left is not None and state.left.found
-    moving = remainder.moves(state.slow)
-    if not chosen:
+def verdict(state: State, chosen: Sequence[Named], *, dropout: bool) -> Verdict:
+    """The verdict in one word: the likeliest of no gap, the causes told, and something else."""
+    posterior = state.posterior
+    if not chosen or posterior.none > UNSURE:
         if dropout:
             return "explained"
-        return "unexplained" if structured(state) or differs(state) else "none"
-    if (found and share > REMAINDER) or any(
-        state.slow[c].ratio > STRONG and stays(state, c) > REMAINDER for c in moving
-    ):
-        return "unexplained"
+        return "unexplained" if posterior.outside > max(posterior.none, 0.5) else "none"
     first = chosen[0]
-    if first.crowded or first.alone < CLEAR:
-        return "ambiguous"
-    return "explained"
+    if posterior.outside > sum(posterior.sets.values()):
+        return "unexplained"
+    return "ambiguous" if first.crowded or first.alone <= 0.5 else "explained"
 
 
 def differs(state: State) -> list[str]:
-    """In what the trials differ by more than chance would make them."""
-    return [kind.name for kind in state.chance if kind.sd > DIFFERS * CHANCE]
+    """In what the trials surely differ by more than chance would make them."""
+    # two standard errors of a standard deviation
+    least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.bench.trials))
+    return [kind.name for kind in state.chance if least * kind.sd > DIFFERS * CHANCE]
 
 
-def parameter_errors(state: State) -> Mapping[str, float]:
-    """Standard errors of the final fit's numbers, by label."""
-    _, weight = state.bench.expected(state.base.problem)
-    sd = errors(state.base, state.lens, weight)
-    return dict(zip(state.base.labels, sd, strict=True))
+def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
+    """Standard errors of a fit's numbers, by label.
+
+    What few trials leave is correlated, be it noise or gap: it makes them as much larger as it does.
+    """
+    _, weight = state.bench.expected(fit.problem)
+    sd = errors(fit, state.lens, weight)
+    if state.lens.slow is not None:
+        scale = fit.problem.scale
+        colour = coloured(fit.problem, fit.residuals, Lens(state.lens.sd)).colour
+        rows = [r * scale for r in fit.rows]
+        covariance = sandwich(fit.problem, rows, list(fit.residuals), dict(colour)).covariance
+        sd = np.fmax(sd, scale * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    return dict(zip(fit.labels, sd, strict=True))

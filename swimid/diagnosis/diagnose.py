@@ -7,12 +7,13 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, chain, nominal
+from swimid.diagnosis import answer, nominal, power, power_file, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.options import DiagnoseOptions
+from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
@@ -25,11 +26,9 @@ from swimid.results import blocks
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 
-#: Simulations of each trial that a diagnosis takes, about: 2,160 of each of six (``sample_logs/gap``).
-RUNS = 2000
-#: Of these, with effects that bring forces or elements: 123 where the cause is play (``sample_logs/gap``),
-#: 3690 where it is a tether (a tendon fish, five trials of 20 s). Which it is shows late: the geometric mean.
-AFFECTED = 670
+#: Simulations of each trial that a diagnosis takes, about, and of these with effects that bring forces or
+#: elements: 13,300 and 3,620 of each of the six of ``sample_logs/gap``.
+RUNS, AFFECTED = 13000, 3600
 
 
 @takes(DiagnoseOptions)
@@ -39,7 +38,7 @@ def diagnose(
     options: DiagnoseOptions,
     output: Path | None = None,
     progress: Progress = silent,
-) -> Diagnosis:
+) -> Diagnosis | DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the robot file's values are where its refit begins, and nothing is taken as known
@@ -58,7 +57,8 @@ def diagnose(
 
     Returns
     -------
-    Diagnosis
+    Diagnosis or DetectionPower
+        The second where ``power`` is asked for: what the trials could show of each effect.
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``; ``.causes`` has the
         parameters of each cause in their units; ``.shrinkage`` the errors before and after on held-out data
         (over the measured range); ``.where`` the gap of each channel against its noise floor.
@@ -76,8 +76,8 @@ def diagnose(
        2001: the gap as part of the model.
     .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
        Output error, coloured residuals.
-    .. [3] P. H. Westfall, S. S. Young, *Resampling-Based Multiple Testing*, Wiley, 1993: the threshold over
-       all effects.
+    .. [3] Y. Yao et al., "Using stacking to average Bayesian predictive distributions", Bayesian Analysis
+       13(3), 2018: weights of hypotheses by the Bayesian bootstrap.
     .. [4] K. R. Rad, A. Maleki, "A scalable estimate of the out-of-sample prediction error via approximate
        leave-one-out cross-validation", J. R. Stat. Soc. B 82(4), 2020: leaving out by one step.
     .. [5] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967: the
@@ -104,25 +104,42 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         effects, own, seed = options.effects, options.own_effects, options.seed
-        known = effect_catalogue.chosen(list(effects)) if effects else effect_catalogue.unasked()
-        known = [*known, *(e for path in own for e in effect_catalogue.from_file(path))]
+        own_made = [e for path in own for e in effect_catalogue.from_file(path)]
+        # the noise is what the best of all leaves, whichever are asked for
+        known = [*effect_catalogue.catalogue(), *own_made]
+        asked = {e.name for e in (*effect_catalogue.chosen(list(effects)), *own_made)} if effects else None
         begun = nominal.begun(loaded)
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
-        # what differs between trials by chance does so whatever effects are tried
-        every = effect_catalogue.applicable(effect_catalogue.unasked(), model, fitted) if effects else tried
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
         ahead = {"simulated_s": RUNS * lasting, "affected_s": AFFECTED * lasting}
         model.prepare(progress, **ahead, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
-        state = chain.run(
+        params = "the robot file" if options.params is None else str(parameters_format.place(options.params))
+        if options.power:
+            with threadpool_limits(limits=1, user_api="blas"):
+                at = power.begun(model, model.parameters, fitted, begun.prior, tried, seed=seed, jobs=workers)
+                rows, left_out = power.shown(at, [e for e in tried if asked is None or e.name in asked])
+            keep.done()
+            could = PowerFile(
+                model=model.name,
+                robot=experiment.robot.name,
+                experiment=experiment.name,
+                params=params,
+                trials=[t.id for t in experiment.trials],
+                effects=power_file.rows(rows),
+                left_out=dict(left_out),
+                provenance=origin,
+            )
+            return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
+        state = search.run(
             model, model.parameters, fitted, begun.prior, tried,
-            scattering=every, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
+            asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
@@ -132,7 +149,7 @@ def diagnose(
         model=model.name,
         robot=experiment.robot.name,
         experiment=experiment.name,
-        params="the robot file" if options.params is None else str(parameters_format.place(options.params)),
+        params=params,
         trials=[t.id for t in experiment.trials],
         settings={
             "prior": "none but the bounds"

@@ -24,9 +24,9 @@ class Diagnosis(Result):
     answer : str
         ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
     causes : DataFrame
-        A row for each parameter of each cause, the likeliest cause first: ``effect``, ``probability`` (a
-        weight between 0 and 0.97, no posterior probability), ``parameter``, ``value`` and ``stderr`` (in
-        ``unit``), ``status``.
+        A row for each parameter of each cause, the likeliest cause first: ``effect``, ``probability``
+        (that it or one it cannot be told from is among the causes), ``parameter``, ``value`` and
+        ``stderr`` (in ``unit``), ``status``.
     shrinkage : DataFrame
         By cause and channel, the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
         over the measured range), and the share ``closed`` with its ``ci95``.

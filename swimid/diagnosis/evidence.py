@@ -26,22 +26,18 @@ KLEIN = (
     "Klein, V., & Morelli, E. A. (2006). Aircraft System Identification: Theory and Practice. AIAA "
     "Education Series."
 )
-WESTFALL = (
-    "Westfall, P. H., & Young, S. S. (1993). Resampling-Based Multiple Testing: Examples and Methods for "
-    "p-Value Adjustment. Wiley."
+YAO = (
+    "Yao, Y., Vehtari, A., Simpson, D., Gelman, A. (2018). Using stacking to average Bayesian predictive "
+    "distributions. Bayesian Analysis, 13(3), 917-1007."
 )
 BOX = (
     "Box, G. E. P., & Hill, W. J. (1967). Discrimination among mechanistic models. Technometrics, 9(1), "
     "57-71."
 )
-
 RAD = (
     "Rad, K. R., & Maleki, A. (2020). A scalable estimate of the out-of-sample prediction error via "
     "approximate leave-one-out cross-validation. Journal of the Royal Statistical Society B, 82(4), 965-996."
 )
-
-#: What the figure under ``probability`` is.
-WEIGHT = "softmax of the gains at a temperature proportional to the largest gain, not a posterior probability"
 
 Row = list[str | float | int | bool | None]
 
@@ -66,7 +62,7 @@ def evidence(
     provenance : mapping, optional
         Default that of the file.
     """
-    references = [KENNEDY, KLEIN, WESTFALL, RAD, *([BOX] if file.advice else [])]
+    references = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
     named = [source for cause in file.causes for source in cause.sources]
     return ev.Evidence(
         verb="diagnose",
@@ -146,28 +142,23 @@ def _nothing_gains(file: GapFile) -> list[ev.Check]:
         ev.Check(
             name="largest held-out gain",
             value=f"{numbers.number(best.gain, 3)} ({best.effect})",
-            limit=_limit(file),
             verdict="pass",
-            text="of all effects tried",
+            text=f"of all effects tried; {words.otherwise_text(file)}",
         )
     ]
-
-
-def _limit(file: GapFile) -> str:
-    return f"≥ {words.threshold_text(file)}" if file.threshold is not None else ""
 
 
 def _gains(file: GapFile) -> list[ev.Check]:
     found = []
     for cause in file.causes:
-        above = cause.gain is not None and file.threshold is not None and cause.gain > file.threshold
+        above = cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0)
         won = next((s.won for s in file.scores if s.effect == cause.effect and s.won[1]), None)
         most = f"; positive in {won[0]} of {won[1]} folds" if won else ""
         found.append(
             ev.Check(
                 name=f"held-out gain of {cause.effect}",
                 value=numbers.measured(cause.gain, cause.gain_stderr) + most,
-                limit=_limit(file),
+                limit="> 2 std. errors",
                 verdict="pass" if above else "warn",
                 text="drop of the squared residuals, in units of the noise, in approximate cross-validation",
             )
@@ -185,7 +176,7 @@ def _rivals(file: GapFile) -> list[ev.Check]:
             value="; ".join(f"{c.effect}: {words.listed(c.equivalent)}" for c in sets) if sets else "none",
             limit="none",
             verdict="warn" if sets else "pass",
-            text="effects whose gain or signature these trials cannot tell from the cause's",
+            text="effects that have 90 % of the probability with the cause, the other causes given",
         )
     ]
 
@@ -305,10 +296,10 @@ def _equivalence(file: GapFile) -> ev.Table:
     return ev.Table(
         id="equivalent",
         title="What these trials cannot tell apart",
-        columns=["Cause", "Effect", "Stage", "Held-out gain ± std. error", "Weight"],
+        columns=["Cause", "Effect", "Stage", "Held-out gain ± std. error", "Probability"],
         rows=rows,
-        caption="Any of these may be the cause: their gains lie within two standard errors of each other, "
-        "or they change the simulation alike once the coefficients are refitted. Good: no such table.",
+        caption="Any of these may be the cause: together they make up 90 % of the probability, the "
+        "other causes given. Good: no such table.",
     )
 
 
@@ -370,10 +361,10 @@ def _scores(file: GapFile) -> ev.Table:
     return ev.Table(
         id="scores",
         title="Every effect that was tried",
-        columns=[*columns, "Weight"],
+        columns=[*columns, "Probability"],
         rows=rows,
         caption="Gain: drop of the squared residuals in approximate cross-validation, in units of the noise; "
-        f"required: {words.threshold_text(file)}. Weight: {WEIGHT}. Imitated: share of "
+        "each effect alone. Probability: that it is among the causes. Imitated: share of "
         "an effect's signature that the refitted coefficients reproduce without it. Screen: the gain "
         "predicted before refitting; effects it left out have no other. Good: one gain far above all others.",
     )
@@ -398,12 +389,8 @@ def methods(file: GapFile) -> list[str]:
         "Effects were ranked by the drop of the squared residuals in approximate cross-validation: one "
         "Gauss-Newton step from the fit to all trials leaves a group of them out (Rad and Maleki 2020); "
         "noise model and spreads between trials stay those of all."
-        + (
-            f" The gain required was {words.threshold_text(file)}; the draws are of the largest gain of all "
-            "candidates (Westfall and Young 1993)."
-            if file.threshold is not None
-            else ""
-        )
+        " Sets of effects were weighed by a Student likelihood of what each leaves beyond the noise, folds "
+        f"weighted by the Bayesian bootstrap (Yao et al. 2018): {words.otherwise_text(file)}."
     )
     said += [f"{text.rstrip('.')}." for text in file.rounds]
     said.append(words.verdict_sentence(file))

@@ -132,26 +132,18 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         for label, places in groups
         if places
     ]
-    marks = []
-    if file.threshold is not None:
-        marks.append(ev.Mark(at=file.threshold, label="required"))
-        noise = file.threshold_parts.get("noise")
-        if noise is not None and noise < file.threshold:
-            marks.append(ev.Mark(at=noise, label="simulated noise, once in forty"))
     return [
         ev.Figure(
             id="effects",
             title="What each effect gains in approximate cross-validation",
             caption=f"Drop of the squared residuals in units of the noise, with one standard error; the best "
-            f"{len(shown)} of {len(file.scores)} effects. Required: {words.threshold_text(file)}. Good: one "
-            "effect far above the line and above all others.",
+            f"{len(shown)} of {len(file.scores)} effects, each alone. Good: one effect far above all others.",
             panels=[
                 ev.Panel(
                     x_label="",
                     y_label="held-out gain",
                     traces=traces,
                     x_categories=[s.effect for s in shown],
-                    marks=marks,
                 )
             ],
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, get_args
 
 from swimid.diagnosis import gap_file as gap_format
@@ -17,6 +16,7 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Extrapolation,
     GapFile,
+    Hypothesis,
     Remaining,
     Score,
     Shrinkage,
@@ -67,8 +67,21 @@ def gap_file(
         experiment=experiment,
         params=params,
         trials=list(trials),
-        threshold=gap.threshold.required,
-        threshold_parts=asdict(gap.threshold),
+        no_gap=gap.no_gap,
+        outside=gap.outside,
+        hypotheses=[
+            Hypothesis(
+                effects=sorted(c.names),
+                numbers=c.numbers,
+                score=c.score,
+                slow=c.slow,
+                folds=c.folds.tolist(),
+                probability=p,
+            )
+            for c, p in gap.hypotheses
+        ],
+        samples=gap.samples or None,
+        tried=gap.tried or None,
         held_out=gap.held_out,
         floor_from=gap.floor_from,
         scores=[_score(s) for s in ranked_scores(gap.scores)],

@@ -114,7 +114,7 @@ class Cause(yamlio.Document):
     """An effect that is part of the answer."""
 
     effect: str
-    #: Softmax weight of the effect and its equivalents, at most 0.85; not a posterior probability.
+    #: That the effect, or one of its equivalents, is among what the model lacks.
     probability: Number
     #: Effects these trials cannot tell from it.
     equivalent: list[str] = []
@@ -168,6 +168,22 @@ class Score(yamlio.Document):
     #: Gain predicted by the screen, and whether it went on from there.
     screened: Number = None
     refitted: bool = True
+    #: That it is among the causes.
+    probability: Number = None
+
+
+class Hypothesis(yamlio.Document):
+    """A set of effects that was fitted together with the model; the empty one is the model as it is."""
+
+    effects: list[str]
+    #: Kinds of numbers its effects have; what each trial has of its own is one kind.
+    numbers: int = 0
+    #: Squared residuals of the optimum in units of the noise, and what its numbers must lower them by.
+    score: Number
+    #: The same with noise of long memory, where trials are too few to tell which it is.
+    slow: Number = None
+    #: Squared residuals of each fold.
+    folds: list[Number] = []
     probability: Number = None
 
 
@@ -186,11 +202,13 @@ class GapFile(yamlio.Document):
     experiment: str = ""
     params: str = ""
     trials: list[str] = []
-    #: Held-out gain an effect needs: the largest of the three numbers in ``threshold_parts``.
-    threshold: Number = None
-    #: ``noise``: gain that the best effect reaches on simulated noise once in forty draws; ``per_sample``:
-    #: 0.002 a sample; ``constant``: 50, less of few samples.
-    threshold_parts: dict[str, Number] = {}
+    #: Probability that there is no gap, and that something outside the catalogue causes it.
+    no_gap: Number = None
+    outside: Number = None
+    #: What these are computed from, with the number of samples and of effects that apply.
+    hypotheses: list[Hypothesis] = []
+    samples: int | None = None
+    tried: int | None = None
     #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn by
     #: approximate cross-validation, over ``trials`` or ``stretches`` of trials.
     held_out: HeldOut | None = None

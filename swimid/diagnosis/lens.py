@@ -40,6 +40,8 @@ class Lens:
         Standard deviation of the weighted residuals themselves, that of a sample without a past.
     chance : tuple of Kind
         What differs between trials by chance.
+    slow : Lens or None
+        The same with noise of long memory, where trials are too few to tell which it is.
     """
 
     sd: list[list[Array]]
@@ -47,6 +49,7 @@ class Lens:
     size: Mapping[str, float] = field(default_factory=dict)
     whole: Mapping[str, float] = field(default_factory=dict)
     chance: tuple[Kind, ...] = ()
+    slow: Lens | None = None
 
     def install(self, problem: Problem) -> None:
         """Give a problem of the same trials this noise's weights."""

@@ -23,8 +23,7 @@ class DiagnoseOptions(Options):
         (),
         separated=True,
         metavar="A,B",
-        help="Try these effects of the catalogue only. Repeatable. "
-        "Default: all that apply to the model, but for those tried by name only.",
+        help="Try these effects of the catalogue only. Repeatable. Default: all that apply to the model.",
     )
     own_effects: tuple[Path, ...] = option(
         (),
@@ -33,7 +32,7 @@ class DiagnoseOptions(Options):
         help="Try the effects of this Python file as well. Repeatable.",
     )
     jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
-    seed: int = option(0, ge=0, help="Of the random draws behind thresholds and intervals.")
+    seed: int = option(0, ge=0, help="Of the random draws behind intervals.")
     budget_s: float | None = option(
         None,
         gt=0,
@@ -41,6 +40,12 @@ class DiagnoseOptions(Options):
         help="Stop trying further effects after this wall time, s. Default: no limit.",
     )
     max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
+    power: bool = option(
+        False,
+        recorded=False,
+        help="Say what these trials could show, not what they do: the smallest size of each effect that is "
+        "seen, and which effects are never told apart.",
+    )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")

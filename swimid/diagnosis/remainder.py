@@ -10,7 +10,7 @@ import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.candidates import DRAWS, PER_SAMPLE, QUANTILE, least_gain, within
+from swimid.diagnosis.candidates import within
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.lens import Lens
@@ -20,6 +20,19 @@ from swimid.fitting.model import Array
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 #: Ratio from which something moves that is not noise; and against the channel with the least.
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
+
+#: Something is left where a description gains more than this per sample.
+PER_SAMPLE = 0.002
+#: And more than this quantile of the largest gain in so many draws of pure noise.
+DRAWS, QUANTILE = 400, 0.975
+#: And more than this; of few samples, whose noise is read off themselves, for half their number, but
+#: never for less than the second.
+LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
+
+
+def least_gain(samples: float) -> float:
+    """The gain below which nothing counts, whatever noise alone would give."""
+    return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)

@@ -6,35 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from swimid.diagnosis.posterior import Candidate
 from swimid.fitting.model import Array
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
-
-
-@dataclass(frozen=True)
-class Threshold:
-    """Held-out gain an effect needs: the largest of three numbers.
-
-    Attributes
-    ----------
-    noise : float
-        97.5 % quantile, over simulated draws of noise, of the largest gain of all effects (each linearised
-        where the screen put it; Westfall and Young 1993).
-    per_sample : float
-        0.002 for each sample.
-    constant : float
-        50; of few samples half their number, at least 25.
-    """
-
-    noise: float
-    per_sample: float
-    constant: float
-
-    @property
-    def required(self) -> float:
-        """The largest of the three."""
-        return max(self.noise, self.per_sample, self.constant)
 
 
 @dataclass(frozen=True)
@@ -160,7 +136,7 @@ class Score:
     refitted : bool
         False where the screen left it out.
     probability : float
-        Softmax weight of its merit among all refitted effects; no posterior probability.
+        That it is among the causes.
     """
 
     effect: str
@@ -177,7 +153,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect that is part of the answer."""
+    """An effect that is part of the answer, and how likely it or an equivalent is."""
 
     effect: str
     stage: str
@@ -281,8 +257,13 @@ class Gap:
 
     Attributes
     ----------
-    threshold : Threshold
-        Held-out gain an effect needs.
+    no_gap, outside : float
+        Probability that there is none, and that its cause is outside the catalogue.
+    hypotheses : tuple of (Candidate, probability)
+        Every set of effects that was fitted: what it leaves in units of the noise, with what its numbers must
+        lower that by, and in each fold; the model as it is first.
+    samples, tried : int
+        Residuals in all, and effects that apply.
     held_out : str
         How the errors before and after were found: ``validation`` trials, or approximate cross-validation
         over ``trials`` or over ``stretches`` of trials.
@@ -306,7 +287,8 @@ class Gap:
     remaining: Remaining
     advice: tuple[Advice, ...]
     scores: tuple[Score, ...]
-    threshold: Threshold
+    no_gap: float
+    outside: float
     floor_from: str
     held_out: HeldOut = "trials"
     sketches: tuple[Sketch, ...] = ()
@@ -315,3 +297,6 @@ class Gap:
     forces: Mapping[str, float] = field(default_factory=dict)
     rounds: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
+    hypotheses: tuple[tuple[Candidate, float], ...] = ()
+    samples: int = 0
+    tried: int = 0

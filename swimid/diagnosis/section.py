@@ -1,10 +1,12 @@
-"""Gap files (``swimid-gap/1``)."""
+"""Gap files (``swimid-gap/1``) and power files (``swimid-power/1``)."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from swimid.diagnosis import gap_file as gap
+from swimid.diagnosis import power_file as power
+from swimid.diagnosis import summary as words
 from swimid.diagnosis.gap_file import Cause, GapFile, Value
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Verdict
@@ -28,6 +30,27 @@ def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
         ),
         facts=_facts(file),
         blocks=_blocks(file),
+        provenance=file.provenance,
+        data=file.model_dump(mode="json"),
+    )
+
+
+@reader(format=power.FORMAT, read=power.PowerFile.read)
+def power_section(path: Path, file: power.PowerFile, evidence: Evidence | None) -> Section:
+    """The section of a power file."""
+    return Section(
+        path=path,
+        kind="Power",
+        title=f"What trials could show: {file.robot}",
+        verdict=Verdict(level="good", text=power.answer(file)),
+        facts=[
+            ("Robot", file.robot),
+            ("Model", file.model),
+            ("Experiment", file.experiment),
+            ("Parameters", file.params),
+            ("Trials", str(len(file.trials))),
+        ],
+        blocks=[],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),
     )
@@ -86,11 +109,11 @@ def _causes(file: GapFile) -> Grid:
     ]
     together = " The effects of this table act together." if len(rows) > 1 else ""
     caption = (
-        "Weight: softmax of the gains of the effect and those not to be told from it against all others, at "
-        "most 85 %; a ranking, not a posterior probability. Good: near 85 %, and nothing that the trials "
-        f"cannot tell from it.{together}"
+        "Probability: that it, or one of those not to be told from it, is among what the model lacks; "
+        f"{words.otherwise_text(file)}. Good: near 100 %, and nothing that the trials cannot tell from "
+        f"it.{together}"
     )
-    columns = ["Effect", "Stage", "What it is", "Weight", "Not to be told from it", "Sources"]
+    columns = ["Effect", "Stage", "What it is", "Probability", "Not to be told from it", "Sources"]
     return Grid("Cause", columns, rows, caption)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from swimid.diagnosis import gram
 from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.candidates import LEAST_GAIN
 from swimid.diagnosis.lens import Lens
 from swimid.diagnosis.result import Overlay, Shrinkage
 from swimid.fitting import start_states
@@ -24,9 +23,6 @@ RESAMPLES = 1000
 
 #: Of the squared errors on held-out data, beyond their noise, a cause closes at least this share.
 TRACE = 0.02
-#: Causes do not explain a gap of which they leave this many times the noise and this share on held-out data,
-#: where the gap itself is as clear.
-OPEN, OPEN_SHARE = 2.0, 0.25
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
 #: A simulation this many times its channel's range away from a trial broke down.
@@ -213,38 +209,6 @@ def _stretch(
     return found
 
 
-def misfits(bench: Bench, fits: Sequence[Fit], lens: Lens, validation: Sequence[Trial]) -> tuple[Array, int]:
-    """Squared residuals, in units of the noise, of held-out data, once what differs by
-    chance in each trial is estimated from it.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Of models to compare.
-    validation : sequence of Trial
-        Without any, each fold of whole trials in turn.
-
-    Returns
-    -------
-    misfit : ndarray, shape (fits,)
-    samples : int
-    """
-    if validation:
-        work = [(trial, 0) for trial in validation]
-        thetas = [[fit.theta] for fit in fits]
-    else:
-        work = [(trial, int(bench.folds.owner[k][0])) for k, trial in enumerate(bench.trials)]
-        thetas = [_without(bench, fit, lens) for fit in fits]
-    found = np.array(
-        [
-            sum(bench.outside(fit, lens, trial, _shared(bench, fit, theta[f])) for trial, f in work)
-            for fit, theta in zip(fits, thetas, strict=True)
-        ]
-    )
-    count = sum(int(np.isfinite(y).sum()) for trial, _ in work for y in trial.measured.values())
-    return found, count
-
-
 def shrinkages(
     found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator
 ) -> tuple[Shrinkage, ...]:
@@ -306,27 +270,6 @@ def sound(found: Sequence[Piece]) -> bool:
     return True
 
 
-def wide_open(closing: Sequence[Shrinkage], gap: Mapping[str, float]) -> Shrinkage | None:
-    """The channel with the largest gap on held-out data, if causes leave much of it open there, and of the
-    largest gap in fitted trials as well.
-
-    Parameters
-    ----------
-    gap : mapping of channel to float
-        Size of the gap in fitted trials in units of the noise, chance differences between trials aside.
-    """
-    known = [s for s in closing if s.floor > 0 and math.isfinite(s.closed)]
-
-    def much(s: Shrinkage) -> bool:
-        return min(gap.get(s.channel, 0.0), s.after / s.floor) > OPEN and 1.0 - s.closed > OPEN_SHARE
-
-    if not known:
-        return None
-    largest = max(known, key=lambda s: s.before / s.floor)
-    fitted = max(known, key=lambda s: gap.get(s.channel, 0.0))
-    return largest if much(largest) and much(fitted) else None
-
-
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     """Whether the causes close more than a trace of the gap on held-out data, in units of the noise."""
     gained, gap = 0.0, 0.0
@@ -341,14 +284,6 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
         gained += float(np.sum(errors[0] - errors[1]))
         gap += float(np.sum(errors[0] - 1.0))
     return gained > TRACE * max(gap, 0.0) or not found
-
-
-def hidden(bench: Bench, before: Fit, after: Fit, lens: Lens, validation: Sequence[Trial]) -> bool:
-    """Whether the causes help on held-out trials, and what differs between these by chance hides it."""
-    if not (validation or bench.folds.whole) or not lens.chance:
-        return False
-    misfit, samples = misfits(bench, (before, after), lens, validation)
-    return float(misfit[0] - misfit[1]) > max(TRACE * (misfit[0] - samples), LEAST_GAIN)
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -52,18 +52,12 @@ def held_out_text(file: GapFile) -> str:
     return gap_format.HELD_OUT[file.held_out]
 
 
-def threshold_text(file: GapFile) -> str:
-    """The gain an effect needs, and what that number is: ``50, a constant (simulated noise: 18.2)``."""
-    parts = {name: value for name, value in file.threshold_parts.items() if value is not None}
-    required = numbers.number(file.threshold, 3)
-    if not parts:
-        return required
-    binding = max(parts, key=lambda name: parts[name] or 0.0)
-    simulated = f"noise alone reaches {numbers.number(parts.get('noise'), 3)} in one of 40 simulated draws"
-    if binding == "noise":
-        return f"{required} ({simulated})"
-    what = {"per_sample": "0.002 a sample", "constant": "a constant"}[binding]
-    return f"{required} ({what}; {simulated})"
+def otherwise_text(file: GapFile) -> str:
+    """How likely it is that there is no gap, or another cause than those tried."""
+    return (
+        f"no gap {numbers.percent(file.no_gap, 2)}, a cause outside the catalogue "
+        f"{numbers.percent(file.outside, 2)}"
+    )
 
 
 def _or_rivals(cause: Cause) -> str:
@@ -215,14 +209,13 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
     first = "error" if file.verdict == "none" else "gap"
     rows = [("" if k else first, size_of(c)) for k, c in enumerate(shown)]
     if file.verdict == "none":
-        best = next((s for s in file.scores if s.refitted and s.gain is not None), None)
-        if best is not None and file.threshold is not None:
+        best = next((s for s in file.scores if s.refitted and s.probability is not None), None)
+        if best is not None:
+            count = len({s.effect for s in file.scores})
             told = (
-                f"{len({s.effect for s in file.scores})} effects; the most gained is "
-                f"{numbers.number(best.gain, 3)} ({best.effect}), required are {threshold_text(file)}"
+                f"{count} effects; the likeliest, {best.effect}, has {numbers.percent(best.probability, 2)}"
             )
-            why = next((r for r in file.reasons if r.startswith(f"{best.effect}: ")), "")
-            rows.append(("tried", f"{told}; {why}" if why and (best.gain or 0.0) > file.threshold else told))
+            rows.append(("tried", f"{told}; {otherwise_text(file)}"))
         return rows
     cells = worst_cells(file)[:_CELLS]
     if cells:
@@ -236,7 +229,7 @@ def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
     rows = []
     for cause in file.causes[:_CAUSES]:
         meaning = f": {cause.meaning.rstrip('.')}" if cause.meaning else ""
-        sure = f"weight {numbers.percent(cause.probability, 2)}"
+        sure = f"probability {numbers.percent(cause.probability, 2)}"
         known = [cause.stage or "", "" if cause.equivalent else sure]
         said = ", ".join(part for part in known if part)
         rows.append(("cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"))

@@ -48,9 +48,6 @@ class Effect(ABC):
         trials then belongs to the noise.
     smooth : bool
         Whether what it changes grows in proportion to its parameters, so that one size tells all.
-    by_name : bool
-        Whether a diagnosis tries it only where it is asked for by name: what it does to the answers of all
-        others has not been measured.
     """
 
     name: ClassVar[str]
@@ -60,7 +57,6 @@ class Effect(ABC):
     needs: ClassVar[frozenset[str]]
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
-    by_name: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

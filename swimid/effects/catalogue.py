@@ -49,11 +49,6 @@ def _catalogue() -> tuple[Effect, ...]:
     return tuple(sorted(effects.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
 
 
-def unasked() -> list[Effect]:
-    """The effects of the catalogue that are tried where none is asked for by name."""
-    return [effect for effect in catalogue() if not effect.by_name]
-
-
 def names() -> list[str]:
     """Names of the catalogue, in its order."""
     return [effect.name for effect in catalogue()]

@@ -195,6 +195,7 @@ class Problem:
         The rows, shape (n_k, len(labels)), are each trial's, of the simulated samples, weighted as here.
         """
         weights = [self.sample_weights(k) for k in range(len(self.trials))]
+        self._slopes = None
         self._held = {
             label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
         }

@@ -29,7 +29,6 @@ class Slip(_commands.Actuation):
         "Firbank 1970, Int. J. Mech. Sci. 12:1053 (belts that creep and slip)",
     )
     needs = frozenset({"command"})
-    by_name = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The share lost, and when half of that is lost, s after the first sample.

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.signal import lombscargle
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
 from swimid.effects.common import parameter
@@ -13,6 +14,8 @@ LOWEST, HIGHEST = 0.15, 3.0
 LINES, ORDER = 4, 5
 #: Most frequencies looked at.
 FINEST = 120
+#: An oscillation makes more than this share of the variance of a track.
+MOST = 0.5
 
 
 class Waves(Effect):
@@ -49,7 +52,9 @@ class Waves(Effect):
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
-        band, words = (0.5 * LOWEST, 2.0 * HIGHEST), "frequency of the waves"
+        # of less than a period nothing tells a wave from a current that grows
+        least = max(0.5 * LOWEST, 1.0 / scales.duration)
+        band, words = (least, max(2.0 * HIGHEST, 2.0 * least)), "frequency of the waves"
         return (
             Parameter("frequency_hz", "Hz", *band, self.frequency_hz, 0.2 / scales.duration, meaning=words),
             *(
@@ -96,7 +101,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     """The strongest lines along an axis that neither the model nor the beat explains, Hz.
 
     What the model leaves of each trial's track is freed of its slow course and its beat by least squares;
-    the power of each frequency is its sum over the trials for whose beat it is no harmonic.
+    the power of each frequency is its sum over the trials for whose beat it is no harmonic. The beat of a rig
+    is the oscillation it is driven at: friction has harmonics of it, too.
     """
     name = f"{axis}_m"
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
@@ -111,12 +117,13 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         time = trial.time_s[there] - trial.time_s[0]
         width = 1.0 / max(float(time[-1]), 1e-9)
         beat = trial.swim.beat
-        base = float(beat.frequency_hz) if beat is not None else 0.0
+        simulated = _simulated(model, trial, name)[there]
+        base = float(beat.frequency_hz) if beat is not None else oscillation(time, simulated)
         harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
         known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
-        rest = (trial.measured[name] - _simulated(model, trial, name))[there]
+        rest = trial.measured[name][there] - simulated
         rest = rest - known @ (known.T @ rest)
         highest = 0.5 / max(float(np.median(np.diff(time))), 1e-9)
         for k, f in enumerate(grid):
@@ -134,3 +141,17 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         if len(strongest) == LINES:
             break
     return tuple(strongest)
+
+
+def oscillation(time_s: Array, series: Array) -> float:
+    """Frequency of the oscillation that makes most of a series, Hz; 0 where none does."""
+    centred = series - series.mean()
+    if len(series) < 2 * ORDER or not centred.any():
+        return 0.0
+    # less than two periods may as well be a slow course
+    lasting = float(time_s[-1] - time_s[0])
+    highest = 0.5 / float(np.median(np.diff(time_s)))
+    grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting
+    share = lombscargle(time_s, centred, 2.0 * np.pi * grid, normalize=True)
+    best = int(np.argmax(share))
+    return float(grid[best]) if share[best] > MOST else 0.0

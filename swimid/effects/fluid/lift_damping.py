@@ -19,7 +19,6 @@ class LiftDamping(Effect):
         "Prestero 2001, MIT (simulation of the REMUS vehicle: body lift)",
     )
     needs = frozenset({"tables"})
-    by_name = True
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:

@@ -30,7 +30,6 @@ class ClockRate(Effect):
         "SMPTE 170M (29.97 frames per second, often called 30)",
     )
     needs = frozenset({"clock"})
-    by_name = True
     smooth = True
 
     def __init__(self, *, camera: bool = False) -> None:

@@ -34,7 +34,6 @@ class Hardening(Effect):
         "Kovacic and Brennan 2011, The Duffing Equation, chapter 2",
     )
     needs = frozenset({"tables", "force"})
-    by_name = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Swimmers with a spring in a joint, and decays."""

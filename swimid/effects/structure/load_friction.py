@@ -61,7 +61,6 @@ class LoadFriction(Effect):
         "Reid 1956, J. R. Aeronaut. Soc. 60:283",
     )
     needs = frozenset({"command", "coefficients", "force"})
-    by_name = True
     smooth = True
 
     def __init__(self, *, everywhere: bool = False) -> None:

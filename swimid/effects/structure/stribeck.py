@@ -40,7 +40,6 @@ class Stribeck(Effect):
         "boxfish paper, Eq 7 (a friction that does not depend on speed)",
     )
     needs = frozenset({"command", "force"})
-    by_name = True
 
     def __init__(self, *, everywhere: bool = False) -> None:
         self.everywhere = everywhere

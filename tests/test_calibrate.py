@@ -1,0 +1,89 @@
+"""What blind cases tell of the constants of the probabilities."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from swimid.diagnosis.posterior import Calibration, Candidate, Record
+from tests import calibrate
+
+RECORD = Record(1000.0, 3, 20)
+
+
+def _rows(null: float, **scores: float) -> list[Candidate]:
+    def made(names: frozenset[str], score: float) -> Candidate:
+        return Candidate(names, score, np.full(5, score / 5), len(names))
+
+    return [made(frozenset(), null), *(made(frozenset(n.split("_")), s) for n, s in scores.items())]
+
+
+def test_a_single_effect_is_judged_once_more_without_it() -> None:
+    seen, hidden = calibrate.truths(_rows(5000.0, lag=1000.0, delay=3000.0), "single", ["lag"], RECORD)
+    assert (seen.true, hidden.true) == ((frozenset({"lag"}),), ())
+    assert [c.names for c in hidden.candidates] == [frozenset({"delay"})]
+
+
+def test_without_a_twin_it_would_still_be_explained() -> None:
+    (only,) = calibrate.truths(_rows(5000.0, lag=1000.0, delay=1005.0), "single", ["lag"], RECORD)
+    assert only.true == (frozenset({"lag"}),)
+
+
+def test_what_cannot_be_seen_may_as_well_be_none() -> None:
+    (only,) = calibrate.truths(_rows(1005.0, lag=1000.0), "single", ["lag"], RECORD)
+    assert only.small
+    known = Calibration(7.0, 0.1, 0.0, -2.0, 1.5)
+    assert only.probability(known) > 0.5
+
+
+def test_the_constants_are_those_under_which_the_truth_is_likeliest(tmp_path: Path) -> None:
+    """Cases whose true effect leaves a tenth of what its rival does, and such as no effect closes."""
+    rng = np.random.default_rng(5)
+    for k in range(12):
+        gap = float(np.exp(rng.uniform(6.0, 9.0)))
+        outside = k % 3 == 0
+        best, rival = (0.7 * gap, 0.8 * gap) if outside else (0.01 * gap, 0.1 * gap)
+        rows = _rows(1000.0 + gap, lag=1000.0 + best, delay=1000.0 + rival)
+        place = tmp_path / "results" / f"{k:04d}"
+        place.mkdir(parents=True)
+        (tmp_path / "labels").mkdir(exist_ok=True)
+        file = {
+            "trials": ["one"] * 3,
+            "samples": 1000,
+            "tried": 20,
+            "hypotheses": [
+                {
+                    "effects": sorted(c.names),
+                    "numbers": c.numbers,
+                    "score": c.score,
+                    "folds": c.folds.tolist(),
+                }
+                for c in rows
+            ],
+        }
+        with (place / "gap.yaml").open("w") as out:
+            YAML().dump(file, out)
+        label = {"kind": "outside" if outside else "single", "effects": ["droop"] if outside else ["lag"]}
+        (tmp_path / "labels" / f"{k:04d}.json").write_text(json.dumps(label))
+    cases = calibrate.read([tmp_path])
+    assert len(cases) == 4 + 2 * 8
+    start = Calibration(1.0, 0.1, 0.0, 0.0, 0.0)
+    known = calibrate.calibrated(cases, start)
+
+    def likelihood(c: Calibration) -> float:
+        p = np.array([case.probability(c) for case in cases])
+        return float(calibrate.weights(cases) @ np.log(p))
+
+    assert likelihood(known) > likelihood(start) + 5.0
+    assert all(case.probability(known) > 0.5 for case in cases)
+    assert sum(count for *_, count in calibrate.bins(cases, known)) == len(cases)
+
+
+@pytest.mark.parametrize("kind, true", [("clean", (frozenset(),)), ("outside", ())])
+def test_other_truths(kind: str, true: tuple[frozenset[str], ...]) -> None:
+    (only,) = calibrate.truths(_rows(5000.0, lag=4000.0), kind, [], RECORD)
+    assert only.true == true
