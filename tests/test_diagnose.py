@@ -98,7 +98,7 @@ def test_a_dolphin_whose_caudal_joint_is_locked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="a wave that stands askew: along one axis three quarters of the squared gap stay, told as unexplained",
+    reason="of a wave that stands askew, one along an axis leaves three quarters: told as unexplained",
     strict=True,
 )
 def test_waves_of_the_pool_at_low_frequency(tmp_path: Path) -> None:
