@@ -50,9 +50,30 @@ def power_section(path: Path, file: power.PowerFile, evidence: Evidence | None) 
             ("Parameters", file.params),
             ("Trials", str(len(file.trials))),
         ],
-        blocks=[],
+        blocks=[_seen(file)],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),
+    )
+
+
+def _seen(file: power.PowerFile) -> Grid:
+    rows = [
+        [
+            Cell(r.effect, "code"),
+            Cell(r.parameter, "code"),
+            Cell("not within its bounds" if r.size is None else numbers.number(r.size, 2), numeric=True),
+            Cell(numbers.unit_text(r.unit)),
+            Cell(numbers.percent(r.absorbed, 3), numeric=True),
+            Cell(", ".join(r.alike) or "none"),
+        ]
+        for r in file.effects
+    ]
+    columns = ["Effect", "Parameter", "Smallest size", "Unit", "Imitated", "Never told from"]
+    return Grid(
+        "What would be seen",
+        columns,
+        rows,
+        "Seen with 90 % power. Imitated: the share of its squared change that coefficients take up.",
     )
 
 
