@@ -189,6 +189,23 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 
 
+def penalty(shared: int, own: int, samples: float, trials: int) -> float:
+    """What numbers of effects must lower the cost by: the logarithm of the samples that tell each, of all
+    trials or of one [1]_.
+
+    Parameters
+    ----------
+    shared, own : int
+        Numbers of all trials, and those each trial has for itself, of all trials together.
+
+    References
+    ----------
+    .. [1] M. Delattre, M. Lavielle, M.-A. Poursat, "A note on BIC in mixed-effects models", Electronic
+       Journal of Statistics 8(1), 2014.
+    """
+    return shared * math.log(samples) + own * math.log(samples / trials)
+
+
 def most(excess: float, gap: float, record: Record) -> float:
     """What a larger set may gain in logarithmic evidence at most."""
     directions = CALIBRATED.directions * record.parts

@@ -71,11 +71,6 @@ class _Line:
     shared: int
     per_trial: int
 
-    def penalty(self, record: Record, trials: int) -> float:
-        """What its numbers must lower the cost by."""
-        each = self.per_trial * math.log(record.samples / trials)
-        return self.shared * math.log(record.samples) + each
-
 
 def needed(record: Record, kinds: int) -> float:
     """Excess of the model without an effect from which a gap is told, the effect leaving none."""
@@ -156,7 +151,8 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
     record = search.record
     best: dict[str, tuple[float, Shown, int]] = {}
     for line in lines:
-        drop = needed(record, line.kinds) + line.penalty(record, len(bench.trials))
+        penalty = posterior.penalty(line.shared, line.per_trial, record.samples, len(bench.trials))
+        drop = needed(record, line.kinds) + penalty
         wanted = noncentrality(drop, line.shared + line.per_trial)
         squares = np.array([max(left[c.place, c.place], 0.0) for c in line.columns])
         total = np.array([whole[c.place, c.place] for c in line.columns])

@@ -8,7 +8,6 @@ fit is the same alone and among others.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -201,7 +200,6 @@ class Search:
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
         self.out_of_time = False
-        self.seen = 0
 
     # ------------------------------------------------------------ fits
 
@@ -218,19 +216,11 @@ class Search:
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def penalty(self, fit: Fit) -> float:
-        """What the numbers of effects must lower the cost by: the logarithm of the samples that tell each, of
-        all trials or of one [1]_.
-
-        References
-        ----------
-        .. [1] M. Delattre, M. Lavielle, M.-A. Poursat, "A note on BIC in mixed-effects models", Electronic
-           Journal of Statistics 8(1), 2014.
-        """
+        """What the numbers of its effects must lower the cost by."""
         samples = float(sum(len(r) for r in fit.residuals))
-        names = {e.name for e in fit.effects}
-        mine = [label for label in fit.labels if label.split("/")[0] in names]
+        mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
-        return (len(mine) - each) * math.log(samples) + each * math.log(samples / len(fit.residuals))
+        return posterior.penalty(len(mine) - each, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
         """The model itself, from known coefficients too where it has left them far behind: what a poor
