@@ -14,9 +14,9 @@ from scipy.signal import lfilter
 from swimid.diagnosis import (
     candidates,
     conclusion,
+    crossval,
     dropouts,
     folds,
-    gram,
     places,
     posterior,
     remainder,
@@ -24,12 +24,12 @@ from swimid.diagnosis import (
     shrinkage,
     weighting,
 )
-from swimid.diagnosis.bench import START_PRIOR, Bench, errors
 from swimid.diagnosis.candidates import _allowed, own_gains
-from swimid.diagnosis.chance import CHANCE, kinds, spread
-from swimid.diagnosis.floor import floors, quiet, split
-from swimid.diagnosis.gram import Drawn, Folded
-from swimid.diagnosis.lens import Lens, brief, coloured
+from swimid.diagnosis.context import START_PRIOR, FitContext, errors
+from swimid.diagnosis.crossval import Drawn, NormalEquations
+from swimid.diagnosis.floor import floors, nuisance_residuals, split
+from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
+from swimid.diagnosis.random_effects import LARGEST_SD, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
@@ -51,7 +51,7 @@ def plain(k: int, *, force: float) -> Trial:
 
 
 @pytest.fixture
-def bench(rng: np.random.Generator) -> Bench:
+def context(rng: np.random.Generator) -> FitContext:
     """A linear model with two coefficients and a start of its own for each of five trials."""
     trials = []
     for k in range(5):
@@ -59,7 +59,7 @@ def bench(rng: np.random.Generator) -> Bench:
         clean = line(np.array([1.0, 0.2, 0.1 * k]), t)
         found = {c: clean[c] + 0.05 * rng.normal(size=len(t)) for c in clean}
         trials.append(Trial(f"t{k}", "fit", t, found, rig=RigInput(force=1.0 + max(k, 1))))
-    return Bench(Toy(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
+    return FitContext(Toy(line, LINE, ("y", "v")), LINE, trials, {"a": (0.8, 0.2)})
 
 
 # ---------------------------------------------------------------- folds
@@ -100,7 +100,7 @@ def test_a_table_is_left_out_in_parts() -> None:
     assert set(counts.tolist()) == {2, 3}
 
 
-# ---------------------------------------------------------------- lens
+# ---------------------------------------------------------------- noise_model
 
 
 def _problem(values: np.ndarray) -> Problem:
@@ -118,12 +118,12 @@ def _autoregression(rng: np.random.Generator, n: int, sd: float) -> tuple[np.nda
 def test_the_lens_gives_back_the_innovations(rng: np.random.Generator) -> None:
     a, innovations, x = _autoregression(rng, 300, 0.3)
     problem = _problem(x)
-    lens = Lens(problem.sd, {"y": a}, {"y": 0.3}, {"y": 2.0})
-    seen = lens.through(problem, 0, x)
+    noise_model = NoiseModel(problem.sd, {"y": a}, {"y": 0.3}, {"y": 2.0})
+    seen = noise_model.whiten(problem, 0, x)
     np.testing.assert_allclose(seen[2:], innovations[2:] / 0.3, rtol=1e-10, atol=1e-10)
     # the first sample has no past, and the second not enough of it
     np.testing.assert_array_equal(seen[:2], [x[0] / 2.0, 0.0])
-    both = lens.through(problem, 0, np.column_stack((x, -2.0 * x)))
+    both = noise_model.whiten(problem, 0, np.column_stack((x, -2.0 * x)))
     np.testing.assert_allclose(both, np.column_stack((seen, -2.0 * seen)), rtol=1e-12, atol=1e-12)
 
 
@@ -133,7 +133,7 @@ def test_no_colour_leaks_over_a_missing_sample(rng: np.random.Generator) -> None
     problem = _problem(x)
     kept = np.isfinite(x)
     seen = np.full(100, np.nan)
-    seen[kept] = Lens(problem.sd, {"y": a}, {"y": 1.0}, {"y": 2.0}).through(problem, 0, x[kept])
+    seen[kept] = NoiseModel(problem.sd, {"y": a}, {"y": 1.0}, {"y": 2.0}).whiten(problem, 0, x[kept])
     np.testing.assert_array_equal(seen[[0, 1, 42, 43]], [x[0] / 2.0, 0.0, x[42] / 2.0, 0.0])
     clean = [i for i in range(100) if i not in (0, 1, 40, 41, 42, 43)]
     np.testing.assert_allclose(seen[clean], innovations[clean], atol=1e-10)
@@ -142,11 +142,11 @@ def test_no_colour_leaks_over_a_missing_sample(rng: np.random.Generator) -> None
 def test_the_colour_is_found(rng: np.random.Generator) -> None:
     a, _, x = _autoregression(rng, 6000, 0.3)
     problem = _problem(x)
-    lens = coloured(problem, [x], Lens(problem.sd))
-    seen = lens.through(problem, 0, x)[10:]
-    np.testing.assert_allclose(lens.colour["y"][:2], a, atol=0.05)
-    assert lens.size["y"] == pytest.approx(0.3, rel=0.05)
-    assert lens.whole["y"] == pytest.approx(np.std(x), rel=0.01)
+    noise_model = coloured(problem, [x], NoiseModel(problem.sd))
+    seen = noise_model.whiten(problem, 0, x)[10:]
+    np.testing.assert_allclose(noise_model.colour["y"][:2], a, atol=0.05)
+    assert noise_model.size["y"] == pytest.approx(0.3, rel=0.05)
+    assert noise_model.whole["y"] == pytest.approx(np.std(x), rel=0.01)
     assert np.var(seen) == pytest.approx(1.0, abs=0.08)
     for lag in (1, 2, 3):
         assert abs(np.corrcoef(seen[lag:], seen[:-lag])[0, 1]) < 4.0 / np.sqrt(len(seen))
@@ -154,9 +154,9 @@ def test_the_colour_is_found(rng: np.random.Generator) -> None:
 
 def test_chance_differences_are_sized(rng: np.random.Generator) -> None:
     n, count, true = 40, 60, np.array([0.5, 0.0])
-    chance = [rng.normal(size=(n, 2)) for _ in range(count)]
-    residuals = [c @ (true * rng.normal(size=2)) + rng.normal(size=n) for c in chance]
-    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * count, chance)
+    random_effects = [rng.normal(size=(n, 2)) for _ in range(count)]
+    residuals = [c @ (true * rng.normal(size=2)) + rng.normal(size=n) for c in random_effects]
+    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * count, random_effects)
     assert sd[0] == pytest.approx(0.5, rel=0.35)
     assert sd[1] < 0.1
 
@@ -169,26 +169,30 @@ def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generato
         Trial(f"t{k}", "fit", time, {"y": 3.0 * rng.normal() * time + noise}, rig=RigInput(force=1.0 + k))
         for k, noise in enumerate(noises)
     ]
-    bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
-    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    lens, (kind,) = weighting.see(bench, fit, Lens(bench.shape.sd), fit.residuals, [Tilt()], 0, common=0)
+    context = FitContext(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    fit = context.at((), NoiseModel(context.shape.sd), np.empty(0))
+    noise_model, (kind,) = weighting.see(
+        context, fit, NoiseModel(context.shape.sd), fit.residuals, [Tilt()], 0, common=0
+    )
     # the error of a median absolute deviation of 60 values is 15 %
     assert kind.sd == pytest.approx(3.0, rel=0.45)
-    assert [k.sd for k in lens.chance] == [CHANCE]
-    (number,) = lens.chance[0].acting.parameters(bench.model, trials)
+    assert [k.sd for k in noise_model.random_effects] == [LARGEST_SD]
+    (number,) = noise_model.random_effects[0].acting.parameters(context.model, trials)
     assert number.per_trial
-    assert number.scale == CHANCE
-    assert number.upper == -number.lower == pytest.approx(3.0 * np.hypot(CHANCE, 0.1))
+    assert number.scale == LARGEST_SD
+    assert number.upper == -number.lower == pytest.approx(3.0 * np.hypot(LARGEST_SD, 0.1))
 
 
 def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.Generator) -> None:
     """What a start state and a kind already known take is not seen again in a kind like them."""
     n, count = 60, 60
     time = np.linspace(0.0, 1.0, n)
-    chance = [np.column_stack((5.0 * time, 5.0 * time + 0.5 * np.sin(9.0 * time)))] * count
+    random_effects = [np.column_stack((5.0 * time, 5.0 * time + 0.5 * np.sin(9.0 * time)))] * count
     own = [np.ones((n, 1))] * count
-    residuals = [0.4 * rng.normal() * c[:, 0] + 3.0 * rng.normal() + rng.normal(size=n) for c in chance]
-    sd = spread(lambda k, rows: rows, residuals, own, chance)
+    residuals = [
+        0.4 * rng.normal() * c[:, 0] + 3.0 * rng.normal() + rng.normal(size=n) for c in random_effects
+    ]
+    sd = spread(lambda k, rows: rows, residuals, own, random_effects)
     assert sd[0] == pytest.approx(0.4, rel=0.4)
     assert sd[1] == 0.0
 
@@ -199,9 +203,9 @@ def test_of_few_trials_the_one_that_differs_counts_once_a_cause_is_found(
 ) -> None:
     """Four trims alike within a tenth and one far off: an odd trial, or how far trims may go."""
     trims, n = (-0.1, -0.05, 0.05, 0.1, 7.0), 60
-    chance = [rng.normal(size=(n, 1)) for _ in trims]
-    residuals = [2.0 * trim * c[:, 0] for trim, c in zip(trims, chance, strict=True)]
-    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * 5, chance, cautious=cautious)
+    random_effects = [rng.normal(size=(n, 1)) for _ in trims]
+    residuals = [2.0 * trim * c[:, 0] for trim, c in zip(trims, random_effects, strict=True)]
+    sd = spread(lambda k, rows: rows, residuals, [np.empty((n, 0))] * 5, random_effects, cautious=cautious)
     # far off: at most three of the median absolute deviations, which the four tell
     robust = 1.4826 * 0.2 * (1.0 + 0.8 / 5)
     clipped = np.std([2.0 * t for t in trims[:4]] + [0.1 + 3.0 * robust], ddof=1)
@@ -217,13 +221,13 @@ def test_a_spread_grows_until_trials_agree_with_it(rng: np.random.Generator) -> 
         for k in range(30)
     ]
     model = Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
-    bench = Bench(model, (), trials, {})
+    context = FitContext(model, (), trials, {})
     (kind,) = kinds(model, (), trials, [Tilt()], {})
-    lens = Lens([[np.full(100, 0.02)] for _ in trials])
+    noise_model = NoiseModel([[np.full(100, 0.02)] for _ in trials])
     for begun in (0.1 * size, size):
-        lens = replace(lens, chance=(replace(kind, sd=begun),))
-        fit = bench.fit((), lens, [bench.problem((), lens.chance).start])
-        (settled,) = weighting.settled(bench, fit, lens).chance
+        noise_model = replace(noise_model, random_effects=(replace(kind, sd=begun),))
+        fit = context.fit((), noise_model, [context.problem((), noise_model.random_effects).start])
+        (settled,) = weighting.settled(context, fit, noise_model).random_effects
         # 30 trials tell their spread to 13 %, and it stops within a factor of two below
         assert settled.sd == begun if begun == size else 0.37 * size < settled.sd < 1.4 * size
 
@@ -233,12 +237,14 @@ def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
     n, sd = 2000, 0.2
     x = 3.0 * np.sin(2 * np.pi * np.arange(n) / 200.0) + sd * rng.normal(size=n)
     problem = _problem(x)
-    lens = brief(coloured(problem, [x], Lens(problem.sd)), problem, [x], ["y"])
+    noise_model = brief(coloured(problem, [x], NoiseModel(problem.sd)), problem, [x], ["y"])
     # of white noise, a little less than all is taken: its second differences are larger than of coloured
-    assert lens.whole["y"] == pytest.approx(sd * np.sqrt(6.0 / (6.0 - 8.0 * 0.32 + 2.0 * 0.256)), rel=0.05)
+    assert noise_model.whole["y"] == pytest.approx(
+        sd * np.sqrt(6.0 / (6.0 - 8.0 * 0.32 + 2.0 * 0.256)), rel=0.05
+    )
     pole = 0.8 ** np.arange(7.0) * 0.4
     pole[0] = 1.0
-    np.testing.assert_allclose(pole[1:] + toeplitz(pole[:6]) @ lens.colour["y"], 0.0, atol=1e-12)
+    np.testing.assert_allclose(pole[1:] + toeplitz(pole[:6]) @ noise_model.colour["y"], 0.0, atol=1e-12)
 
 
 def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Generator) -> None:
@@ -248,13 +254,15 @@ def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Ge
     trims = [size * rng.normal() * time + 0.1 * rng.normal(size=n) for _ in range(count)]
     trials = [Trial(f"t{k}", "fit", time, {"y": y}) for k, y in enumerate(trims)]
     model = Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
-    bench = Bench(model, (), trials, {})
+    context = FitContext(model, (), trials, {})
     (kind,) = kinds(model, (), trials, [Tilt()], {})
-    lens = Lens([[np.full(n, 0.1)] for _ in trials], chance=(replace(kind, sd=size),))
-    fit = bench.fit((), lens, [bench.problem((), lens.chance).start])
-    left = quiet(fit, [fit.bare(k) for k in range(count)], [time[:, None]] * count)
+    noise_model = NoiseModel([[np.full(n, 0.1)] for _ in trials], random_effects=(replace(kind, sd=size),))
+    fit = context.fit((), noise_model, [context.problem((), noise_model.random_effects).start])
+    left = nuisance_residuals(
+        fit, [fit.fixed_effects_residual(k) for k in range(count)], [time[:, None]] * count
+    )
     assert np.std(np.concatenate(left)) == pytest.approx(1.0, rel=0.05)
-    floor, _ = floors(bench, fit, left, 0.0)
+    floor, _ = floors(context, fit, left, 0.0)
     # 30 trims tell their size to 13 %
     between = size**2 * np.mean(time**2)
     assert floor["y"] == pytest.approx(np.sqrt(between + 0.01), rel=0.3)
@@ -284,8 +292,10 @@ def blocks(rng: np.random.Generator) -> list[np.ndarray]:
 PRIOR, PULL = np.array([0.0, 4.0, 0.25]), np.array([0.0, 0.3, -0.7])
 
 
-def _folded(blocks: list[np.ndarray]) -> Folded:
-    return Folded(np.array([b.T @ b for b in blocks]), PRIOR, PULL, np.array([float(len(b)) for b in blocks]))
+def _folded(blocks: list[np.ndarray]) -> NormalEquations:
+    return NormalEquations(
+        np.array([b.T @ b for b in blocks]), PRIOR, PULL, np.array([float(len(b)) for b in blocks])
+    )
 
 
 def _refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.ndarray:
@@ -297,7 +307,7 @@ def _refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("chosen, weights", [((), ()), ((0,), (0.5,)), ((1, 0), (0.5, 2.0))])
-@pytest.mark.parametrize("lean", [0.0, gram.LEAN])
+@pytest.mark.parametrize("lean", [0.0, crossval.SHRINKAGE])
 def test_held_out_is_a_refit_without_the_fold(
     blocks: list[np.ndarray],
     chosen: tuple[int, ...],
@@ -306,9 +316,9 @@ def test_held_out_is_a_refit_without_the_fold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With so much of what all folds tell of the shared numbers as its prior."""
-    monkeypatch.setattr(gram, "LEAN", lean)
+    monkeypatch.setattr(crossval, "SHRINKAGE", lean)
     at = [0, 1, 2, *(3 + c for c in chosen)]
-    found = gram.held_out(_folded(blocks), chosen, weights)
+    found = crossval.held_out(_folded(blocks), chosen, weights)
     prior = np.concatenate((PRIOR, weights))
     whole = _refit(blocks, at, prior)
     shared = np.concatenate(blocks)[:, :3] * np.sqrt(lean)
@@ -318,7 +328,7 @@ def test_held_out_is_a_refit_without_the_fold(
         strain = float(PRIOR @ (theta[:3] - PULL) ** 2) / len(blocks)
         misfit = float(np.sum((block[:, -1] - block[:, at] @ theta) ** 2))
         assert found[f] == pytest.approx(misfit + strain, rel=1e-8)
-    np.testing.assert_allclose(gram.together(_folded(blocks), chosen, weights), whole, rtol=1e-8)
+    np.testing.assert_allclose(crossval.together(_folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
 def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
@@ -326,11 +336,11 @@ def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Ge
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
     right = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
     pull = rng.normal(size=(3, 3))
-    found = gram.held_out(_folded(blocks), (1,), (0.5,), Drawn(right, pull))
+    found = crossval.held_out(_folded(blocks), (1,), (0.5,), Drawn(right, pull))
     for m in range(3):
         swapped = [np.column_stack((b[:, :-1], o[:, m])) for b, o in zip(blocks, others, strict=True)]
         one = replace(_folded(blocks), pull=pull[:, m], products=_folded(swapped).products)
-        whole = gram.held_out(one, (1,), (0.5,))
+        whole = crossval.held_out(one, (1,), (0.5,))
         size = [float(o[:, m] @ o[:, m]) for o in others]
         np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
 
@@ -339,11 +349,11 @@ def test_projection_leaves_what_the_shared_numbers_cannot_imitate(blocks: list[n
     rows = np.concatenate([*(b for b in blocks), np.zeros((3, 6))])
     rows[-3:, :3] = np.diag(np.sqrt(PRIOR))
     rest = rows[:, 3:] - rows[:, :3] @ np.linalg.lstsq(rows[:, :3], rows[:, 3:])[0]
-    np.testing.assert_allclose(gram.projected(_folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(crossval.projected(_folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
 
 
 def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
-    drawn = gram.noise(_folded(blocks), rng, 40_000)
+    drawn = crossval.noise_draws(_folded(blocks), rng, 40_000)
     np.testing.assert_allclose(drawn.pull.std(axis=1), [0.0, 0.5, 2.0], rtol=0.03)
     for f, block in enumerate(blocks):
         covariance = drawn.right[f] @ drawn.right[f].T / 40_000
@@ -354,22 +364,22 @@ def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: n
 
 def test_what_nothing_tells_stays_at_zero() -> None:
     normal = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
-    found = gram.solved(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
+    found = crossval.solved(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
     assert found[1] == 0.0
     np.testing.assert_allclose(
         found[[0, 2]], np.linalg.solve([[4.0, 2.0], [2.0, 3.0]], [1.0, 2.0]), rtol=1e-8
     )
 
 
-def test_each_trials_own_start_is_projected_out(bench: Bench) -> None:
-    """Folded products equal those of the rows less what the trial's start state takes."""
-    lens = Lens(bench.shape.sd)
-    fit = bench.at((), lens, bench.problem(()).start)
-    found = gram.folded(bench, fit, lens)
+def test_each_trials_own_start_is_projected_out(context: FitContext) -> None:
+    """NormalEquations products equal those of the rows less what the trial's start state takes."""
+    noise_model = NoiseModel(context.shape.sd)
+    fit = context.at((), noise_model, context.problem(()).start)
+    found = crossval.normal_equations(context, fit, noise_model)
     assert found.shared == 2
-    assert bench.folds.count == 4
+    assert context.folds.count == 4
     expected = np.zeros((4, 3, 3))
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         t = trial.time_s
         shared = np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones_like(t)]])
         one = np.r_[np.ones_like(t), np.zeros_like(t)]
@@ -401,19 +411,21 @@ class Tilt(Effect):
         return Hooks(output=(more,))
 
 
-def test_chance_differences_are_numbers_with_their_spread_as_prior(bench: Bench) -> None:
+def test_chance_differences_are_numbers_with_their_spread_as_prior(context: FitContext) -> None:
     """Products, fit and errors are those of residuals whose noise has the covariance the differences add."""
     model = Hooked(line, LINE, ("y", "v"))
-    mixed = Bench(model, LINE, bench.trials, {"a": (0.8, 0.2)})
-    (kind,) = kinds(model, LINE, bench.trials, [Tilt()], {})
+    mixed = FitContext(model, LINE, context.trials, {"a": (0.8, 0.2)})
+    (kind,) = kinds(model, LINE, context.trials, [Tilt()], {})
     assert (kind.name, kind.size) == ("tilt", 1.0)
     sd = 0.3
-    lens = Lens([[np.full(len(t.time_s), 0.5)] * 2 for t in bench.trials], chance=(replace(kind, sd=sd),))
-    fit = mixed.fit((), lens, [mixed.problem((), lens.chance).start])
-    folded = gram.folded(mixed, fit, lens)
+    noise_model = NoiseModel(
+        [[np.full(len(t.time_s), 0.5)] * 2 for t in context.trials], random_effects=(replace(kind, sd=sd),)
+    )
+    fit = mixed.fit((), noise_model, [mixed.problem((), noise_model.random_effects).start])
+    folded = crossval.normal_equations(mixed, fit, noise_model)
     theta = np.array([fit.value("a"), fit.value("b")])
     normal, right = np.diag([25.0, 0.0]), np.array([25.0 * 0.8, 0.0])
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         t, n = trial.time_s, len(trial.time_s)
         nil = np.zeros(n)
         shared = np.column_stack([np.r_[np.sin(t), np.cos(t)], np.r_[t, np.ones(n)]])
@@ -431,22 +443,22 @@ def test_chance_differences_are_numbers_with_their_spread_as_prior(bench: Bench)
     # the conditional optimum of a linear mixed model is the marginal one
     np.testing.assert_allclose(theta, exact, atol=1e-4)
     at = [fit.labels.index(name) for name in ("a", "b")]
-    stderr = errors(fit, lens, mixed.expected(fit.problem)[1])[at]
+    stderr = errors(fit, noise_model, mixed.expected(fit.problem)[1])[at]
     np.testing.assert_allclose(stderr, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-3)
     # without the differences what is left is what the start state alone leaves
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         t, n = trial.time_s, len(trial.time_s)
         modelled = line(np.array([*theta, 0.0]), t)
         y = (trial.measured["y"] - modelled["y"]) / 0.5
-        unaided = fit.unaided(["tilt"])[k]
-        np.testing.assert_allclose(unaided[:n], y - y.mean(), atol=1e-4)
+        marginal_residuals = fit.marginal_residuals(["tilt"])[k]
+        np.testing.assert_allclose(marginal_residuals[:n], y - y.mean(), atol=1e-4)
 
 
-def test_a_linear_fit_is_least_squares(bench: Bench) -> None:
-    lens = Lens(bench.shape.sd)
-    fit = bench.fit((), lens, [bench.problem(()).start])
+def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
+    noise_model = NoiseModel(context.shape.sd)
+    fit = context.fit((), noise_model, [context.problem(()).start])
     rows, target = [], []
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         t, n = trial.time_s, len(trial.time_s)
         own = np.zeros((2 * n, 5))
         own[:n, k] = 1.0
@@ -457,9 +469,9 @@ def test_a_linear_fit_is_least_squares(bench: Bench) -> None:
     system = np.vstack([*rows, prior])
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
-    weight = bench.expected(fit.problem)[1]
+    weight = context.expected(fit.problem)[1]
     np.testing.assert_allclose(
-        errors(fit, lens, weight), np.sqrt(np.diag(np.linalg.inv(system.T @ system))), rtol=1e-4
+        errors(fit, noise_model, weight), np.sqrt(np.diag(np.linalg.inv(system.T @ system))), rtol=1e-4
     )
 
 
@@ -569,9 +581,9 @@ def test_start_up_and_steady_share_the_gap_out() -> None:
 
 
 def test_a_change_is_dated(rng: np.random.Generator) -> None:
-    quiet, broken = 0.1 * rng.normal(size=(2, 201))
+    nuisance_residuals, broken = 0.1 * rng.normal(size=(2, 201))
     broken[120:] += 1.5
-    found = places.times(_residual_map([quiet, broken], 0.1))
+    found = places.times(_residual_map([nuisance_residuals, broken], 0.1))
     (change,) = (c for c in found if c.kind == "change")
     assert change.label == "t1 from 6 s"
     assert change.share > 0.95
@@ -601,9 +613,9 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
         for k, force in enumerate((1.0, 1.0, 1.0, 2.0, 3.0, 4.0))
     ]
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
-    bench = Bench(model, (), trials, {})
-    fit = bench.at((), Lens(bench.shape.sd), np.empty(0))
-    floor, how = floors(bench, fit, fit.residuals, 0.0)
+    context = FitContext(model, (), trials, {})
+    fit = context.at((), NoiseModel(context.shape.sd), np.empty(0))
+    floor, how = floors(context, fit, fit.residuals, 0.0)
     assert floor["y"] == pytest.approx(0.1, rel=0.1)
     assert how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
@@ -620,26 +632,26 @@ def test_closed(before: float, after: float, floor: float, share: float) -> None
 # ---------------------------------------------------------------- search
 
 
-def test_a_fit_also_begins_at_what_is_known(bench: Bench) -> None:
-    problem = bench.problem(())
+def test_a_fit_also_begins_at_what_is_known(context: FitContext) -> None:
+    problem = context.problem(())
     near, far = np.array(problem.start), np.array(problem.start)
     at = problem.labels.index("a")
     near[at], far[at] = 1.1, 1.3  # known as 0.8 +- 0.2
-    assert len(bench.begins(problem, near)) == 1
-    own, known = bench.begins(problem, far)
+    assert len(context.begins(problem, near)) == 1
+    own, known = context.begins(problem, far)
     np.testing.assert_array_equal(own, far)
     assert known[at] == 0.8
     others = np.arange(len(far)) != at
     np.testing.assert_array_equal(known[others], far[others])
 
 
-def test_where_the_trials_told_the_prior_a_fit_begins_at_published_numbers(bench: Bench) -> None:
+def test_where_the_trials_told_the_prior_a_fit_begins_at_published_numbers(context: FitContext) -> None:
     published = tuple(replace(p, known=2.0) if p.name == "a" else p for p in LINE)
-    loose = Bench(bench.model, published, bench.trials, {"a": (0.8, 0.6)})
+    loose = FitContext(context.model, published, context.trials, {"a": (0.8, 0.6)})
     problem = loose.problem(())
     at = problem.labels.index("a")
     assert loose.begins(problem, np.array(problem.start))[1][at] == 2.0
-    tight = Bench(bench.model, published, bench.trials, {"a": (0.8, 0.2)})
+    tight = FitContext(context.model, published, context.trials, {"a": (0.8, 0.2)})
     assert len(tight.begins(problem, np.array(problem.start))) == 1
 
 
@@ -791,21 +803,23 @@ def test_a_trial_that_breaks_down_leaves_an_effect_to_the_others(rng: np.random.
     for k in range(6):
         t = np.linspace(0.0, 5.0, 100)
         trials.append(Trial(f"t{k}", "fit", t, {"y": np.tanh(t) + 0.02 * rng.normal(size=len(t))}))
-    bench = Bench(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
-    lens = Lens([[np.full(100, 0.02)] for _ in trials])
-    base = bench.fit((), lens, [bench.shape.start])
-    (found,) = candidates.simulate(bench, base, [Fragile("fragile", np.tanh)])
+    context = FitContext(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    noise_model = NoiseModel([[np.full(100, 0.02)] for _ in trials])
+    base = context.fit((), noise_model, [context.shape.start])
+    (found,) = candidates.simulate(context, base, [Fragile("fragile", np.tanh)])
     assert found.points
     for _, changes in found.points:
         assert not changes[0].any()
         assert all(np.abs(c).max() > 1.0 for c in changes[1:])
 
 
-def test_a_start_that_changes_nothing_is_no_obstacle(bench: Bench) -> None:
-    fit = bench.fit((), Lens([[np.full(len(t.time_s), 0.05)] * 2 for t in bench.trials]), [bench.shape.start])
+def test_a_start_that_changes_nothing_is_no_obstacle(context: FitContext) -> None:
+    fit = context.fit(
+        (), NoiseModel([[np.full(len(t.time_s), 0.05)] * 2 for t in context.trials]), [context.shape.start]
+    )
     without = replace(fit, rows=[np.zeros_like(rows) for rows in fit.rows])
     own = [[r.copy() for r in fit.residuals]]
-    gains = own_gains(bench, without, Lens(fit.problem.sd), own)
+    gains = own_gains(context, without, NoiseModel(fit.problem.sd), own)
     assert np.isfinite(gains).all()
 
 
@@ -843,11 +857,11 @@ def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: 
         Trial(f"t{k}", "fit", t, {"y": turning(np.array([1.05]), t)["y"] + 0.05 * rng.normal(size=len(t))})
         for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
     ]
-    bench = Bench(Toy(turning, known, ("y",)), known, trials, {"rate": (1.0, 0.5)})
-    lens = Lens([[np.full(200, 0.05)] for _ in trials])
-    trapped = bench.fit((), lens, [np.array([2.5])])
+    context = FitContext(Toy(turning, known, ("y",)), known, trials, {"rate": (1.0, 0.5)})
+    noise_model = NoiseModel([[np.full(200, 0.05)] for _ in trials])
+    trapped = context.fit((), noise_model, [np.array([2.5])])
     assert abs(trapped.value("rate") - 1.05) > 0.5
-    based = search.based(bench, lens, trapped.theta)
+    based = search.based(context, noise_model, trapped.theta)
     # five standard errors: a sample moves by some five of its units with the rate
     assert based.value("rate") == pytest.approx(1.05, abs=5 * 0.05 / np.sqrt(800) / 5)
     assert based.cost < trapped.cost

@@ -15,11 +15,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.gapbench.peers import Case
-from swimid.diagnosis.bench import FINE, Bench, Fit
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.context import FINE, Fit, FitContext
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting import noise as noise_model
+from swimid.fitting import noise as sample_noise
 
 #: Effects together at most; so many times the noise is read off the residuals before.
 MOST, WEIGHTINGS = 2, 2
@@ -27,15 +27,15 @@ MOST, WEIGHTINGS = 2, 2
 
 def rounds(case: Case) -> list[dict[str, float]]:
     """BIC of the model, under ``""``, and with each effect; then beside the best; and so on."""
-    bench = Bench(case.model, case.model.parameters, case.trials, case.prior)
+    bench = FitContext(case.model, case.model.parameters, case.trials, case.prior)
     effects = catalogue.applicable(catalogue.catalogue(), case.model, case.trials)
     found: list[dict[str, float]] = []
     with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        fit, lens = _nominal(bench)
+        fit, noise_model = _nominal(bench)
         while len(found) < MOST:
             rest = [e for e in effects if e.name not in {own.name for own in fit.effects}]
             base = fit
-            fits = list(pool.map(lambda e, base=base: _beside(bench, lens, base, e), rest))
+            fits = list(pool.map(lambda e, base=base: _beside(bench, noise_model, base, e), rest))
             bic = {"": _bic(fit)}
             best = {"": fit}
             for effect, other in zip(rest, fits, strict=True):
@@ -51,32 +51,32 @@ def rounds(case: Case) -> list[dict[str, float]]:
     return found
 
 
-def _nominal(bench: Bench) -> tuple[Fit, Lens]:
+def _nominal(bench: FitContext) -> tuple[Fit, NoiseModel]:
     """The model refitted, with the noise that its own residuals show."""
     problem = bench.problem(())
-    noise_model.weigh_first(problem, False)
+    sample_noise.weigh_first(problem, False)
     theta = np.clip(problem.start, problem.lower, problem.upper)
     sizes: Mapping[str, tuple[float, float]] = {}
     for _ in range(1 + WEIGHTINGS):
-        lens = Lens([list(sds) for sds in problem.sd])
-        fit = bench.fit((), lens, bench.begins(problem, theta))
+        noise_model = NoiseModel([list(sds) for sds in problem.sd])
+        fit = bench.fit((), noise_model, bench.begins(problem, theta))
         theta = fit.theta
-        sizes = noise_model.estimate(problem, theta, dict(sizes))
-    return fit, lens
+        sizes = sample_noise.estimate(problem, theta, dict(sizes))
+    return fit, noise_model
 
 
-def _beside(bench: Bench, lens: Lens, base: Fit, effect: Effect) -> Fit:
+def _beside(bench: FitContext, noise_model: NoiseModel, base: Fit, effect: Effect) -> Fit:
     """The optimum with one more effect, from the best of the sizes it is tried at."""
     effects = (*base.effects, effect)
     own = bench.affected(effects).own[-1]
     starts = []
     for point in [*effect.tries(own), np.array([p.start for p in own])]:
         named = {f"{effect.name}/{p.name}": float(v) for p, v in zip(own, point, strict=False)}
-        starts.append(bench.start(effects, lens, base, named))
+        starts.append(bench.start(effects, noise_model, base, named))
     problem = bench.problem(effects)
-    lens.install(problem)
+    noise_model.install(problem)
     first = min(starts, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
-    return bench.fit(effects, lens, [first], tolerance=FINE, jobs=1)
+    return bench.fit(effects, noise_model, [first], tolerance=FINE, jobs=1)
 
 
 def _bic(fit: Fit) -> float:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.diagnosis import gram
-from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis import crossval
+from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.places import knobs
 from swimid.diagnosis.result import Advice
 from swimid.fitting.model import Array, Model, Trial
@@ -82,7 +82,11 @@ def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str, str]]
 
 
 def advise(
-    bench: Bench, rivals: Sequence[Fit], lens: Lens, floors: Mapping[str, float], now: float
+    context: FitContext,
+    rivals: Sequence[Fit],
+    noise_model: NoiseModel,
+    floors: Mapping[str, float],
+    now: float,
 ) -> tuple[Advice, ...]:
     """Proposals ranked by how well they tell the first rival from the others.
 
@@ -96,21 +100,21 @@ def advise(
     """
     found = []
     names = tuple(f.effects[-1].name for f in rivals)
-    known = information(bench, rivals[0], lens)
-    for words, trial in proposals(bench.model, bench.trials):
+    known = information(context, rivals[0], noise_model)
+    for words, trial in proposals(context.model, context.trials):
         difference = min(
-            apart(bench, rivals[0], other, trial, floors, known, sorted(_channels(bench)))
+            apart(context, rivals[0], other, trial, floors, known, sorted(_channels(context)))
             for other in rivals[1:]
         )
         found.append(Advice(f"run {words}", names, difference, now))
-    template = max(bench.trials, key=lambda t: len(t.time_s))
+    template = max(context.trials, key=lambda t: len(t.time_s))
     sensed: dict[str, Advice] = {}
-    for meaning, channel, unit in sensors(bench.model, bench.trials):
+    for meaning, channel, unit in sensors(context.model, context.trials):
         noise = typical_noise(channel, floors)
         if noise is None:
             continue
         difference = min(
-            apart(bench, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
+            apart(context, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
             for other in rivals[1:]
         )
         words = f"log {meaning} ({channel}) as well, to {noise:.2g} {unit}"
@@ -123,8 +127,8 @@ def advise(
     return tuple(found[:MOST])
 
 
-def _channels(bench: Bench) -> set[str]:
-    return {c for t in bench.trials for c in t.measured}
+def _channels(context: FitContext) -> set[str]:
+    return {c for t in context.trials for c in t.measured}
 
 
 def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
@@ -138,20 +142,20 @@ def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
     return None
 
 
-def information(bench: Bench, fit: Fit, lens: Lens) -> dict[str, Array | list[str]]:
+def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, Array | list[str]]:
     """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
     for k, rows in enumerate(fit.rows):
         # the last column is that of residuals, of which nothing is asked
         block = np.column_stack((rows[:, shared], fit.residuals[k]))
-        seen = gram.apart(bench, fit, lens, k, block)[:, :-1]
+        seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
     return {"labels": [fit.labels[j] for j in shared], "normal": normal}
 
 
 def apart(
-    bench: Bench,
+    context: FitContext,
     first: Fit,
     second: Fit,
     trial: Trial,
@@ -164,8 +168,8 @@ def apart(
     proposed = replace(trial, measured=blank)
     runs, rows = [], None
     for fit in (first, second):
-        model = bench.affected(fit.effects)
-        parameters = (*bench.parameters, *model.parameters[len(bench.parameters) :])
+        model = context.affected(fit.effects)
+        parameters = (*context.parameters, *model.parameters[len(context.parameters) :])
         values = {label: v for label, v in zip(fit.labels, fit.theta, strict=True) if "[" not in label}
         parameters = tuple(replace(p, start=values.get(p.name, p.start)) for p in parameters)
         problem = Problem(model, parameters, [proposed], jobs=1)

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.diagnosis import advice, conclusion, gram, places, remainder, shrinkage
-from swimid.diagnosis.bench import FINE, Bench, Fit
+from swimid.diagnosis import advice, conclusion, crossval, places, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
+from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
 from swimid.diagnosis.folds import Folds
@@ -59,11 +59,13 @@ def answer(
         The fitted trials with their failed samples still in.
     """
     rng = np.random.default_rng(seed)
-    bench = state.bench
+    context = state.context
     nominal = state.nominal
-    floor, how = noise_floors(bench, state.base, state.quiet, conclusion.structured_share(state))
-    for channel in remainder.moves(state.slow):
-        floor[channel] *= math.sqrt(1.0 - state.slow[channel].share)
+    floor, how = noise_floors(
+        context, state.base, state.nuisance_residuals, conclusion.structured_share(state)
+    )
+    for channel in remainder.drifting(state.low_frequency):
+        floor[channel] *= math.sqrt(1.0 - state.low_frequency[channel].share)
     failed = _failed(state, nominal, raw, floor)
     chosen = [conclusion.named(state, r) for r in state.rounds]
     word = conclusion.verdict(state, chosen, dropout=failed > 0)
@@ -71,42 +73,49 @@ def answer(
     # beside something from outside only what acts rather than not
     chosen = [c for c in chosen if surely and (word != "unexplained" or c.probability > 0.5)]
     rows = conclusion.scores(state)
-    shipped = {p.name: p.start for p in bench.parameters if not p.per_trial}
-    total = len(validation) or bench.folds.count
+    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
+    total = len(validation) or context.folds.count
     with progress("held-out trials", total=total) as step:
         held = shrinkage.pieces(
-            bench, _alone(state), state.base, state.lens, floor, shipped, validation, step=lambda: step(1)
+            context,
+            _alone(state),
+            state.base,
+            state.noise_model,
+            floor,
+            shipped,
+            validation,
+            step=lambda: step(1),
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
     sound = shrinkage.sound(held)
     if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
         names = ", ".join(c.best.tried.effect.name for c in chosen)
-        hides = "are no better with it: what differs between trials by chance hides it"
+        hides = "are no better with it: what differs from trial to trial hides it"
         reasons.append(
             f"{names}: held-out trials, simulated anew, {hides if sound else 'break down with it'}"
         )
         word = "ambiguous" if word == "explained" else word
-    # what a cause accounts for is none of the chance differences of the model without it
-    gap_left = nominal.unaided([e.name for e in state.base.effects])
+    # what a cause accounts for is none of the random effects of the model without it
+    gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
     size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
     if word == "none":
-        # nothing it leaves can be told from noise and from what differs between trials by chance
+        # nothing it leaves can be told from noise and from what differs from trial to trial
         floor = {c: max(v, size[c]) for c, v in floor.items()}
-        how = "all that the model leaves: noise, and what differs between trials by chance"
+        how = "all that the model leaves: noise, and what differs from trial to trial"
     causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
     if failed:
         causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
-    where = places.Map(bench, nominal, gap_left, floor)
+    where = places.Map(context, nominal, gap_left, floor)
     gap = word != "none"
     stages = conclusion.stages(rows, bool(chosen), {s.stage for s in rows})
     if failed and causes and causes[0].effect == MarkerDropout.name:
         stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
-    units = {c.name: c.unit for c in bench.model.channels}
+    units = {c.name: c.unit for c in context.model.channels}
     left = state.left
     return Gap(
         verdict=word,
-        channels=_channels(bench, nominal, gap_left, floor, shipped, units, held),
+        channels=_channels(context, nominal, gap_left, floor, shipped, units, held),
         stages=stages,
         phase=places.phases(where) if gap else (),
         regime=places.regimes(where),
@@ -118,8 +127,8 @@ def answer(
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         floor_from=how,
-        held_out="validation" if validation else "trials" if bench.folds.whole else "stretches",
-        sketches=places.sketches(bench, state.base, left) if left is not None and left.found else (),
+        held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
+        sketches=places.sketches(context, state.base, left) if left is not None and left.found else (),
         overlays=shrinkage.overlays(held, units),
         maps=places.maps(where),
         forces=dict(left.places) if left is not None else {},
@@ -144,11 +153,11 @@ def _alone(state: State) -> Fit:
     """The model refitted as if trials did not differ: what differs may have stood in for a cause, and nothing
     is known of it in a trial to come.
     """
-    if not state.lens.chance:
+    if not state.noise_model.random_effects:
         return state.nominal
-    bench, lens = state.bench, replace(state.lens, chance=())
-    begin = bench.start((), lens, state.nominal)
-    return bench.fit((), lens, bench.begins(bench.problem(()), begin), tolerance=FINE)
+    context, noise_model = state.context, replace(state.noise_model, random_effects=())
+    begin = context.start((), noise_model, state.nominal)
+    return context.fit((), noise_model, context.begins(context.problem(()), begin), tolerance=FINE)
 
 
 def _reasons(state: State) -> tuple[str, ...]:
@@ -158,14 +167,14 @@ def _reasons(state: State) -> tuple[str, ...]:
         said.append("the time budget ran out before every effect was refitted")
     said += [
         f"trials differ by chance in {kind.name}: {kind.sd:.2g} of its typical size; that is in the noise"
-        for kind in state.chance
+        for kind in state.random_effects
         if kind.sd > 0.02
     ]
     return tuple(said)
 
 
 def _channels(
-    bench: Bench,
+    context: FitContext,
     nominal: Fit,
     residuals: Sequence[Array],
     floor: Mapping[str, float],
@@ -175,7 +184,7 @@ def _channels(
 ) -> tuple[ChannelGap, ...]:
     squares: dict[str, list[Array]] = {}
     spans: dict[str, list[Array]] = {}
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         for channel, series in split(nominal, k, residuals[k]).items():
             there = np.isfinite(series)
             squares.setdefault(channel, []).append(series[there] ** 2)
@@ -254,7 +263,7 @@ def _absorbed(
 ) -> tuple[Absorbed, ...]:
     plain = conclusion.parameter_errors(state, nominal)
     found = []
-    for p in state.bench.parameters:
+    for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels:
             continue
         known = given.get(p.name)
@@ -273,10 +282,10 @@ def _absorbed(
 
 def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
     """Errors on the outermost frequency, amplitude or force, left out of the fit."""
-    bench = state.bench
-    if not bench.folds.whole:
+    context = state.context
+    if not context.folds.whole:
         return ()
-    settings = [places.knobs(t) for t in bench.trials]
+    settings = [places.knobs(t) for t in context.trials]
     found = []
     for kind in ("frequency", "amplitude", "force"):
         labels = [s.get(kind) for s in settings]
@@ -285,13 +294,13 @@ def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
             continue
         for label in (levels[-1], levels[0]):
             inside = [k for k, own in enumerate(labels) if own == label]
-            cut = copy.copy(bench)
-            owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(bench.folds.owner)]
+            cut = copy.copy(context)
+            owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
             cut.folds = Folds(True, owner, ["rest", label])
             ratios = []
             for fit in (nominal, state.base):
-                inner = gram.folded(cut, fit, state.lens)
-                misfit = float(gram.held_out(inner)[1])
+                inner = crossval.normal_equations(cut, fit, state.noise_model)
+                misfit = float(crossval.held_out(inner)[1])
                 ratios.append(math.sqrt(max(misfit, 0.0) / max(float(inner.samples[1]), 1.0)))
             found.append(Extrapolation(f"{kind} {label}", ratios[0], ratios[1]))
     return tuple(found)
@@ -312,9 +321,12 @@ def _remaining(
         return Remaining(0.0, "", True, 0.0)
     where = _where(state)
     if not left.found:
-        moving = remainder.moves(state.slow)
+        moving = remainder.drifting(state.low_frequency)
         if moving:
-            gap, still = _excess(nominal, residuals, floor), _excess(state.base, state.quiet, floor)
+            gap, still = (
+                _excess(nominal, residuals, floor),
+                _excess(state.base, state.nuisance_residuals, floor),
+            )
             share = sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300)
             return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
         apart = bool(conclusion.differs(state))
@@ -326,7 +338,7 @@ def _where(state: State) -> str:
     """Where what is left acts, in words."""
     left = state.left
     if left is None or not left.found:
-        moving = remainder.moves(state.slow)
+        moving = remainder.drifting(state.low_frequency)
         if moving:
             return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
         apart = conclusion.differs(state)
@@ -340,7 +352,7 @@ def _where(state: State) -> str:
 def _advice(
     state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]
 ) -> tuple[Advice, ...]:
-    bench, found = state.bench, state.rounds
+    context, found = state.context, state.rounds
     if chosen:
         names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent)
         rivals = [next(r for r in found[0].ranked if r.tried.effect.name == n) for n in names]
@@ -351,7 +363,7 @@ def _advice(
             first, second = rivals[0], rivals[1]
             now = math.sqrt(max(first.gain - second.gain, 0.0))
             try:
-                return advice.advise(bench, [r.fit for r in rivals], found[0].lens, floor, now)
+                return advice.advise(context, [r.fit for r in rivals], found[0].noise_model, floor, now)
             except (ArithmeticError, np.linalg.LinAlgError):
                 return ()
     if word == "unexplained":

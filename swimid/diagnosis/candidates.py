@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from swimid.diagnosis import gram
-from swimid.diagnosis.bench import EFFECT_PRIOR, Bench, Fit
-from swimid.diagnosis.gram import Folded
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis import crossval
+from swimid.diagnosis.context import EFFECT_PRIOR, Fit, FitContext
+from swimid.diagnosis.crossval import NormalEquations
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 
@@ -128,7 +128,7 @@ class Trialled:
 
 
 def simulate(
-    bench: Bench,
+    context: FitContext,
     base: Fit,
     effects: Sequence[Effect],
     *,
@@ -144,10 +144,10 @@ def simulate(
     """
 
     def one(effect: Effect) -> Trialled:
-        parameters = effect.parameters(bench.model, bench.trials)
+        parameters = effect.parameters(context.model, context.trials)
         found = []
         points = list(effect.tries(parameters))
-        for point, changed in zip(points, bench.changes(base, effect, points), strict=True):
+        for point, changed in zip(points, context.changes(base, effect, points), strict=True):
             sound = [within(c) for c in changed]
             # a trial on the verge of breaking down says nothing about the effect, the others do
             if sum(sound) > SOUND * len(sound):
@@ -161,23 +161,23 @@ def simulate(
         return list(pool.map(one, effects))
 
 
-def screen(bench: Bench, base: Fit, lens: Lens, simulated: Sequence[Trialled]) -> Screen:
+def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:
     """Compare all effects at all strengths, the base's numbers projected out."""
     columns: list[list[Array]] = []
     places: list[list[int]] = []
     for tried in simulated:
         places.append(list(range(len(columns), len(columns) + len(tried.points))))
         columns += [changed for _, changed in tried.points]
-    inner = gram.folded(bench, base, lens, columns)
-    plain = gram.held_out(inner)
-    left = gram.projected(inner)
+    inner = crossval.normal_equations(context, base, noise_model, columns)
+    plain = crossval.held_out(inner)
+    left = crossval.projected(inner)
     total = inner.products.sum(axis=0)
     found, left_out = [], {}
     for tried, at in zip(simulated, places, strict=True):
         effect, parameters, points = tried.effect, tried.parameters, tried.points
         shared = [j for j, p in enumerate(parameters) if not p.per_trial]
         if len(shared) < len(parameters):
-            best = _apart(bench, base, lens, effect, parameters, points, plain)
+            best = _apart(context, base, noise_model, effect, parameters, points, plain)
         else:
             best = _best(inner, effect, parameters, points, at, plain, left, total)
         if best is None:
@@ -212,7 +212,7 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
 
 
 def _best(
-    inner: Folded,
+    inner: NormalEquations,
     effect: Effect,
     parameters: tuple[Parameter, ...],
     points: list[tuple[Array, list[Array]]],
@@ -231,8 +231,8 @@ def _best(
         nonlocal best
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [at[i] for i in chosen]
-        gains = plain - gram.held_out(inner, where, prior)
-        factors = gram.together(inner, where, prior)[s:]
+        gains = plain - crossval.held_out(inner, where, prior)
+        factors = crossval.together(inner, where, prior)[s:]
         inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
         if len(chosen) == 1:
             tried_at = points[chosen[0]][0]
@@ -242,7 +242,7 @@ def _best(
             # a size out of bounds is no size: what the effect does there is what it does at the bound
             allowed = _allowed(null, tried_at - null, float(factors[0]), *inside)
             if allowed != factors[0]:
-                gains = np.minimum(gains, plain - gram.held_out_less(inner, where[0], allowed))
+                gains = np.minimum(gains, plain - crossval.held_out_less(inner, where[0], allowed))
                 factors = np.array([allowed])
         point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
         if best is None or gains.sum() > best.gain:
@@ -267,18 +267,18 @@ def _best(
     if len(leaders) > 1:
         consider([i for _, i in leaders.values()])
     if best is not None:
-        raw = [(float((plain - gram.held_out_less(inner, at[i])).sum()), i) for i, _ in enumerate(points)]
+        raw = [(float((plain - crossval.held_out_less(inner, at[i])).sum()), i) for i, _ in enumerate(points)]
         helped = sorted(raw)[::-1][:STARTS]
         best = replace(best, starts=[points[i][0] for _, i in helped])
         if not effect.smooth and helped and helped[0][0] > best.gain:
-            best = replace(best, gains=plain - gram.held_out_less(inner, at[helped[0][1]]))
+            best = replace(best, gains=plain - crossval.held_out_less(inner, at[helped[0][1]]))
     return best
 
 
 def _apart(
-    bench: Bench,
+    context: FitContext,
     base: Fit,
-    lens: Lens,
+    noise_model: NoiseModel,
     effect: Effect,
     parameters: tuple[Parameter, ...],
     points: list[tuple[Array, list[Array]]],
@@ -302,17 +302,19 @@ def _apart(
         own = [points[i][1] for i in kept.values()]
         if not own or sum(float(np.vdot(c, c)) for o in own for c in o) < NOTHING:
             continue
-        gains = own_gains(bench, base, lens, own)
+        gains = own_gains(context, base, noise_model, own)
         if best is None or gains.sum() > best.gain:
             point = points[next(iter(kept.values()))][0]
-            signature = [np.sum([o[k] for o in own], axis=0) for k in range(len(bench.trials))]
+            signature = [np.sum([o[k] for o in own], axis=0) for k in range(len(context.trials))]
             best = Tried(effect, parameters, point, gains, 0.0, signature)
     return best
 
 
-def alike(bench: Bench, base: Fit, lens: Lens, first: Tried, second: Tried) -> float:
+def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
     """Cosine between two effects' changes, the base's numbers projected out."""
-    inner = gram.projected(gram.folded(bench, base, lens, [first.signature, second.signature]))
+    inner = crossval.projected(
+        crossval.normal_equations(context, base, noise_model, [first.signature, second.signature])
+    )
     norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
     return float(inner[0, 1] / norm) if norm > 0 else 0.0
 
@@ -330,7 +332,9 @@ def own(fit: Fit, name: str, scale: float) -> list[Array]:
     return found
 
 
-def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]]) -> Array:
+def own_gains(
+    context: FitContext, base: Fit, noise_model: NoiseModel, own: Sequence[Sequence[Array]]
+) -> Array:
     """Drop of misfit by changes whose size each trial has for itself, shape (folds,).
 
     The size is estimated from three quarters of a trial and judged on the other, in turn: what fits any
@@ -342,11 +346,11 @@ def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]
         Changes of each trial, weighted, per typical size.
     """
     problem = base.problem
-    gains = np.zeros(bench.folds.count)
+    gains = np.zeros(context.folds.count)
     q = len(own)
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         block = np.column_stack([*(c[k] for c in own), base.residuals[k]])
-        seen = gram.apart(bench, base, lens, k, block)[: len(block)]
+        seen = crossval.project_out(context, base, noise_model, k, block)[: len(block)]
         times = np.concatenate(
             [trial.time_s[mask] for mask in problem.masks[k]] if problem.masks[k] else [np.empty(0)]
         )
@@ -360,5 +364,5 @@ def own_gains(bench: Bench, base: Fit, lens: Lens, own: Sequence[Sequence[Array]
             normal = rest[:q, :q] + np.eye(q) / EFFECT_PRIOR**2
             factor = np.linalg.solve(normal, rest[:q, q])
             gain += float(2.0 * factor @ inner[:q, q] - factor @ inner[:q, :q] @ factor)
-        gains[int(bench.folds.owner[k][0]) if len(bench.folds.owner[k]) else 0] += gain
+        gains[int(context.folds.owner[k][0]) if len(context.folds.owner[k]) else 0] += gain
     return gains

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.bench import Fit, errors
 from swimid.diagnosis.candidates import Refitted
-from swimid.diagnosis.chance import CHANCE
-from swimid.diagnosis.lens import Lens, coloured
+from swimid.diagnosis.context import Fit, errors
+from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.posterior import UNSURE, Candidate
+from swimid.diagnosis.random_effects import LARGEST_SD
 from swimid.diagnosis.result import Score, Verdict
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
@@ -108,12 +108,12 @@ def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, flo
 
 
 def structured_share(state: State) -> float:
-    """Share of the final squared residuals through the lens that a generic description still finds."""
+    """Share of the final squared whitened residuals that a generic description still finds."""
     left = state.left
     if left is None or not left.found:
         return 0.0
     whole = sum(
-        float(np.sum(state.lens.through(state.base.problem, k, r) ** 2))
+        float(np.sum(state.noise_model.whiten(state.base.problem, k, r) ** 2))
         for k, r in enumerate(state.base.residuals)
     )
     return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
@@ -135,8 +135,8 @@ def verdict(state: State, chosen: Sequence[Named], *, dropout: bool) -> Verdict:
 def differs(state: State) -> list[str]:
     """In what the trials surely differ by more than chance would make them."""
     # two standard errors of a standard deviation
-    least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.bench.trials))
-    return [kind.name for kind in state.chance if least * kind.sd > DIFFERS * CHANCE]
+    least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
+    return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * LARGEST_SD]
 
 
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
@@ -144,11 +144,11 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
 
     What few trials leave is correlated, be it noise or gap: it makes them as much larger as it does.
     """
-    _, weight = state.bench.expected(fit.problem)
-    sd = errors(fit, state.lens, weight)
-    if state.lens.slow is not None:
+    _, weight = state.context.expected(fit.problem)
+    sd = errors(fit, state.noise_model, weight)
+    if state.noise_model.long_memory is not None:
         scale = fit.problem.scale
-        colour = coloured(fit.problem, fit.residuals, Lens(state.lens.sd)).colour
+        colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
         rows = [r * scale for r in fit.rows]
         covariance = sandwich(fit.problem, rows, list(fit.residuals), dict(colour)).covariance
         sd = np.fmax(sd, scale * np.sqrt(np.maximum(np.diag(covariance), 0.0)))

@@ -157,8 +157,8 @@ def diagnose(
             else ("from other trials" if not begun.own_data else "these trials: none but the bounds"),
             "held_out": "validation trials"
             if validation
-            else ("folds of settings" if state.bench.folds.whole else "stretches of trials"),
-            "folds": state.bench.folds.labels if len(state.bench.folds.labels) <= 30 else [],
+            else ("folds of settings" if state.context.folds.whole else "stretches of trials"),
+            "folds": state.context.folds.labels if len(state.context.folds.labels) <= 30 else [],
         },
         provenance=origin,
     )

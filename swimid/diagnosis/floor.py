@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.diagnosis.bench import Bench, Fit, beyond
+from swimid.diagnosis.context import Fit, FitContext, beyond
 from swimid.diagnosis.folds import setting
 from swimid.fitting.model import Array
 
@@ -26,21 +26,21 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
     return found
 
 
-def repeats(bench: Bench) -> list[list[int]]:
+def repeats(context: FitContext) -> list[list[int]]:
     """Trials of one setting, where there are several."""
     groups: dict[str, list[int]] = {}
-    for k, trial in enumerate(bench.trials):
+    for k, trial in enumerate(context.trials):
         groups.setdefault(setting(trial), []).append(k)
     return [g for g in groups.values() if len(g) > 1]
 
 
-def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list[Array]:
+def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
     """Weighted residuals once each trial has had its own start state, trims, gains and clock.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-    chance : sequence of ndarray, shape (n_k, q)
+    random_effects : sequence of ndarray, shape (n_k, q)
         Weighted changes by what may differ from trial to trial.
 
     Returns
@@ -50,7 +50,7 @@ def quiet(fit: Fit, residuals: Sequence[Array], chance: Sequence[Array]) -> list
     """
     found = []
     for k, r in enumerate(residuals):
-        columns = np.column_stack((fit.own(k), chance[k]))
+        columns = np.column_stack((fit.own(k), random_effects[k]))
         found.append(beyond(columns, r) if len(r) >= 4 * columns.shape[1] + 20 else r)
     return found
 
@@ -64,7 +64,9 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 
-def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) -> tuple[dict[str, float], str]:
+def floors(
+    context: FitContext, last: Fit, residuals: Sequence[Array], share: float
+) -> tuple[dict[str, float], str]:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
@@ -72,32 +74,32 @@ def floors(bench: Bench, last: Fit, residuals: Sequence[Array], share: float) ->
     last : Fit
         The model with all that was found.
     residuals : sequence of ndarray, shape (n_k,)
-        What it leaves, weighted, without what differs between trials by chance.
+        What it leaves, weighted, without what differs from trial to trial.
     share : float
-        Of its squared residuals through the lens, what a generic description still finds.
+        Of its squared whitened residuals, what a generic description still finds.
 
     Returns
     -------
     floor : dict of channel to float
         What two repeats of one setting do not share, where there are repeats and they differ by less than
         the model leaves; else the noise within trials that the model leaves, less the share that has
-        structure, and the chance differences between them.
+        structure, and the random effects of trials.
     how : str
     """
     rest = max(1.0 - share, 0.05)
-    unaided = last.unaided()
+    marginal_residuals = last.marginal_residuals()
     noise, known, whole = (
         {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()}
-        for r in (residuals, last.residuals, unaided)
+        for r in (residuals, last.residuals, marginal_residuals)
     )
     floor = {c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c]))) for c in noise}
-    how = "the noise that the model with all that was found leaves, and what differs between trials by chance"
-    groups = [g for g in repeats(bench) if len({bench.trials[k].time_s.tobytes() for k in g}) == 1]
+    how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
+    groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
         return floor, how
     parts: dict[str, list[Array]] = {}
     for group in groups:
-        split_up = [split(last, k, unaided[k]) for k in group]
+        split_up = [split(last, k, marginal_residuals[k]) for k in group]
         for channel in split_up[0]:
             stack = np.array([p[channel] for p in split_up if channel in p])
             if len(stack) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.diagnosis import remainder
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import beat_hz
 from swimid.diagnosis.remainder import Left
@@ -37,9 +37,9 @@ class Map:
     """
 
     def __init__(
-        self, bench: Bench, fit: Fit, residuals: Sequence[Array], floors: Mapping[str, float]
+        self, context: FitContext, fit: Fit, residuals: Sequence[Array], floors: Mapping[str, float]
     ) -> None:
-        self.trials = bench.trials
+        self.trials = context.trials
         self.excess: list[dict[str, Array]] = []
         for k, residual in enumerate(residuals):
             series = split(fit, k, residual)
@@ -216,7 +216,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     return found
 
 
-def sketches(bench: Bench, fit: Fit, left: Left) -> tuple[Sketch, ...]:
+def sketches(context: FitContext, fit: Fit, left: Left) -> tuple[Sketch, ...]:
     """The residual force of each axis against speed, phase and time, as the generic description has it."""
     found = []
     for place, terms in remainder.force_terms(left).items():

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
-from swimid.diagnosis import candidates, gram, posterior
+from swimid.diagnosis import candidates, crossval, posterior
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
-from swimid.diagnosis.search import Search, bench_of
+from swimid.diagnosis.search import Search, context_of
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -114,9 +114,9 @@ def begun(
     jobs: int = 1,
 ) -> Search:
     """The model alone, with the noise that it and a generic description of what is left leave."""
-    bench, lens, fit, _ = bench_of(model, parameters, trials, prior, effects, jobs=jobs)
-    search = Search(bench, lens, effects, effects, rng=np.random.default_rng(seed), jobs=jobs)
-    search.begin(bench.start((), lens, fit))
+    context, noise_model, fit, _ = context_of(model, parameters, trials, prior, effects, jobs=jobs)
+    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed), jobs=jobs)
+    search.begin(context.start((), noise_model, fit))
     search.learn(search.null)
     return search
 
@@ -130,13 +130,13 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
         An effect each, in the order given.
     mapping of name to reason
     """
-    bench, base, lens = search.bench, search.null.fit, search.lens
-    simulated = candidates.simulate(bench, base, effects, jobs=search.jobs)
+    context, base, noise_model = search.context, search.null.fit, search.noise_model
+    simulated = candidates.simulate(context, base, effects, jobs=search.jobs)
     columns: list[list[Array]] = []
     lines: list[_Line] = []
     left_out: dict[str, str] = {}
     for tried in simulated:
-        found = _lines(tried, columns, len(bench.trials))
+        found = _lines(tried, columns, len(context.trials))
         if not found:
             left_out.setdefault(
                 tried.effect.name,
@@ -145,13 +145,13 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
                 else "the model breaks down with it",
             )
         lines += found
-    inner = gram.folded(bench, base, lens, columns)
-    left = gram.projected(inner)[:-1, :-1]
+    inner = crossval.normal_equations(context, base, noise_model, columns)
+    left = crossval.projected(inner)[:-1, :-1]
     whole = inner.products.sum(axis=0)[inner.shared : -1, inner.shared : -1]
     record = search.record
     best: dict[str, tuple[float, Shown, int]] = {}
     for line in lines:
-        penalty = posterior.penalty(line.shared, line.per_trial, record.samples, len(bench.trials))
+        penalty = posterior.penalty(line.shared, line.per_trial, record.samples, len(context.trials))
         drop = needed(record, line.kinds) + penalty
         wanted = noncentrality(drop, line.shared + line.per_trial)
         squares = np.array([max(left[c.place, c.place], 0.0) for c in line.columns])

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis import gram
-from swimid.diagnosis.bench import Bench, Fit
+from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
+from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
@@ -84,14 +84,14 @@ class Generic:
     sizes: Array
 
 
-def simulate(bench: Bench, base: Fit, *, jobs: int = 1) -> Generic:
+def simulate(context: FitContext, base: Fit, *, jobs: int = 1) -> Generic:
     """The changes all generic terms make."""
     asked = []
-    for description in descriptions(bench.model, bench.trials):
-        parameters = description.parameters(bench.model, bench.trials)
+    for description in descriptions(context.model, context.trials):
+        parameters = description.parameters(context.model, context.trials)
         asked.append((description, parameters, list(description.tries(parameters))))
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        done = pool.map(lambda one: bench.changes(base, one[0], one[2]), asked)
+        done = pool.map(lambda one: context.changes(base, one[0], one[2]), asked)
         changes = [changed for of_each in done for changed in of_each]
     work = [
         (description, p)
@@ -108,20 +108,22 @@ def simulate(bench: Bench, base: Fit, *, jobs: int = 1) -> Generic:
     return Generic(columns, names, np.array([work[i][1].scale for i in kept]))
 
 
-def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.random.Generator) -> Left:
+def find(
+    context: FitContext, base: Fit, noise_model: NoiseModel, generic: Generic, *, rng: np.random.Generator
+) -> Left:
     """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
     columns, names = generic.columns, generic.names
-    inner = gram.folded(bench, base, lens, columns)
-    plain = gram.held_out(inner)
-    draws = gram.noise(inner, rng, DRAWS)
-    plain_drawn = gram.held_out(inner, draws=draws)
+    inner = crossval.normal_equations(context, base, noise_model, columns)
+    plain = crossval.held_out(inner)
+    draws = crossval.noise_draws(inner, rng, DRAWS)
+    plain_drawn = crossval.held_out(inner, draws=draws)
     every = list(range(len(columns)))
     best, best_prior = np.full(len(plain), -np.inf), [1.0] * len(columns)
     largest = np.full(DRAWS, -np.inf)
     for width in WIDTHS:
         prior = [width**-2] * len(columns)
-        gains = plain - gram.held_out(inner, every, prior)
-        drawn = (plain_drawn - gram.held_out(inner, every, prior, draws)).sum(axis=0)
+        gains = plain - crossval.held_out(inner, every, prior)
+        drawn = (plain_drawn - crossval.held_out(inner, every, prior, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
         if gains.sum() > best.sum():
             best, best_prior = gains, prior
@@ -129,10 +131,10 @@ def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.rando
     for place in dict.fromkeys(n for n, _ in names):
         mine = [i for i, (n, _) in enumerate(names) if n == place]
         alone = [
-            float((plain - gram.held_out(inner, mine, [width**-2] * len(mine))).sum()) for width in WIDTHS
+            float((plain - crossval.held_out(inner, mine, [width**-2] * len(mine))).sum()) for width in WIDTHS
         ]
         places[place] = max(alone)
-    factors = gram.together(inner, every, best_prior)[inner.shared :]
+    factors = crossval.together(inner, every, best_prior)[inner.shared :]
     samples = float(inner.samples.sum())
     return Left(
         float(best.sum()),
@@ -148,35 +150,39 @@ def find(bench: Bench, base: Fit, lens: Lens, generic: Generic, *, rng: np.rando
 
 
 def saturated(
-    bench: Bench, base: Fit, lens: Lens, columns: Sequence[Sequence[Array]], prior: Sequence[float]
+    context: FitContext,
+    base: Fit,
+    noise_model: NoiseModel,
+    columns: Sequence[Sequence[Array]],
+    prior: Sequence[float],
 ) -> list[Array]:
     """Weighted residuals with every number and column fitted to all trials: what is noise, if anything, and
-    what differs between trials by chance.
+    what differs from trial to trial.
 
     Returns
     -------
     list of ndarray, shape (n_k,)
     """
-    inner = gram.folded(bench, base, lens, columns)
+    inner = crossval.normal_equations(context, base, noise_model, columns)
     problem = base.problem
-    mean, weight = bench.expected(problem)
-    single = bench.single(problem)
-    shared = bench.shared(base)
-    factors = gram.together(inner, range(len(columns)), prior)
+    mean, weight = context.expected(problem)
+    single = context.single(problem)
+    shared = context.shared(base)
+    factors = crossval.together(inner, range(len(columns)), prior)
     found = []
-    for k in range(len(bench.trials)):
+    for k in range(len(context.trials)):
         r = base.residuals[k] - base.rows[k][:, shared] @ factors[: len(shared)]
         for factor, column in zip(factors[len(shared) :], columns, strict=True):
             r = r - factor * column[k]
-        mine = np.array([j for j in base.loose(k) if single[j]], dtype=int)
-        rest, bare = r, base.bare(k)
+        mine = np.array([j for j in base.free_of_trial(k) if single[j]], dtype=int)
+        rest, bare = r, base.fixed_effects_residual(k)
         if len(mine):
             scale = problem.scale[mine]
             own = base.rows[k][:, mine] * scale
-            seen = lens.through(problem, k, np.column_stack((own, r)))
+            seen = noise_model.whiten(problem, k, np.column_stack((own, r)))
             known = weight[mine] * scale
             right = seen[:, :-1].T @ seen[:, -1] + known**2 * (mean - base.theta)[mine] / scale
-            step = gram.solved(seen[:, :-1].T @ seen[:, :-1] + np.diag(known**2), right[:, None])[:, 0]
+            step = crossval.solved(seen[:, :-1].T @ seen[:, :-1] + np.diag(known**2), right[:, None])[:, 0]
             rest = r - own @ step
             begun = np.array([not problem.differs(j) for j in mine])
             r = r - own[:, begun] @ step[begun] + (bare - base.residuals[k])
@@ -187,7 +193,7 @@ def saturated(
 
 
 @dataclass(frozen=True)
-class Slow:
+class LowFrequency:
     """How much slower than its noise a channel's residual moves.
 
     Attributes
@@ -204,7 +210,7 @@ class Slow:
     share: float
 
 
-def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
+def low_frequency(fit: Fit, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
     """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
 
     It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
@@ -213,7 +219,7 @@ def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, as :func:`swimid.diagnosis.floor.quiet` leaves them.
+        Weighted, as :func:`swimid.diagnosis.floor.nuisance_residuals` leaves them.
     """
     sums: dict[str, list[tuple[float, float, int]]] = {}
     for k, r in enumerate(residuals):
@@ -238,12 +244,12 @@ def slow(fit: Fit, residuals: Sequence[Array]) -> dict[str, Slow]:
         return {}
     least = min(max(min(ratios.values()), 1.0), SLOW)
     return {
-        c: Slow(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0)
+        c: LowFrequency(q, float(np.clip(1.0 - (least / q) ** 2, 0.0, 1.0)) if q > 0 else 0.0)
         for c, q in ratios.items()
     }
 
 
-def moves(found: dict[str, Slow]) -> list[str]:
+def drifting(found: dict[str, LowFrequency]) -> list[str]:
     """Channels in which something moves that is not noise."""
     if not found:
         return []

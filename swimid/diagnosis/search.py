@@ -17,16 +17,16 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import candidates, gram, posterior, remainder
-from swimid.diagnosis.bench import FINE, STEPS, Bench, Fit
+from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.chance import Kind
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
-from swimid.diagnosis.floor import quiet
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.floor import nuisance_residuals
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.posterior import Candidate, Posterior, Record
-from swimid.diagnosis.remainder import Left, Slow
-from swimid.diagnosis.weighting import chance_columns, see, settled, tells_noise, weigh
+from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.remainder import Left, LowFrequency
+from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -99,13 +99,13 @@ class Round:
     screen : Screen
     ranked : list of Refitted
         Best first; the cause itself at the head.
-    lens : Lens
+    noise_model : NoiseModel
     """
 
     base: Fit
     screen: Screen
     ranked: list[Refitted]
-    lens: Lens
+    noise_model: NoiseModel
 
 
 @dataclass
@@ -124,8 +124,8 @@ class State:
         One for each cause, that with the largest share first.
     """
 
-    bench: Bench
-    lens: Lens
+    context: FitContext
+    noise_model: NoiseModel
     nominal: Fit
     base: Fit
     dropouts: Dropouts
@@ -133,10 +133,10 @@ class State:
     posterior: Posterior
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
-    chance: list[Kind] = field(default_factory=list)
+    random_effects: list[RandomEffect] = field(default_factory=list)
     out_of_time: bool = False
-    slow: dict[str, Slow] = field(default_factory=dict)
-    quiet: list[Array] = field(default_factory=list)
+    low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
+    nuisance_residuals: list[Array] = field(default_factory=list)
     #: Effects that apply, and are asked for.
     tried: int = 0
     #: Why a larger set was or was not taken.
@@ -164,12 +164,12 @@ def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> 
 
 
 class Search:
-    """All hypotheses on one bench, through one lens.
+    """All hypotheses on one context, through one noise_model.
 
     Parameters
     ----------
-    bench : Bench
-    lens : Lens
+    context : FitContext
+    noise_model : NoiseModel
     effects : sequence of Effect
         In every form.
     scattering : sequence of Effect
@@ -182,8 +182,8 @@ class Search:
 
     def __init__(
         self,
-        bench: Bench,
-        lens: Lens,
+        context: FitContext,
+        noise_model: NoiseModel,
         effects: Sequence[Effect],
         scattering: Sequence[Effect],
         *,
@@ -193,10 +193,15 @@ class Search:
         late: Callable[[], bool] = lambda: False,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        self.bench, self.lens, self.effects, self.scattering = bench, lens, effects, scattering
+        self.context, self.noise_model, self.effects, self.scattering = (
+            context,
+            noise_model,
+            effects,
+            scattering,
+        )
         self.rng, self.jobs, self.step, self.late = rng, max(jobs, 1), step, late
         self.checkpoint = checkpoint or Checkpoint()
-        self.chance: list[Kind] = []
+        self.random_effects: list[RandomEffect] = []
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
         self.out_of_time = False
@@ -205,14 +210,14 @@ class Search:
 
     def judged(self, fit: Fit, tried: Tried | None = None, parent: Hypothesis | None = None) -> Hypothesis:
         """A hypothesis from its optimum."""
-        inner = gram.folded(self.bench, fit, self.lens)
+        inner = crossval.normal_equations(self.context, fit, self.noise_model)
         inside = inner.products[:, -1, -1]
         score = fit.cost + self.penalty(fit)
         single = [p for p in tried.parameters if p.per_trial] if tried is not None else []
         if not single or parent is None or tried is None:
-            return Hypothesis(fit, gram.held_out(inner), inside, score, tried)
+            return Hypothesis(fit, crossval.held_out(inner), inside, score, tried)
         own = [candidates.own(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
-        gains = candidates.own_gains(self.bench, parent.fit, self.lens, own)
+        gains = candidates.own_gains(self.context, parent.fit, self.noise_model, own)
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def penalty(self, fit: Fit) -> float:
@@ -226,7 +231,7 @@ class Search:
         """The model itself, from known coefficients too where it has left them far behind: what a poor
         optimum misses, some effect would seem to explain.
         """
-        fit = based(self.bench, self.lens, start)
+        fit = based(self.context, self.noise_model, start)
         self.null = self.judged(fit)
         self.pool[self.null.key] = self.null
         return self.null
@@ -235,8 +240,8 @@ class Search:
         """Every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
             rest = [e for e in self.effects if e.name not in {p.name for p in parent.fit.effects}]
-            simulated = candidates.simulate(self.bench, parent.fit, rest, jobs=self.jobs)
-            found = candidates.screen(self.bench, parent.fit, self.lens, simulated)
+            simulated = candidates.simulate(self.context, parent.fit, rest, jobs=self.jobs)
+            found = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
             self.screens[parent.key] = found
         return self.screens[parent.key]
 
@@ -274,22 +279,24 @@ class Search:
         """A parent with one more effect at their joint optimum: from the size the screen predicts, from the
         sizes that helped as they were, and from where coefficients are known, too.
         """
-        bench, lens = self.bench, self.lens
+        context, noise_model = self.context, self.noise_model
         effects = (*parent.fit.effects, tried.effect)
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
-        problem = bench.problem(effects, lens.chance)
+        problem = context.problem(effects, noise_model.random_effects)
         starts = []
         for point in (tried.point, *tried.starts):
             own = dict(zip(names, point, strict=True))
-            starts += bench.begins(problem, bench.start(effects, lens, parent.fit, own))
-        name = "+".join([*(e.name for e in effects), *names, str(len(lens.chance))])
+            starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
+        name = "+".join([*(e.name for e in effects), *names, str(len(noise_model.random_effects))])
         kept = self.checkpoint.get(name)
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
-        fit = bench.raced(effects, lens, starts, chord=parent.fit)
+        fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if not fit.cost <= parent.fit.cost:
             # a model without the effect is the model with it at nought
-            fit = bench.raced(effects, lens, [bench.start(effects, lens, parent.fit)], chord=parent.fit)
+            fit = context.multistart(
+                effects, noise_model, [context.start(effects, noise_model, parent.fit)], warm=parent.fit
+            )
         self.checkpoint.put(name, fit.theta)
         return self.judged(fit, tried, parent)
 
@@ -298,8 +305,8 @@ class Search:
         rest = tuple(e for e in h.fit.effects if e is not effect)
         key = h.key - {id(effect)}
         if key not in self.pool:
-            starts = [self.bench.start(rest, self.lens, fit) for fit in (h.fit, self.null.fit)]
-            self.pool[key] = self.judged(self.bench.raced(rest, self.lens, starts, chord=h.fit))
+            starts = [self.context.start(rest, self.noise_model, fit) for fit in (h.fit, self.null.fit)]
+            self.pool[key] = self.judged(self.context.multistart(rest, self.noise_model, starts, warm=h.fit))
         return self.pool[key]
 
     def best(self, size: int) -> list[Hypothesis]:
@@ -316,56 +323,58 @@ class Search:
         """The noise as the leading hypothesis and a generic description together leave it; all that was
         fitted is fitted on through it.
         """
-        bench, lens, fit = self.bench, self.lens, leading.fit
-        whole = tells_noise(bench)
+        context, noise_model, fit = self.context, self.noise_model, leading.fit
+        whole = tells_noise(context)
         # what differs between trials first, spreads and optimum in turn until they stay, in all that the
         # hypothesis leaves: a generic description has it, too, and comes last
         stays = False
         for turn in range(TURNS if whole else 2):
-            generic = remainder.simulate(bench, fit, jobs=self.jobs)
-            left = remainder.find(bench, fit, lens, generic, rng=self.rng)
+            generic = remainder.simulate(context, fit, jobs=self.jobs)
+            left = remainder.find(context, fit, noise_model, generic, rng=self.rng)
             last = stays or turn == TURNS - 1
             columns: list[list[Array]] = []
             prior: list[float] = []
             if not whole or (last and left.found):
                 columns, prior = left.columns, left.prior
-            before = {kind.label: kind.sd for kind in lens.chance}
-            lens, self.chance = see(
-                bench,
+            before = {kind.label: kind.sd for kind in noise_model.random_effects}
+            noise_model, self.random_effects = see(
+                context,
                 fit,
-                lens,
-                remainder.saturated(bench, fit, lens, columns, prior),
+                noise_model,
+                remainder.saturated(context, fit, noise_model, columns, prior),
                 self.scattering,
                 len(columns) + len(fit.labels),
                 common=len(fit.effects),
                 cautious=left.found,
             )
-            lens = settled(bench, fit, lens)
-            fit = bench.fit(fit.effects, lens, [bench.start(fit.effects, lens, fit)], tolerance=FINE)
-            now = {kind.label: kind.sd for kind in lens.chance}
+            noise_model = settled(context, fit, noise_model)
+            fit = context.fit(
+                fit.effects, noise_model, [context.start(fit.effects, noise_model, fit)], tolerance=FINE
+            )
+            now = {kind.label: kind.sd for kind in noise_model.random_effects}
             if last:
                 break
             stays = all(abs(now.get(n, 0.0) - before.get(n, 0.0)) < STAYS for n in {*now, *before})
         found = self.weighed()
         far = {names for names, p in found.sets.items() if p < HOPELESS * max(found.sets.values())}
-        held = {kind.label: kind.sd for kind in lens.chance}
-        self.chance = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in self.chance]
-        self.lens = lens
+        held = {kind.label: kind.sd for kind in noise_model.random_effects}
+        self.random_effects = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in self.random_effects]
+        self.noise_model = noise_model
         self.screens.clear()
         kept, null = list(self.pool.values()), self.null
         self.pool.clear()
-        self.begin(bench.start((), lens, null.fit))
+        self.begin(context.start((), noise_model, null.fit))
 
         def one(h: Hypothesis) -> Hypothesis:
-            effects, problem = h.fit.effects, bench.problem(h.fit.effects, lens.chance)
-            starts = bench.begins(problem, bench.start(effects, lens, h.fit))
+            effects, problem = h.fit.effects, context.problem(h.fit.effects, noise_model.random_effects)
+            starts = context.begins(problem, context.start(effects, noise_model, h.fit))
             steps = FEW if h.names in far else STEPS
-            fit = bench.fit(effects, lens, starts, tolerance=FINE, iterations=steps)
+            fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps)
             if not fit.cost <= self.null.fit.cost and h.names not in far:
                 # its coefficients were those of a poor optimum: from the model's own, and its own sizes
                 sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
-                starts = [bench.start(effects, lens, self.null.fit, own) for own in (sizes, {})]
-                fit = bench.raced(effects, lens, starts, chord=fit)
+                starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]
+                fit = context.multistart(effects, noise_model, starts, warm=fit)
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             return replace(h, fit=fit)
@@ -394,14 +403,14 @@ class Search:
     def record(self) -> Record:
         """How much there is to judge by."""
         residuals = self.null.fit.residuals
-        return Record(float(sum(len(r) for r in residuals)), self.bench.folds.count, self.count)
+        return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         kinds = {n.split("[")[0] for n in h.fit.labels if _belongs(n, h.fit.effects)}
         slow = None
-        if self.lens.slow is not None:
-            inner = gram.folded(self.bench, h.fit, self.lens.slow)
-            slow = float(gram.projected(inner)[-1, -1]) + self.penalty(h.fit)
+        if self.noise_model.long_memory is not None:
+            inner = crossval.normal_equations(self.context, h.fit, self.noise_model.long_memory)
+            slow = float(crossval.projected(inner)[-1, -1]) + self.penalty(h.fit)
         return Candidate(h.names, h.score, h.inside, len(kinds), slow)
 
     def likeliest(self, found: Posterior) -> Hypothesis:
@@ -424,10 +433,10 @@ class Search:
             return h.tried
         found = next((t for t in self.screened(base).tried if t.effect is effect), None)
         if found is None:
-            parameters = effect.parameters(self.bench.model, self.bench.trials)
+            parameters = effect.parameters(self.context.model, self.context.trials)
             null = np.array([p.start for p in parameters])
             signature = [np.zeros(len(r)) for r in base.fit.residuals]
-            found = Tried(effect, parameters, null, np.zeros(self.bench.folds.count), 1.0, signature)
+            found = Tried(effect, parameters, null, np.zeros(self.context.folds.count), 1.0, signature)
         return found
 
 
@@ -436,12 +445,17 @@ def _belongs(label: str, effects: Sequence[Effect]) -> bool:
     return label.split("/")[0] in {e.name for e in effects}
 
 
-def based(bench: Bench, lens: Lens, begin: Array) -> Fit:
+def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
     """The model itself, from known coefficients too where the start has left them far behind."""
-    return bench.fit((), lens, bench.begins(bench.problem((), lens.chance), begin), tolerance=FINE)
+    return context.fit(
+        (),
+        noise_model,
+        context.begins(context.problem((), noise_model.random_effects), begin),
+        tolerance=FINE,
+    )
 
 
-def bench_of(
+def context_of(
     model: Model,
     parameters: Sequence[Parameter],
     trials: Sequence[Trial],
@@ -449,26 +463,26 @@ def bench_of(
     effects: Sequence[Effect],
     *,
     jobs: int = 1,
-) -> tuple[Bench, Lens, Fit, Dropouts]:
+) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
     start = [np.array([p.start for p in parameters])] * len(trials)
     fine, model = model, coarser(model, start, trials) or model
 
-    def weighed(sound: Sequence[Trial]) -> tuple[Bench, Lens, Fit]:
-        found = Bench(model, parameters, sound, prior, jobs=jobs)
+    def weighed(sound: Sequence[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
+        found = FitContext(model, parameters, sound, prior, jobs=jobs)
         return (found, *weigh(found))
 
-    bench, lens, fit = weighed(trials)
-    dropouts = look(bench.trials, fit.problem.simulations(fit.theta))
+    context, noise_model, fit = weighed(trials)
+    dropouts = look(context.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
-        bench, lens, fit = weighed(dropouts.without(trials))
+        context, noise_model, fit = weighed(dropouts.without(trials))
     # a coarse step may do at the start values, and not from where trials were found to begin
-    own = [fit.problem.vector(fit.theta, k) for k in range(len(bench.trials))]
-    if model is not fine and coarser(fine, own, bench.trials) is None:
+    own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
+    if model is not fine and coarser(fine, own, context.trials) is None:
         model = fine
-        bench, lens, fit = weighed(bench.trials)
-    lens, _ = see(bench, fit, lens, fit.residuals, effects, len(fit.labels))
-    return bench, lens, fit, dropouts
+        context, noise_model, fit = weighed(context.trials)
+    noise_model, _ = see(context, fit, noise_model, fit.residuals, effects, len(fit.labels))
+    return context, noise_model, fit, dropouts
 
 
 def run(
@@ -502,14 +516,14 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        bench, lens, fit, dropouts = bench_of(model, parameters, trials, prior, effects, jobs=jobs)
+        context, noise_model, fit, dropouts = context_of(model, parameters, trials, prior, effects, jobs=jobs)
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
-                bench, lens, effects, effects, rng=rng, jobs=jobs, late=late, checkpoint=checkpoint,
+                context, noise_model, effects, effects, rng=rng, jobs=jobs, late=late, checkpoint=checkpoint,
                 step=lambda name: show(shown, name),
             )  # fmt: skip
-            search.begin(bench.start((), lens, fit))
+            search.begin(context.start((), noise_model, fit))
             search.beside([search.null])
             found = search.weighed()
             leader = search.likeliest(found)
@@ -519,11 +533,11 @@ def run(
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(trials, simulated))
-        generic = remainder.simulate(bench, state.base, jobs=jobs)
-        state.left = remainder.find(bench, state.base, state.lens, generic, rng=rng)
-        columns, _ = chance_columns(bench, state.base, effects)
-        state.quiet = quiet(state.base, state.base.residuals, columns)
-        state.slow = remainder.slow(state.base, state.quiet)
+        generic = remainder.simulate(context, state.base, jobs=jobs)
+        state.left = remainder.find(context, state.base, state.noise_model, generic, rng=rng)
+        columns, _ = random_effect_columns(context, state.base, effects)
+        state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
+        state.low_frequency = remainder.low_frequency(state.base, state.nuisance_residuals)
     return state
 
 
@@ -585,17 +599,17 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
         search.null.fit,
         search.screened(search.null),
         search.ranked(null, ones),
-        search.lens,
+        search.noise_model,
     )
     state = State(
-        search.bench, search.lens, search.null.fit, best.fit, dropouts, singles, found, chance=search.chance,
-        out_of_time=search.out_of_time, tried=search.count, told=told,
+        search.context, search.noise_model, search.null.fit, best.fit, dropouts, singles, found,
+        random_effects=search.random_effects, out_of_time=search.out_of_time, tried=search.count, told=told,
     )  # fmt: skip
     for effect in best.fit.effects:
         base = search.without(best, effect)
         size = len(best.names)
         rivals = [h for h in search.best(size) if base.key < h.key and h.key != best.key]
         ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
-        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.lens))
+        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model))
     state.rounds.sort(key=lambda r: -r.ranked[0].gain)
     return state

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.diagnosis import gram
-from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis import crossval
+from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.result import Overlay, Shrinkage
 from swimid.fitting import start_states
 from swimid.fitting.model import Array, Model, Trial
@@ -60,7 +60,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
 
-def _shared(bench: Bench, fit: Fit, theta: Array) -> dict[str, float]:
+def _shared(context: FitContext, fit: Fit, theta: Array) -> dict[str, float]:
     return {
         label: float(v)
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
@@ -69,10 +69,10 @@ def _shared(bench: Bench, fit: Fit, theta: Array) -> dict[str, float]:
 
 
 def pieces(
-    bench: Bench,
+    context: FitContext,
     before: Fit,
     after: Fit,
-    lens: Lens,
+    noise_model: NoiseModel,
     sd: Mapping[str, float],
     shipped: Mapping[str, float],
     validation: Sequence[Trial],
@@ -84,7 +84,7 @@ def pieces(
     Parameters
     ----------
     before, after : Fit
-        Nominal model refitted, and with its causes; on all trials of the bench.
+        Nominal model refitted, and with its causes; on all trials of the context.
     sd : mapping of channel to float
         Noise, for the start states of held-out trials.
     shipped : mapping of name to float
@@ -92,54 +92,54 @@ def pieces(
     """
     found: list[Piece] = []
     causes = {e.name for e in after.effects}
-    plain = bench.affected(())
-    nominal, model = (_average(bench, f, causes if f is before else ()) for f in (before, after))
+    plain = context.affected(())
+    nominal, model = (_average(context, f, causes if f is before else ()) for f in (before, after))
     if validation:
-        shared = [_shared(bench, f, f.theta) for f in (before, after)]
+        shared = [_shared(context, f, f.theta) for f in (before, after)]
         for trial in validation:
             found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
-    thetas = [_without(bench, f, lens) for f in (before, after)]
-    for f in range(bench.folds.count):
-        shared = [_shared(bench, fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
-        for k, trial in enumerate(bench.trials):
-            inside = bench.folds.owner[k] == f
+    thetas = [_without(context, f, noise_model) for f in (before, after)]
+    for f in range(context.folds.count):
+        shared = [_shared(context, fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+        for k, trial in enumerate(context.trials):
+            inside = context.folds.owner[k] == f
             if not np.any(inside):
                 continue
-            if bench.folds.whole:
+            if context.folds.whole:
                 near = [_near(trial, k, fit) for fit in (before, after)]
                 found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
             else:
-                found += _stretch(bench, k, inside, nominal, model, (before, after), thetas, f, shipped)
+                found += _stretch(context, k, inside, nominal, model, (before, after), thetas, f, shipped)
             step()
     return found
 
 
-def _average(bench: Bench, fit: Fit, without: Collection[str]) -> Model:
+def _average(context: FitContext, fit: Fit, without: Collection[str]) -> Model:
     """The model of a fit for a trial of which nothing is known but that it is like the others."""
-    model = copy.copy(bench.affected(fit.acting))
+    model = copy.copy(context.affected(fit.acting))
     centre = fit.centre(without)
     model.parameters = tuple(
         replace(p, free=False, start=centre[p.name]) if p.name in centre else p
-        for p in (*bench.parameters, *model.parameters[len(bench.parameters) :])
+        for p in (*context.parameters, *model.parameters[len(context.parameters) :])
     )
     return model
 
 
-def _without(bench: Bench, fit: Fit, lens: Lens) -> list[Array]:
+def _without(context: FitContext, fit: Fit, noise_model: NoiseModel) -> list[Array]:
     """Numbers of a fit with each fold left out, by one Gauss-Newton step from the fit to all; within bounds.
 
     Approximate cross-validation (Rad and Maleki 2020): the noise model and the spreads between trials stay
-    those of all trials, and a shared number leans on all folds by ``gram.LEAN``.
+    those of all trials, and a shared number leans on all folds by ``crossval.SHRINKAGE``.
     """
-    inner = gram.folded(bench, fit, lens)
-    shared = bench.shared(fit)
+    inner = crossval.normal_equations(context, fit, noise_model)
+    shared = context.shared(fit)
     found = []
-    for f in range(bench.folds.count):
+    for f in range(context.folds.count):
         rest = replace(inner, products=np.delete(inner.products, f, axis=0))
         theta = fit.theta.copy()
-        theta[shared] += gram.together(rest, (), ())
+        theta[shared] += crossval.together(rest, (), ())
         found.append(np.clip(theta, fit.problem.lower, fit.problem.upper))
     return found
 
@@ -175,7 +175,7 @@ def _near(trial: Trial, k: int, fit: Fit) -> Trial:
 
 
 def _stretch(
-    bench: Bench,
+    context: FitContext,
     k: int,
     inside: Array,
     nominal: Model,
@@ -185,7 +185,7 @@ def _stretch(
     fold: int,
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    trial = bench.trials[k]
+    trial = context.trials[k]
     vectors = [fit.problem.vector(t[fold], k) for fit, t in zip(fits, thetas, strict=True)]
     as_given = vectors[0].copy()
     for i, p in enumerate(nominal.parameters):
@@ -197,7 +197,7 @@ def _stretch(
         model.simulate(vectors[1], trial),
     ]
     found, at = [], 0
-    for channel, mask in zip(bench.shape.channels[k], bench.shape.masks[k], strict=True):
+    for channel, mask in zip(context.shape.channels[k], context.shape.masks[k], strict=True):
         count = int(mask.sum())
         rows = np.flatnonzero(mask)[inside[at : at + count]]
         at += count

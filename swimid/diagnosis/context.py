@@ -1,4 +1,4 @@
-"""A model on its trials, fitted through a lens: the workbench of every step of a diagnosis."""
+"""A model on its trials, fitted through a noise_model: the workbench of every step of a diagnosis."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.diagnosis.chance import Kind
 from swimid.diagnosis.folds import Folds, folds, stretches
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
 from swimid.fitting import levenberg
@@ -36,11 +36,11 @@ NEAR = 0.3
 
 
 class Mixed(Problem):
-    """Residuals of a model on trials that differ by chance.
+    """Residuals of a model on trials with random effects.
 
     Parameters
     ----------
-    chance : sequence of Kind
+    random_effects : sequence of RandomEffect
         What differs: a number of each trial.
     """
 
@@ -50,20 +50,20 @@ class Mixed(Problem):
         parameters: Sequence[Parameter],
         trials: Sequence[Trial],
         *,
-        chance: Sequence[Kind] = (),
+        random_effects: Sequence[RandomEffect] = (),
         jobs: int = 1,
     ) -> None:
-        known = {kind.label: kind for kind in chance}
+        known = {kind.label: kind for kind in random_effects}
         parameters = [
             known[p.name].number(p) if p.name in known and known[p.name].effect is None else p
             for p in parameters
         ]
         super().__init__(model, parameters, trials, jobs=jobs)
-        self.chance = tuple(chance)
+        self.random_effects = tuple(random_effects)
         self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
 
     def differs(self, j: int) -> bool:
-        """Whether an estimated number is what differs by chance in a trial."""
+        """Whether an estimated number is a random effect of a trial."""
         return self.slots[j][0] in self._differ
 
     def begun(self, trial: int) -> list[int]:
@@ -71,7 +71,7 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if not self.differs(j)]
 
     def differing(self, trial: int) -> list[int]:
-        """Places of what differs by chance in a trial."""
+        """Places of a random effect of a trial."""
         return [j for j in self.own(trial) if self.differs(j)]
 
 
@@ -84,13 +84,13 @@ class Fit:
     effects : tuple of Effect
         Chosen ones.
     acting : tuple of Effect
-        Those before, after what differs between trials by chance.
+        Those before, after what differs from trial to trial.
     labels : list of str
     theta : ndarray, shape (p,)
     cost : float
-        Squared residuals through the lens, prior included.
+        Squared whitened residuals, prior included.
     residuals : list of ndarray
-        Of each trial, weighted (not yet through the lens), shape (n_k,).
+        Of each trial, weighted (not yet whitened), shape (n_k,).
     rows : list of ndarray
         Derivatives of the simulated samples, weighted, shape (n_k, p): residuals fall by them.
     lower, upper, scale : ndarray, shape (p,)
@@ -111,7 +111,7 @@ class Fit:
         """Which numbers are not at a bound, shape (p,)."""
         return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
 
-    def loose(self, k: int) -> NDArray[np.intp]:
+    def free_of_trial(self, k: int) -> NDArray[np.intp]:
         """Places of what trial ``k`` has for itself and is not at the end of its range."""
         inside = self.inside
         return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
@@ -122,7 +122,7 @@ class Fit:
         return np.asarray(self.rows[k][:, mine] * self.scale[mine])
 
     def centre(self, without: Collection[str] = ()) -> dict[str, float]:
-        """What differs by chance as it is on average, by the name of its number.
+        """Random effects as they are on average, by the name of its number.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class Fit:
             Effects with which it shares a number and that are none here: then it is none, too.
         """
         null = {p.name: p.start for p in self.problem.parameters}
-        apart = {kind.label for kind in self.problem.chance if kind.name.replace("_", "-") in without}
+        apart = {kind.label for kind in self.problem.random_effects if kind.name.replace("_", "-") in without}
         return {
             name: null[name] if name in apart else float(np.mean(values))
             for name, values in self._differing().items()
@@ -148,14 +148,14 @@ class Fit:
         }
 
     def _differing(self) -> dict[str, list[float]]:
-        """What differs by chance in each trial, by the name of its number."""
+        """Random effects of each trial, by the name of its number."""
         values: dict[str, list[float]] = {}
         for j, (index, _) in enumerate(self.problem.slots):
             if self.problem.differs(j):
                 values.setdefault(self.problem.parameters[index].name, []).append(float(self.theta[j]))
         return values
 
-    def bare(self, k: int, without: Collection[str] = ()) -> Array:
+    def fixed_effects_residual(self, k: int, without: Collection[str] = ()) -> Array:
         """Residuals of trial ``k`` were it like the average trial, to first order, shape (n_k,).
 
         Parameters
@@ -169,8 +169,8 @@ class Fit:
         away = np.array([self.theta[j] - centre[name] for j, name in zip(mine, names, strict=True)])
         return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
 
-    def unaided(self, without: Collection[str] = ()) -> list[Array]:
-        """Residuals of each trial had nobody known what differs in it by chance, its start state refitted.
+    def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
+        """Residuals of each trial with its random effects unknown, its start state refitted.
 
         Parameters
         ----------
@@ -178,7 +178,7 @@ class Fit:
             As in :meth:`centre`.
         """
         return [
-            beyond(self.own(k), self.bare(k, without)) if self.problem.differing(k) else r
+            beyond(self.own(k), self.fixed_effects_residual(k, without)) if self.problem.differing(k) else r
             for k, r in enumerate(self.residuals)
         ]
 
@@ -187,7 +187,7 @@ class Fit:
         return float(self.theta[self.labels.index(label)])
 
 
-class Bench:
+class FitContext:
     """A nominal model, its trials and what is known of its coefficients beforehand.
 
     Parameters
@@ -243,22 +243,22 @@ class Bench:
     def problem(
         self,
         effects: Sequence[Effect],
-        chance: Sequence[Kind] = (),
+        random_effects: Sequence[RandomEffect] = (),
         *,
         jobs: int | None = None,
         trials: Sequence[Trial] | None = None,
         known: Mapping[str, float] | None = None,
     ) -> Mixed:
-        """Residuals of the model with effects, on trials that differ by chance, coefficients as here.
+        """Residuals of the model with effects, on trials that differ by random_effects, coefficients as here.
 
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Others than those of the bench.
+            Others than those of the context.
         known : mapping of label to float, optional
             Shared numbers that are not to be estimated.
         """
-        acting = _acting(effects, chance)
+        acting = _acting(effects, random_effects)
         model = self.affected(acting)
         own = model.parameters[len(self.parameters) :]
         known = known or {}
@@ -269,7 +269,7 @@ class Bench:
                 for p in (*self.parameters, *own)
             ],
             self.trials if trials is None else trials,
-            chance=chance,
+            random_effects=random_effects,
             jobs=self.jobs if jobs is None else jobs,
         )
         problem.near = NEAR
@@ -331,55 +331,61 @@ class Bench:
     def fit(
         self,
         effects: Sequence[Effect],
-        lens: Lens,
+        noise_model: NoiseModel,
         starts: Sequence[Array],
         *,
         tolerance: float = TOLERANCE,
         iterations: int = 30,
         jobs: int | None = None,
-        chord: Fit | None = None,
+        warm: Fit | None = None,
     ) -> Fit:
         """The best optimum from several starts.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
-        chord : Fit, optional
+        warm : Fit, optional
             Take the derivatives to the numbers of this fit from it: an optimum nearby costs a fifth.
         """
-        problem = self.problem(effects, lens.chance, jobs=jobs)
-        lens.install(problem)
-        if chord is not None:
-            problem.hold_derivatives(chord.labels, chord.rows)
+        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
+        noise_model.install(problem)
+        if warm is not None:
+            problem.hold_derivatives(warm.labels, warm.rows)
         try:
-            best = self._search(problem, lens, starts, tolerance, iterations)
+            best = self._search(problem, noise_model, starts, tolerance, iterations)
             return self._at(problem, effects, best.x, best.cost)
         finally:
             problem.close()
 
-    def raced(
-        self, effects: Sequence[Effect], lens: Lens, starts: Sequence[Array], *, chord: Fit, jobs: int = 1
+    def multistart(
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        starts: Sequence[Array],
+        *,
+        warm: Fit,
+        jobs: int = 1,
     ) -> Fit:
         """The best optimum from many starts: all begin with the derivatives of a fit nearby, few go on.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
-        chord : Fit
+        warm : Fit
             Whose derivatives are lent.
         """
-        problem = self.problem(effects, lens.chance, jobs=jobs)
-        lens.install(problem)
+        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
+        noise_model.install(problem)
 
         def search(start: Array, tolerance: float = ROUGH, steps: int = HEAT) -> levenberg.Solution:
-            return self._search(problem, lens, [start], tolerance, steps)
+            return self._search(problem, noise_model, [start], tolerance, steps)
 
         def cost(found: levenberg.Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
         try:
             if len(starts) > FINALISTS:
-                problem.hold_derivatives(chord.labels, chord.rows)
+                problem.hold_derivatives(warm.labels, warm.rows)
                 starts = [found.x for found in sorted(map(search, starts), key=cost)[:FINALISTS]]
                 problem.hold_derivatives((), ())
             first = min(map(search, starts), key=cost)
@@ -389,7 +395,12 @@ class Bench:
             problem.close()
 
     def _search(
-        self, problem: Mixed, lens: Lens, starts: Sequence[Array], tolerance: float, iterations: int
+        self,
+        problem: Mixed,
+        noise_model: NoiseModel,
+        starts: Sequence[Array],
+        tolerance: float,
+        iterations: int,
     ) -> levenberg.Solution:
         """The best optimum of a problem from several starts."""
         mean, weight = self.expected(problem)
@@ -397,13 +408,15 @@ class Bench:
 
         def residuals(theta: Array) -> Array:
             parts = [
-                lens.through(problem, k, problem.trial_residuals(theta, k))
+                noise_model.whiten(problem, k, problem.trial_residuals(theta, k))
                 for k in range(len(problem.trials))
             ]
             return np.concatenate([*parts, ((theta - mean) * weight)[held]])
 
         def jacobian(theta: Array) -> Array:
-            parts = [lens.through(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
+            parts = [
+                noise_model.whiten(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))
+            ]
             return np.concatenate([*parts, np.diag(weight)[held]])
 
         own: list[tuple[slice, NDArray[np.intp]]] = []
@@ -436,10 +449,10 @@ class Bench:
 
         return min(map(search, starts), key=lambda found: found.cost)
 
-    def at(self, effects: Sequence[Effect], lens: Lens, theta: Array) -> Fit:
+    def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""
-        problem = self.problem(effects, lens.chance)
-        lens.install(problem)
+        problem = self.problem(effects, noise_model.random_effects)
+        noise_model.install(problem)
         try:
             return self._at(problem, effects, theta, math.nan)
         finally:
@@ -448,16 +461,20 @@ class Bench:
     def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        acting = _acting(effects, problem.chance)
+        acting = _acting(effects, problem.random_effects)
         return Fit(
             tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
         )
 
     def start(
-        self, effects: Sequence[Effect], lens: Lens, fit: Fit, own: Mapping[str, float] | None = None
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        fit: Fit,
+        own: Mapping[str, float] | None = None,
     ) -> Array:
         """Numbers for a fit with other effects or noise: those of an earlier fit, and given or null ones."""
-        problem = self.problem(effects, lens.chance)
+        problem = self.problem(effects, noise_model.random_effects)
         known = dict(zip(fit.labels, fit.theta, strict=True))
         own = own or {}
         return np.array(
@@ -510,9 +527,9 @@ class Bench:
         ]
 
 
-def _acting(effects: Sequence[Effect], chance: Sequence[Kind]) -> tuple[Effect, ...]:
-    """Everything that acts on the model: what differs by chance, then effects."""
-    return (*(kind.acting for kind in chance if kind.acting is not None), *effects)
+def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:
+    """Everything that acts on the model: what differs by random_effects, then effects."""
+    return (*(kind.acting for kind in random_effects if kind.acting is not None), *effects)
 
 
 def beyond(columns: Array, values: Array) -> Array:
@@ -521,7 +538,7 @@ def beyond(columns: Array, values: Array) -> Array:
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
-def errors(fit: Fit, lens: Lens, weight: Array) -> Array:
+def errors(fit: Fit, noise_model: NoiseModel, weight: Array) -> Array:
     """Standard errors of a fit's numbers, shape (p,), prior included.
 
     Parameters
@@ -531,7 +548,7 @@ def errors(fit: Fit, lens: Lens, weight: Array) -> Array:
     """
     normal = np.diag(weight**2)
     for k, rows in enumerate(fit.rows):
-        seen = lens.through(fit.problem, k, rows)
+        seen = noise_model.whiten(fit.problem, k, rows)
         normal += seen.T @ seen
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale

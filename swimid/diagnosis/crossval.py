@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.bench import Bench, Fit
-from swimid.diagnosis.lens import Lens
+from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
 #: Where the other folds hardly tell a shared number, it leans on all of them by this share of what they
 #: tell together: left to itself it would throw the held-out fold anywhere, and hide what an effect gains.
-LEAN = 0.1
+SHRINKAGE = 0.1
 
 
 @dataclass(frozen=True)
-class Folded:
+class NormalEquations:
     """Inner products of columns in each fold, start states of single trials projected out.
 
     Attributes
@@ -64,8 +64,10 @@ class Drawn:
     pull: Array
 
 
-def apart(bench: Bench, fit: Fit, lens: Lens, k: int, block: Array, *, to: Array | None = None) -> Array:
-    """Columns of a trial through the lens, what its own numbers imitate taken out of them.
+def project_out(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, k: int, block: Array, *, to: Array | None = None
+) -> Array:
+    """Whitened columns of a trial, what its own numbers imitate taken out of them.
 
     Parameters
     ----------
@@ -81,12 +83,12 @@ def apart(bench: Bench, fit: Fit, lens: Lens, k: int, block: Array, *, to: Array
         noise that the numbers, unknown, add to.
     """
     problem = fit.problem
-    mine = fit.loose(k) if to is None else to
+    mine = fit.free_of_trial(k) if to is None else to
     if not len(mine):
-        return lens.through(problem, k, block)
-    mean, weight = bench.expected(problem)
+        return noise_model.whiten(problem, k, block)
+    mean, weight = context.expected(problem)
     n, scale = len(block), problem.scale[mine]
-    seen = lens.through(problem, k, np.column_stack((fit.rows[k][:, mine] * scale, block)))
+    seen = noise_model.whiten(problem, k, np.column_stack((fit.rows[k][:, mine] * scale, block)))
     own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
     wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
     wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
@@ -94,7 +96,9 @@ def apart(bench: Bench, fit: Fit, lens: Lens, k: int, block: Array, *, to: Array
     return np.asarray(wanted - own @ solved(normal, own.T @ wanted))
 
 
-def folded(bench: Bench, fit: Fit, lens: Lens, columns: Sequence[Sequence[Array]] = ()) -> Folded:
+def normal_equations(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, columns: Sequence[Sequence[Array]] = ()
+) -> NormalEquations:
     """Inner products of a fit's derivatives, further columns and its residuals, fold by fold.
 
     Parameters
@@ -103,19 +107,19 @@ def folded(bench: Bench, fit: Fit, lens: Lens, columns: Sequence[Sequence[Array]
         Each a change of all trials, weighted, shape (n_k,) each.
     """
     problem = fit.problem
-    whole = bench.folds.whole
-    mean, weight = bench.expected(problem)
-    single = bench.single(problem)
-    shared = bench.shared(fit)
-    count = bench.folds.count
+    whole = context.folds.whole
+    mean, weight = context.expected(problem)
+    single = context.single(problem)
+    shared = context.shared(fit)
+    count = context.folds.count
     width = len(shared) + len(columns) + 1
     products = np.zeros((count, width, width))
     samples = np.zeros(count)
-    for k in range(len(bench.trials)):
-        mine = np.array([j for j in fit.loose(k) if single[j]], dtype=int)
+    for k in range(len(context.trials)):
+        mine = np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
         block = np.column_stack([fit.rows[k][:, shared], *(c[k] for c in columns), fit.residuals[k]])
-        seen = apart(bench, fit, lens, k, block, to=mine)
-        owner = bench.folds.owner[k]
+        seen = project_out(context, fit, noise_model, k, block, to=mine)
+        owner = context.folds.owner[k]
         if whole:
             f = int(owner[0]) if len(owner) else 0
             products[f] += seen.T @ seen
@@ -126,11 +130,14 @@ def folded(bench: Bench, fit: Fit, lens: Lens, columns: Sequence[Sequence[Array]
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
                 samples[f] += len(part)
-    return Folded(products, weight[shared] ** 2, (mean - fit.theta)[shared], samples)
+    return NormalEquations(products, weight[shared] ** 2, (mean - fit.theta)[shared], samples)
 
 
 def held_out(
-    gram: Folded, chosen: Sequence[int] = (), prior: Sequence[float] = (), draws: Drawn | None = None
+    equations: NormalEquations,
+    chosen: Sequence[int] = (),
+    prior: Sequence[float] = (),
+    draws: Drawn | None = None,
 ) -> Array:
     """Misfit of each fold with everything fitted on the other folds.
 
@@ -151,42 +158,44 @@ def held_out(
     ndarray, shape (folds,) or (folds, m)
         Squared residuals.
     """
-    at = np.concatenate((np.arange(gram.shared), gram.shared + np.asarray(chosen, dtype=int))).astype(int)
-    inner = gram.products[:, at[:, None], at[None, :]]
-    ridge = np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
-    off = gram.pull[:, None] if draws is None else draws.pull
-    pull = np.concatenate((gram.prior[:, None] * off, np.zeros((len(chosen), off.shape[1]))))
-    right = gram.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
-    theta = _without(inner, ridge, right, pull, gram.shared)
-    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(gram, theta, off)
-    return misfit[:, 0] + gram.products[:, -1, -1] if draws is None else misfit
+    at = np.concatenate(
+        (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
+    ).astype(int)
+    inner = equations.products[:, at[:, None], at[None, :]]
+    ridge = np.diag(np.concatenate((equations.prior, np.asarray(prior, dtype=float))))
+    off = equations.pull[:, None] if draws is None else draws.pull
+    pull = np.concatenate((equations.prior[:, None] * off, np.zeros((len(chosen), off.shape[1]))))
+    right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
+    theta = _without(inner, ridge, right, pull, equations.shared)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off)
+    return misfit[:, 0] + equations.products[:, -1, -1] if draws is None else misfit
 
 
 def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
-    """Numbers fitted without each fold, shape (folds, c, m); shared ones lean on all folds by `LEAN`."""
+    """Numbers fitted without each fold, shape (folds, c, m); shared ones lean on all folds by `SHRINKAGE`."""
     total, all_right = inner.sum(axis=0), right.sum(axis=0)
     whole = solved(total + ridge, all_right + pull)
     lean = np.zeros_like(total)
-    lean[:shared, :shared] = LEAN * total[:shared, :shared]
+    lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
     return solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
 
 
-def _strain(gram: Folded, theta: Array, off: Array) -> Array:
+def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
     """Each fold's part of how far numbers are from what is known of them, shape (folds, m)."""
-    apart = theta[:, : gram.shared] - off
-    return np.asarray(np.einsum("j,fjm->fm", gram.prior, apart**2) / len(theta))
+    apart = theta[:, : equations.shared] - off
+    return np.asarray(np.einsum("j,fjm->fm", equations.prior, apart**2) / len(theta))
 
 
-def held_out_less(gram: Folded, column: int, factor: float = 1.0) -> Array:
+def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
     """Misfit of each fold, as :func:`held_out`, once so much of a further column is off the residuals."""
-    at = np.arange(gram.shared)
-    c = gram.shared + column
-    inner = gram.products[:, at[:, None], at[None, :]]
-    right = (gram.products[:, at, -1] - factor * gram.products[:, at, c])[:, :, None]
-    off = gram.pull[:, None]
-    theta = _without(inner, np.diag(gram.prior), right, gram.prior[:, None] * off, gram.shared)
-    misfit = (np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(gram, theta, off))[:, 0]
-    products = gram.products
+    at = np.arange(equations.shared)
+    c = equations.shared + column
+    inner = equations.products[:, at[:, None], at[None, :]]
+    right = (equations.products[:, at, -1] - factor * equations.products[:, at, c])[:, :, None]
+    off = equations.pull[:, None]
+    theta = _without(inner, np.diag(equations.prior), right, equations.prior[:, None] * off, equations.shared)
+    misfit = (np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off))[:, 0]
+    products = equations.products
     return np.asarray(
         misfit + products[:, -1, -1] - 2.0 * factor * products[:, c, -1] + factor**2 * products[:, c, c]
     )
@@ -209,37 +218,41 @@ def solved(normal: Array, right: Array) -> Array:
         return np.asarray(scale[..., :, None] * (np.linalg.pinv(scaled) @ (scale[..., :, None] * right)))
 
 
-def together(gram: Folded, chosen: Sequence[int], prior: Sequence[float]) -> Array:
+def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
     """Factors of shared numbers and chosen columns fitted to all folds at once, shape (shared + chosen,)."""
-    at = np.concatenate((np.arange(gram.shared), gram.shared + np.asarray(chosen, dtype=int))).astype(int)
-    total = gram.products.sum(axis=0)
-    normal = total[np.ix_(at, at)] + np.diag(np.concatenate((gram.prior, np.asarray(prior, dtype=float))))
-    right = total[at, -1] + np.concatenate((gram.prior * gram.pull, np.zeros(len(chosen))))
+    at = np.concatenate(
+        (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
+    ).astype(int)
+    total = equations.products.sum(axis=0)
+    normal = total[np.ix_(at, at)] + np.diag(
+        np.concatenate((equations.prior, np.asarray(prior, dtype=float)))
+    )
+    right = total[at, -1] + np.concatenate((equations.prior * equations.pull, np.zeros(len(chosen))))
     return solved(normal, right[:, None])[:, 0]
 
 
-def projected(gram: Folded) -> Array:
+def projected(equations: NormalEquations) -> Array:
     """Inner products of the further columns and the residual with all shared numbers projected out.
 
     Returns
     -------
     ndarray, shape (m + 1, m + 1)
     """
-    total = gram.products.sum(axis=0)
-    s = gram.shared
-    normal = total[:s, :s] + np.diag(gram.prior)
+    total = equations.products.sum(axis=0)
+    s = equations.shared
+    normal = total[:s, :s] + np.diag(equations.prior)
     mixed = total[:s, s:]
     return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
 
 
-def noise(gram: Folded, rng: np.random.Generator, count: int) -> Drawn:
+def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:
     """So many draws of pure noise, and of what is known from elsewhere."""
-    found = np.empty((len(gram.products), gram.products.shape[1] - 1, count))
-    for f, inner in enumerate(gram.products[:, :-1, :-1]):
+    found = np.empty((len(equations.products), equations.products.shape[1] - 1, count))
+    for f, inner in enumerate(equations.products[:, :-1, :-1]):
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         sizes, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(sizes, 0.0))
         found[f] = scale[:, None] * (root @ rng.standard_normal((len(scale), count)))
-    known = np.zeros_like(gram.prior)
-    np.divide(1.0, np.sqrt(gram.prior), out=known, where=gram.prior > 0)
+    known = np.zeros_like(equations.prior)
+    np.divide(1.0, np.sqrt(equations.prior), out=known, where=equations.prior > 0)
     return Drawn(found, known[:, None] * rng.standard_normal((len(known), count)))

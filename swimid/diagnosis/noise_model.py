@@ -1,4 +1,4 @@
-"""Residuals in units of the noise: coloured measurement noise and chance differences between trials.
+"""Residuals in units of the noise: coloured measurement noise and random effects of trials.
 
 White-noise likelihoods are absurdly sure of themselves: residuals are first weighted by the size of the
 noise of each sample, then whitened by an autoregression of each channel. What differs between trials by
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from swimid.diagnosis.chance import Kind
+from swimid.diagnosis.random_effects import RandomEffect
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 from swimid.fitting.residual_tests import fit_autoregression, joined
@@ -25,7 +25,7 @@ COLOURED, POLE = 0.4, 0.8
 
 
 @dataclass(frozen=True)
-class Lens:
+class NoiseModel:
     """A linear map of each trial's weighted residuals to independent ones of unit variance.
 
     Attributes
@@ -38,9 +38,9 @@ class Lens:
         Standard deviation of its innovations.
     whole : mapping of channel to float
         Standard deviation of the weighted residuals themselves, that of a sample without a past.
-    chance : tuple of Kind
-        What differs between trials by chance.
-    slow : Lens or None
+    random_effects : tuple of RandomEffect
+        What differs from trial to trial.
+    long_memory : NoiseModel or None
         The same with noise of long memory, where trials are too few to tell which it is.
     """
 
@@ -48,15 +48,15 @@ class Lens:
     colour: Mapping[str, Array] = field(default_factory=dict)
     size: Mapping[str, float] = field(default_factory=dict)
     whole: Mapping[str, float] = field(default_factory=dict)
-    chance: tuple[Kind, ...] = ()
-    slow: Lens | None = None
+    random_effects: tuple[RandomEffect, ...] = ()
+    long_memory: NoiseModel | None = None
 
     def install(self, problem: Problem) -> None:
         """Give a problem of the same trials this noise's weights."""
         problem.sd = [[sd.copy() for sd in sds] for sds in self.sd]
 
-    def through(self, problem: Problem, k: int, rows: Array) -> Array:
-        """Weighted residuals of trial ``k``, or columns of derivatives, as the lens shows them.
+    def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
+        """Weighted residuals of trial ``k``, or columns of derivatives, whitened.
 
         Parameters
         ----------
@@ -100,13 +100,15 @@ def _filtered(taps: Array, rows: Array) -> Array:
     return np.asarray(found[:, : columns.shape[1]].T.reshape(rows.shape))
 
 
-def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknowns: int = 0) -> Lens:
-    """The lens with autoregressions and sizes as the weighted residuals show them.
+def coloured(
+    problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: int = 0
+) -> NoiseModel:
+    """The noise model with autoregressions and sizes as the weighted residuals show them.
 
     Parameters
     ----------
     residuals : sequence of ndarray
-        Of each trial, weighted by the lens's ``sd``.
+        Of each trial, weighted by the noise model's ``sd``.
     unknowns : int
         Numbers fitted to them, for the degrees of freedom.
     """
@@ -129,16 +131,18 @@ def coloured(problem: Problem, residuals: Sequence[Array], lens: Lens, *, unknow
         colour[channel] = a
         size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
         whole[channel] = float(np.sqrt(max(np.nanmean(x**2) / freedom, 1e-300))) if n else 1.0
-    return Lens(lens.sd, colour, size, whole, lens.chance)
+    return NoiseModel(noise_model.sd, colour, size, whole, noise_model.random_effects)
 
 
-def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]) -> Lens:
-    """The lens with noise of short memory in some channels: what moves slower there is no noise.
+def brief(
+    noise_model: NoiseModel, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]
+) -> NoiseModel:
+    """The noise model with noise of short memory in some channels: what moves slower there is no noise.
 
     Its size is that of the second differences, to which slow motion adds little; a part of it, `COLOURED`,
     has a memory of a few samples (`POLE`), as a tracker's has.
     """
-    colour, size, whole = dict(lens.colour), dict(lens.size), dict(lens.whole)
+    colour, size, whole = dict(noise_model.colour), dict(noise_model.size), dict(noise_model.whole)
     lags = COLOURED * POLE ** np.arange(ORDER + 1.0)
     lags[0] = 1.0
     a = -solve_toeplitz(lags[:-1], lags[1:])
@@ -152,4 +156,4 @@ def brief(lens: Lens, problem: Problem, residuals: Sequence[Array], channels: Se
         variance = max(float(np.mean(bend**2)) / (6.0 - 8.0 * lags[1] + 2.0 * lags[2]), 1e-300)
         colour[channel], size[channel] = a, float(np.sqrt(innovation * variance))
         whole[channel] = float(np.sqrt(variance))
-    return Lens(lens.sd, colour, size, whole, lens.chance)
+    return NoiseModel(noise_model.sd, colour, size, whole, noise_model.random_effects)

@@ -1,4 +1,4 @@
-"""What differs from trial to trial by chance: a trim, a gain, a clock, the friction of a pulley.
+"""What differs from trial to trial: a trim, a gain, a clock, the friction of a pulley.
 
 No effect that all trials share can explain it. Each kind is a number of its own in every trial, with the
 spread that the trials show as its prior: a mixed-effects model.
@@ -29,15 +29,15 @@ OWN: dict[str, tuple[str, float] | None] = {
 #: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
 FEWEST, CLEAR = 3, 2.0
 #: Chance differences are at most this large, in typical sizes: beyond, they are an effect.
-CHANCE = 0.5
+LARGEST_SD = 0.5
 #: No trial is farther off than so many spreads; a spread that few trials tell may be this much larger, in
-#: typical sizes. Without an end chance differences would take up any gap.
+#: typical sizes. Without an end random effects would take up any gap.
 FARTHEST, UNSURE = 3.0, 0.1
 
 
 @dataclass(frozen=True)
-class Kind:
-    """One kind of chance difference.
+class RandomEffect:
+    """One kind of random effect.
 
     Attributes
     ----------
@@ -80,25 +80,25 @@ class Kind:
     @cached_property
     def acting(self) -> Effect | None:
         """The effect with a value for each trial; one object, so that what depends on it is found again."""
-        return None if self.effect is None else Differing(self, self.effect)
+        return None if self.effect is None else TrialEffect(self, self.effect)
 
 
-class Differing(Effect):
+class TrialEffect(Effect):
     """One parameter of an effect, with a value for each trial.
 
     Parameters
     ----------
-    kind : Kind
+    kind : RandomEffect
         Which parameter, and how much it differs.
     effect : Effect
     """
 
     name: ClassVar[str] = "chance"
     stage: ClassVar[Stage] = "sensing"
-    meaning: ClassVar[str] = "It differs from trial to trial by chance."
+    meaning: ClassVar[str] = "It differs from trial to trial."
     needs: ClassVar[frozenset[str]] = frozenset()
 
-    def __init__(self, kind: Kind, effect: Effect) -> None:
+    def __init__(self, kind: RandomEffect, effect: Effect) -> None:
         self.kind, self.effect = kind, effect
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
@@ -119,7 +119,7 @@ def kinds(
     trials: Sequence[Trial],
     effects: Sequence[Effect],
     value: Mapping[str, float],
-) -> list[Kind]:
+) -> list[RandomEffect]:
     """What may differ between trials: what scatters of the effects, and numbers of trials the model holds.
 
     Parameters
@@ -137,37 +137,37 @@ def kinds(
         null = tuple(p.start for p in own)
         for j, p in enumerate(own):
             if not p.per_trial:
-                label = f"{Differing.name}/{effect.name} {p.name}"
-                found.append(Kind(effect.name, label, p.scale, effect, j, null))
+                label = f"{TrialEffect.name}/{effect.name} {p.name}"
+                found.append(RandomEffect(effect.name, label, p.scale, effect, j, null))
     for index, p in enumerate(parameters):
         if p.per_trial and not p.free and p.name in OWN:
             share = OWN[p.name]
             size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
-            found.append(Kind(p.name, p.name, size or p.scale, None, index))
+            found.append(RandomEffect(p.name, p.name, size or p.scale, None, index))
     return found
 
 
 def spread(
-    through: Callable[[int, Array], Array],
+    whiten: Callable[[int, Array], Array],
     residuals: Sequence[Array],
     own: Sequence[Array],
-    chance: Sequence[Array],
+    random_effects: Sequence[Array],
     *,
     used: int = 0,
     cautious: bool = False,
 ) -> Array:
-    """How much trials differ by chance, as they show it.
+    """How much trials differ by random_effects, as they show it.
 
     Parameters
     ----------
-    through : callable
+    whiten : callable
         Weighted columns of a trial, shape (n_k, m), in units of the noise.
     residuals : sequence of ndarray, shape (n_k,)
         Weighted, of simulations in which what may differ by chance is alike in all trials.
     own : sequence of ndarray, shape (n_k, m)
         Weighted derivatives to the trial's own start state, which is estimated.
-    chance : sequence of ndarray, shape (n_k, q)
-        Weighted derivatives to what may differ by chance, each per its typical size.
+    random_effects : sequence of ndarray, shape (n_k, q)
+        Weighted derivatives to what may differ by random_effects, each per its typical size.
     used : int
         Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
     cautious : bool
@@ -179,17 +179,19 @@ def spread(
         Standard deviation of each kind of difference, in its typical size: the variance of the trials' own
         least-squares estimates, robustly, less its sampling variance.
     """
-    q = chance[0].shape[1] if len(chance) else 0
+    q = random_effects[0].shape[1] if len(random_effects) else 0
     sd = np.zeros(q)
     if len(residuals) < FEWEST or not q:
         return sd
-    seen = [through(k, np.column_stack((chance[k], r, own[k]))) for k, r in enumerate(residuals)]
+    seen = [whiten(k, np.column_stack((random_effects[k], r, own[k]))) for k, r in enumerate(residuals)]
     inner = [block.T @ block for block in seen]
     left = list(range(q))
     while left:
         # one kind at a time, the clearest first: together they are too much alike to be told apart
         known = np.flatnonzero(sd)
-        found = [_variance(inner, i, known, np.minimum(sd[known], CHANCE), q, used, cautious) for i in left]
+        found = [
+            _variance(inner, i, known, np.minimum(sd[known], LARGEST_SD), q, used, cautious) for i in left
+        ]
         i = int(np.argmax([clear for _, clear in found]))
         variance, clear = found[i]
         if variance <= 0.0 or clear <= CLEAR:
