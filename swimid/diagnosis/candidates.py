@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from swimid.diagnosis.crossval import NormalEquations
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
+from swimid.fitting.parallel import mapped
 
 #: A change smaller than this (squared, in units of the noise) is none.
 NOTHING = 1e-6
@@ -133,17 +133,10 @@ def simulate(
     effects: Sequence[Effect],
     *,
     jobs: int = 1,
-    step: Callable[[str], None] = lambda _: None,
 ) -> list[Trialled]:
-    """The changes all effects make at several strengths.
+    """The changes all effects make at several strengths."""
 
-    Parameters
-    ----------
-    step : callable
-        Called with each effect's name once it is done.
-    """
-
-    def one(effect: Effect) -> Trialled:
+    def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
         parameters = effect.parameters(context.model, context.trials)
         found = []
         points = list(effect.tries(parameters))
@@ -154,11 +147,12 @@ def simulate(
                 found.append(
                     (point, [c if ok else np.zeros(len(c)) for c, ok in zip(changed, sound, strict=True)])
                 )
-        step(effect.name)
-        return Trialled(effect, parameters, found)
+        return found
 
-    with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        return list(pool.map(one, effects))
+    return [
+        Trialled(effect, effect.parameters(context.model, context.trials), points)
+        for effect, points in zip(effects, mapped(one, effects, jobs), strict=True)
+    ]
 
 
 def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:

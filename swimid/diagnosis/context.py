@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,9 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of a fit.
 TOLERANCE = 1e-5
-#: Of several starts all go so many steps with lent derivatives; so many of them go as far with their own, and
-#: the best to the end, in so many at most. The tolerances meanwhile and there.
+#: Of many starts the better half goes on after each step with lent derivatives, the last for so many steps;
+#: so many of them go as far with their own, and the best to the end, in so many at most. The tolerances
+#: meanwhile and there.
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 20, 1e-3, 1e-4
 #: A coefficient this many prior standard deviations from what was known of it is distorted.
 DISTORTED = 2.0
@@ -75,6 +77,23 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if self.differs(j)]
 
 
+class Optimum(NamedTuple):
+    """What a search for an optimum ends with: a :class:`Fit` without its problem.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (p,)
+    cost : float
+    residuals, rows : list of ndarray
+        As of a :class:`Fit`.
+    """
+
+    theta: Array
+    cost: float
+    residuals: list[Array]
+    rows: list[Array]
+
+
 @dataclass(frozen=True)
 class Fit:
     """An optimum.
@@ -105,6 +124,11 @@ class Fit:
     rows: list[Array]
     scale: Array
     problem: Mixed
+
+    @property
+    def optimum(self) -> Optimum:
+        """Its numbers alone."""
+        return Optimum(self.theta, self.cost, self.residuals, self.rows)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -366,29 +390,47 @@ class FitContext:
         warm: Fit,
         jobs: int = 1,
     ) -> Fit:
-        """The best optimum from many starts: all begin with the derivatives of a fit nearby, few go on.
+        """The best optimum from many starts: all begin with the derivatives of a fit nearby, and after each
+        step the better half goes on (successive halving [1]_).
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
         warm : Fit
             Whose derivatives are lent.
+
+        References
+        ----------
+        .. [1] K. Jamieson, A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
+           optimization", AISTATS 2016.
         """
         problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
 
-        def search(start: Array, tolerance: float = ROUGH, steps: int = HEAT) -> levenberg.Solution:
+        def search(start: Array, tolerance: float, steps: int) -> levenberg.Solution:
             return self._search(problem, noise_model, [start], tolerance, steps)
 
         def cost(found: levenberg.Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
+        def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[levenberg.Solution]:
+            found: list[levenberg.Solution] = []
+            for one in sorted((search(s, tolerance, steps) for s in starts), key=cost):
+                # what has come to the same point goes on once
+                if not any(_same(one, other, problem.scale) for other in found):
+                    found.append(one)
+            return found
+
         try:
             if len(starts) > FINALISTS:
                 problem.hold_derivatives(warm.labels, warm.rows)
-                starts = [found.x for found in sorted(map(search, starts), key=cost)[:FINALISTS]]
+                while len(starts) > FINALISTS:
+                    steps = 1 if len(starts) > 2 * FINALISTS else HEAT
+                    starts = [
+                        found.x for found in ranked(starts, ROUGH, steps)[: max(len(starts) // 2, FINALISTS)]
+                    ]
                 problem.hold_derivatives((), ())
-            first = min(map(search, starts), key=cost)
+            first = ranked(starts, ROUGH, HEAT)[0]
             best = min(first, search(first.x, FINE, STEPS), key=cost)
             return self._at(problem, effects, best.x, best.cost)
         finally:
@@ -461,10 +503,20 @@ class FitContext:
     def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
+        return self._fit(problem, effects, Optimum(theta, cost, residuals, rows))
+
+    def _fit(self, problem: Mixed, effects: Sequence[Effect], found: Optimum) -> Fit:
         acting = _acting(effects, problem.random_effects)
+        theta, cost, residuals, rows = found
         return Fit(
             tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
         )
+
+    def fitted(self, effects: Sequence[Effect], noise_model: NoiseModel, found: Optimum) -> Fit:
+        """The fit that ended with some numbers."""
+        problem = self.problem(effects, noise_model.random_effects)
+        noise_model.install(problem)
+        return self._fit(problem, effects, found)
 
     def start(
         self,
@@ -525,6 +577,12 @@ class FitContext:
             * base.problem.sample_weights(k)
             for k, seen in enumerate(self.affected(base.acting).simulate_many(runs))
         ]
+
+
+def _same(one: levenberg.Solution, other: levenberg.Solution, scale: Array) -> bool:
+    """Whether two searches came to one point."""
+    near = np.all(np.abs(one.x - other.x) <= ROUGH * scale)
+    return bool(near and abs(one.cost - other.cost) <= ROUGH * other.cost)
 
 
 def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -77,15 +78,22 @@ class NoiseModel:
         if not len(a):
             return rows / size
         result = np.empty_like(rows)
+        taps = np.concatenate(([1.0], a)) / size
         # stretches without a missing sample; the first sample of each has no past, the next too little
-        at = np.flatnonzero(mask)
-        for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(at) > 1) + 1):
-            if not len(part):
-                continue
-            result[part] = _filtered(np.concatenate(([1.0], a)), rows[part]) / size
-            result[part[: len(a)]] = 0.0
-            result[part[0]] = rows[part[0]] / self.whole.get(channel, 1.0)
+        for begin, end in _stretches(mask):
+            result[begin:end] = _filtered(taps, rows[begin:end])
+            result[begin : min(begin + len(a), end)] = 0.0
+            result[begin] = rows[begin] / self.whole.get(channel, 1.0)
         return result
+
+
+def _stretches(mask: Array) -> list[tuple[int, int]]:
+    """First and one past the last of each stretch of samples that are there, counted among these."""
+    if mask.all():
+        return [(0, len(mask))] if len(mask) else []
+    ends = np.flatnonzero(np.diff(np.flatnonzero(mask)) > 1) + 1
+    edges = [0, *ends.tolist(), int(mask.sum())]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
 def _filtered(taps: Array, rows: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
+from swimid.fitting.parallel import mapped
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -90,9 +90,8 @@ def simulate(context: FitContext, base: Fit, *, jobs: int = 1) -> Generic:
     for description in descriptions(context.model, context.trials):
         parameters = description.parameters(context.model, context.trials)
         asked.append((description, parameters, list(description.tries(parameters))))
-    with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        done = pool.map(lambda one: context.changes(base, one[0], one[2]), asked)
-        changes = [changed for of_each in done for changed in of_each]
+    done = mapped(lambda one: context.changes(base, one[0], one[2]), asked, jobs)
+    changes = [changed for of_each in done for changed in of_each]
     work = [
         (description, p)
         for description, parameters, points in asked

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -19,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -30,6 +29,7 @@ from swimid.diagnosis.weighting import random_effect_columns, see, settled, tell
 from swimid.effects.base import Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.parallel import mapped
 from swimid.progress import Progress, show, silent
 
 #: A longer step of integration may change a sample by this share of the range: far below any noise.
@@ -257,25 +257,34 @@ class Search:
         order = sorted(promised.values(), key=lambda p: p[0])
         work = [(parent, t) for _, parent, t in order[:most]]
 
-        def one(item: tuple[Hypothesis, Tried]) -> Hypothesis | None:
-            parent, tried = item
-            known = self.pool.get(parent.key | {id(tried.effect)})
-            if known is not None:
-                return known
-            if self.late() and item is not work[0]:
+        new = [(p, t) for p, t in work if p.key | {id(t.effect)} not in self.pool]
+
+        def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
+            return None if self.late() and item is not new[0] else self.fitted(*item)
+
+        for (parent, tried), found in zip(new, mapped(one, new, self.jobs), strict=True):
+            if found is None:
                 self.out_of_time = True
-                return None
-            found = self.fitted(parent, tried)
-            self.step(tried.effect.name)
-            return found
-
-        with ThreadPoolExecutor(self.jobs) as threads:
-            found = [h for h in threads.map(one, work) if h is not None]
-        for h in found:
+                continue
+            effects = (*parent.fit.effects, tried.effect)
+            self.checkpoint.put(self._name(effects), found.theta)
+            fit = self.context.fitted(effects, self.noise_model, found)
+            h = self.judged(fit, tried, parent)
             self.pool[h.key] = h
-        return found
+            self.step(tried.effect.name)
+        keys = [parent.key | {id(tried.effect)} for parent, tried in work]
+        return [self.pool[key] for key in keys if key in self.pool]
 
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Hypothesis:
+    def _name(self, effects: Sequence[Effect]) -> str:
+        """Under which an optimum is kept: effects, in their forms, and how many random effects."""
+        own = (
+            f"{e.name}/{p.name}"
+            for e in effects
+            for p in e.parameters(self.context.model, self.context.trials)
+        )
+        return "+".join([*own, str(len(self.noise_model.random_effects))])
+
+    def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
         """A parent with one more effect at their joint optimum: from the size the screen predicts, from the
         sizes that helped as they were, and from where coefficients are known, too.
         """
@@ -287,18 +296,15 @@ class Search:
         for point in (tried.point, *tried.starts):
             own = dict(zip(names, point, strict=True))
             starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
-        name = "+".join([*(e.name for e in effects), *names, str(len(noise_model.random_effects))])
-        kept = self.checkpoint.get(name)
+        kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if not fit.cost <= parent.fit.cost:
             # a model without the effect is the model with it at nought
-            fit = context.multistart(
-                effects, noise_model, [context.start(effects, noise_model, parent.fit)], warm=parent.fit
-            )
-        self.checkpoint.put(name, fit.theta)
-        return self.judged(fit, tried, parent)
+            null = context.start(effects, noise_model, parent.fit)
+            fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
+        return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """A hypothesis less one of its effects."""
@@ -365,7 +371,7 @@ class Search:
         self.pool.clear()
         self.begin(context.start((), noise_model, null.fit))
 
-        def one(h: Hypothesis) -> Hypothesis:
+        def one(h: Hypothesis) -> Optimum:
             effects, problem = h.fit.effects, context.problem(h.fit.effects, noise_model.random_effects)
             starts = context.begins(problem, context.start(effects, noise_model, h.fit))
             steps = FEW if h.names in far else STEPS
@@ -375,15 +381,16 @@ class Search:
                 sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
                 starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]
                 fit = context.multistart(effects, noise_model, starts, warm=fit)
+            return fit.optimum
+
+        # parents before those judged beside them
+        old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
+        for h, optimum in zip(old, mapped(one, old, self.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
-            return replace(h, fit=fit)
-
-        with ThreadPoolExecutor(self.jobs) as threads:
-            renewed = list(threads.map(one, (h for h in kept if h.fit.effects)))
-        for h in sorted(renewed, key=lambda h: len(h.fit.effects)):
+            fit = context.fitted(h.fit.effects, noise_model, optimum)
             parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
-            self.pool[h.key] = self.judged(h.fit, h.tried, parent)
+            self.pool[h.key] = self.judged(fit, h.tried, parent)
 
     def weighed(self) -> Posterior:
         """How likely each set of effects fitted so far is."""

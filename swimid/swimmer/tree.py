@@ -18,6 +18,8 @@ from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
 
+#: Tables of so many sets of coefficients are kept.
+KEPT_TABLES = 64
 #: Keys that hold words, not quantities.
 WORDS = {
     "name",
@@ -202,6 +204,7 @@ class Tree(ABC):
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
+        self._known: dict[bytes, dict[str, Any]] = {}
 
     def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
         """Collect the rows of links and elements, and check them at the file's coefficients.
@@ -233,7 +236,22 @@ class Tree(ABC):
         Parameters
         ----------
         values : ndarray, shape (len(names),)
+
+        Returns
+        -------
+        dict
+            Its arrays are kept for the next call with these values: nobody writes into them.
         """
+        key = values.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            known = self._filled(values)
+            if len(self._known) >= KEPT_TABLES:
+                self._known.clear()
+            self._known[key] = known
+        return dict(known)
+
+    def _filled(self, values: Array) -> dict[str, Any]:
         found: dict[str, Any] = {
             "topology": self.topology,
             "joint": self._joint(values),

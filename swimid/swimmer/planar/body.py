@@ -41,13 +41,16 @@ class PlanarBody(Body):
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
+        self._masses: dict[int, tuple[float, Point]] = {}
 
     def mass(self, link: int) -> tuple[float, Point]:
         """Mass (kg) and centre of mass (m, in its axes) of a link, without water."""
-        own = self._model.tree.links[link]
-        values = {p.name: p.start for p in self._model.parameters}
-        mass, com, y = (Polynomial.of(q).at(values) for q in (own.mass_kg, own.com_m, own.com_offset_m))
-        return float(mass), (float(-mass * com / mass), float(mass * y / mass))
+        if link not in self._masses:
+            own = self._model.tree.links[link]
+            values = {p.name: p.start for p in self._model.parameters}
+            mass, com, y = (Polynomial.of(q).at(values) for q in (own.mass_kg, own.com_m, own.com_offset_m))
+            self._masses[link] = float(mass), (float(-mass * com / mass), float(mass * y / mass))
+        return self._masses[link]
 
     def tables(self) -> dict[str, Any]:
         """The engine's tables."""

@@ -149,7 +149,8 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
     if not deviation.any():
         return motion
     bells = _bells(step_s)
-    padded = np.pad(deviation, len(bells[0]) // 2, mode="edge")
+    reach = len(bells[0]) // 2
+    padded = np.concatenate((np.full(reach, deviation[0]), deviation, np.full(reach, deviation[-1])))
     parts = [np.convolve(padded, bell, mode="valid") for bell in bells]
     return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
 
@@ -178,8 +179,12 @@ def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) ->
     """
     found = np.empty((count, len(motions), 5))
     for k, (motion, mount) in enumerate(zip(motions, mounts_rad, strict=True)):
-        for column, part in enumerate(motion):
-            found[:, k, column] = part
-        found[:, k, 3] = np.cos(motion[0] + mount)
-        found[:, k, 4] = np.sin(motion[0] + mount)
+        _column(found, k, *(np.ascontiguousarray(part, dtype=float) for part in motion), mount)
     return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _column(found, k, angle, rate, acceleration, mount):  # type: ignore[no-untyped-def]
+    for i in range(len(found)):
+        found[i, k, 0], found[i, k, 1], found[i, k, 2] = angle[i], rate[i], acceleration[i]
+        found[i, k, 3], found[i, k, 4] = math.cos(angle[i] + mount), math.sin(angle[i] + mount)

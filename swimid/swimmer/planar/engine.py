@@ -679,3 +679,41 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
             values[i, j] = h00 * a + h10 * da + h01 * b + h11 * db
             slopes[i, j] = (d00 * (a - b) + d10 * da + d11 * db) / step
     return values, slopes
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def seen(states, speeds, reference, origin, heading, spin):  # type: ignore[no-untyped-def]
+    """Pose and velocity of the reference point as a camera shows them.
+
+    Parameters
+    ----------
+    states : ndarray, shape (m, k)
+        Of the base: x, y, heading first, surge, sway and yaw rate from column ``speeds`` on.
+    reference : (x, y), m
+        The reference point in the base's axes.
+    origin : (x, y), m
+        Where it is seen at the first sample.
+    heading, spin : float, rad
+        Added to the heading; angle by which the path is turned about its first point.
+
+    Returns
+    -------
+    ndarray, shape (6, m)
+        Place (m), heading (rad), surge and sway speed (m/s), yaw rate (rad/s).
+    """
+    count, n = len(states), speeds
+    a, b = reference
+    found = np.empty((6, count))
+    along, across = math.cos(spin), math.sin(spin)
+    x0, y0 = 0.0, 0.0
+    for i in range(count):
+        theta, u, v, r = states[i, 2], states[i, n], states[i, n + 1], states[i, n + 2]
+        c, s = math.cos(theta), math.sin(theta)
+        x, y = states[i, 0] + a * c - b * s, states[i, 1] + a * s + b * c
+        if i == 0:
+            x0, y0 = x, y
+        found[0, i] = origin[0] + along * (x - x0) - across * (y - y0)
+        found[1, i] = origin[1] + across * (x - x0) + along * (y - y0)
+        found[2, i] = theta + heading
+        found[3, i], found[4, i], found[5, i] = u - r * b, v + r * a, r
+    return found

@@ -12,7 +12,7 @@ import numpy as np
 from swimid.fitting.drives import Beat
 from swimid.fitting.hooks import TRACEABLE, Hooks
 from swimid.fitting.inputs import SwimInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer.lanes.kernel import Engine
@@ -58,6 +58,8 @@ class MultilinkModel(LinkedModel):
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
     tree: Assembly
+    #: With the parameters it was made of.
+    _body: tuple[tuple[Parameter, ...], PlanarBody] | None = None
 
     def _tree(self) -> Assembly:
         second, v, sideways, turn = PLANES[self.links.plane]
@@ -85,7 +87,10 @@ class MultilinkModel(LinkedModel):
     @property
     def body(self) -> PlanarBody:
         """Its links."""
-        return PlanarBody(self)
+        known = self._body
+        if known is None or known[0] is not self.parameters:
+            known = self._body = self.parameters, PlanarBody(self)
+        return known[1]
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -197,28 +202,13 @@ class MultilinkModel(LinkedModel):
 
     def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         # in the camera's axes
-        n = self.tree.unknowns
-        a, b = self.reference_m
         pose = trial.swim.posed()
-        offsets = [self._value(values, name) for name in self.starts]
-        theta = states[:, 2]
-        c, s = np.cos(theta), np.sin(theta)
-        x = states[:, 0] + a * c - b * s
-        y = states[:, 1] + a * s + b * c
-        u, v, r = states[:, n], states[:, n + 1], states[:, n + 2]
+        x, y, turned = (self._value(values, name) for name in self.starts)
         # the run starts at the origin, along x unless the world's axes matter
-        heading = 0.0 if self._heading_matters() else float(pose[2]) + offsets[2]
+        heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
         spin = heading + self._value(values, "camera_rotation")
-        along, across = math.cos(spin), math.sin(spin)
-        dx, dy = x - x[0], y - y[0]
-        seen = (
-            float(pose[0]) + offsets[0] + along * dx - across * dy,
-            float(pose[1]) + offsets[1] + across * dx + along * dy,
-            theta + heading,
-            u - r * b,
-            v + r * a,
-            r,
-        )
+        origin = (float(pose[0]) + x, float(pose[1]) + y)
+        seen = engine.seen(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
         return dict(zip((*self.pose, *self.velocity), seen, strict=True))
 
 
@@ -256,4 +246,5 @@ def warm_up() -> None:
     )
     drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
     drive.measured(np.arange(6.0), np.zeros(6))
+    engine.seen(np.zeros((1, 6)), 3, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0)
     engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))
