@@ -374,13 +374,17 @@ class Search:
         def one(h: Hypothesis) -> Optimum:
             effects, problem = h.fit.effects, context.problem(h.fit.effects, noise_model.random_effects)
             starts = context.begins(problem, context.start(effects, noise_model, h.fit))
-            steps = FEW if h.names in far else STEPS
-            fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps)
-            if not fit.cost <= self.null.fit.cost and h.names not in far:
+            hopeless = h.names in far
+            steps, warm = (FEW, h.fit) if hopeless else (STEPS, None)
+            fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps, warm=warm)
+            if not fit.cost <= self.null.fit.cost:
                 # its coefficients were those of a poor optimum: from the model's own, and its own sizes
                 sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
                 starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]
-                fit = context.multistart(effects, noise_model, starts, warm=fit)
+                if hopeless:
+                    fit = context.fit(effects, noise_model, starts[1:], iterations=steps, warm=fit)
+                else:
+                    fit = context.multistart(effects, noise_model, starts, warm=fit)
             return fit.optimum
 
         # parents before those judged beside them
