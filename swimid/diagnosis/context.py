@@ -29,6 +29,8 @@ TOLERANCE = 1e-5
 #: so many of them go as far with their own, and the best to the end, in so many at most. The tolerances
 #: meanwhile and there.
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 20, 1e-3, 1e-4
+#: Two starts this near, in typical sizes of an effect and relatively in cost, are one.
+ALIKE = 0.1
 #: A coefficient this many prior standard deviations from what was known of it is distorted.
 DISTORTED = 2.0
 #: A prior as wide as this share of a coefficient says little.
@@ -413,11 +415,14 @@ class FitContext:
         def cost(found: levenberg.Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
+        # of coefficients, which any step sets anew, nothing is asked
+        own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
+
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[levenberg.Solution]:
             found: list[levenberg.Solution] = []
             for one in sorted((search(s, tolerance, steps) for s in starts), key=cost):
                 # what has come to the same point goes on once
-                if not any(_same(one, other, problem.scale) for other in found):
+                if not any(_same(one, other, own) for other in found):
                     found.append(one)
             return found
 
@@ -580,9 +585,9 @@ class FitContext:
 
 
 def _same(one: levenberg.Solution, other: levenberg.Solution, scale: Array) -> bool:
-    """Whether two searches came to one point."""
-    near = np.all(np.abs(one.x - other.x) <= ROUGH * scale)
-    return bool(near and abs(one.cost - other.cost) <= ROUGH * other.cost)
+    """Whether two searches are on their way to one point: in what effects have, and in cost."""
+    near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
+    return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)
 
 
 def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:

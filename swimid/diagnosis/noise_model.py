@@ -8,7 +8,7 @@ chance are numbers of each trial that every fit estimates, with the spread the t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +23,8 @@ from swimid.fitting.residual_tests import fit_autoregression, joined
 ORDER, PER_ORDER = 6, 25
 #: Noise of short memory: share of its variance with a memory, and that memory from sample to sample.
 COLOURED, POLE = 0.4, 0.8
+#: A mean square this many of its standard errors above that of rounding (two: 95 %) is more than rounding.
+ROUNDED = 2.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class NoiseModel:
         Standard deviation of the weighted residuals themselves, that of a sample without a past.
     random_effects : tuple of RandomEffect
         What differs from trial to trial.
+    rounding : mapping of channel to float
+        Standard deviation of the weighted rounding error, of channels read by a counter of known step.
     long_memory : NoiseModel or None
         The same with noise of long memory, where trials are too few to tell which it is.
     """
@@ -50,6 +54,7 @@ class NoiseModel:
     size: Mapping[str, float] = field(default_factory=dict)
     whole: Mapping[str, float] = field(default_factory=dict)
     random_effects: tuple[RandomEffect, ...] = ()
+    rounding: Mapping[str, float] = field(default_factory=dict)
     long_memory: NoiseModel | None = None
 
     def install(self, problem: Problem) -> None:
@@ -139,7 +144,7 @@ def coloured(
         colour[channel] = a
         size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
         whole[channel] = float(np.sqrt(max(np.nanmean(x**2) / freedom, 1e-300))) if n else 1.0
-    return NoiseModel(noise_model.sd, colour, size, whole, noise_model.random_effects)
+    return replace(noise_model, colour=colour, size=size, whole=whole)
 
 
 def brief(
@@ -148,7 +153,8 @@ def brief(
     """The noise model with noise of short memory in some channels: what moves slower there is no noise.
 
     Its size is that of the second differences, to which slow motion adds little; a part of it, `COLOURED`,
-    has a memory of a few samples (`POLE`), as a tracker's has.
+    has a memory of a few samples (`POLE`), as a tracker's has. What is left of a rounded record and no larger
+    than its rounding error is that, however slowly it moves: the error of a slow body is slow.
     """
     colour, size, whole = dict(noise_model.colour), dict(noise_model.size), dict(noise_model.whole)
     lags = COLOURED * POLE ** np.arange(ORDER + 1.0)
@@ -161,7 +167,13 @@ def brief(
         bend = bend[np.isfinite(bend)]
         if len(bend) < PER_ORDER:
             continue
-        variance = max(float(np.mean(bend**2)) / (6.0 - 8.0 * lags[1] + 2.0 * lags[2]), 1e-300)
+        left = np.concatenate(known[channel])
+        left = left[np.isfinite(left)]
+        rounding = noise_model.rounding.get(channel, 0.0) ** 2
+        if np.mean(left**2) <= rounding * (1.0 + ROUNDED * np.sqrt(2.0 / len(left))):
+            continue
+        variance = float(np.mean(bend**2)) / (6.0 - 8.0 * lags[1] + 2.0 * lags[2])
+        variance = max(variance, rounding, 1e-300)
         colour[channel], size[channel] = a, float(np.sqrt(innovation * variance))
         whole[channel] = float(np.sqrt(variance))
-    return NoiseModel(noise_model.sd, colour, size, whole, noise_model.random_effects)
+    return replace(noise_model, colour=colour, size=size, whole=whole)

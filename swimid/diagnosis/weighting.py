@@ -39,7 +39,10 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
         previous = sample_noise.estimate(problem, fit.theta, previous)
         noise_model = NoiseModel([list(sds) for sds in problem.sd])
         fit = context.fit((), noise_model, [fit.theta], tolerance=COARSE, warm=fit)
-    return noise_model, fit
+    counted = {c for t in context.trials if np.any(t.time_sd_s) for c in t.measured}
+    # weights are in multiples of the known error
+    rounding = {c: 1.0 / factor for c, (factor, _) in previous.items() if c in counted and factor > 0}
+    return replace(noise_model, rounding=rounding), fit
 
 
 def random_effect_columns(
@@ -110,7 +113,8 @@ def see(
     # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
     still = nuisance_residuals(fit, residuals, columns) if apart else residuals
     unknowns += len(kinds) * len(residuals) if apart else 0
-    noise_model = coloured(fit.problem, still, NoiseModel(noise_model.sd), unknowns=unknowns)
+    plain = replace(noise_model, random_effects=(), long_memory=None)
+    noise_model = coloured(fit.problem, still, plain, unknowns=unknowns)
     if not apart:
         # few trials do not tell what is slow in noise from a gap
         return replace(

@@ -152,7 +152,7 @@ class Trial:
     starts: Mapping[str, float] = field(default_factory=dict)
     held: tuple[str, ...] = ()
     value_sd: Mapping[str, Array | float] = field(default_factory=dict)
-    time_sd_s: float = 0.0
+    time_sd_s: float | Array = 0.0
     stamps_uncertain: bool = False
 
     @property

@@ -69,7 +69,7 @@ def estimate(
         for k in owners:
             trial, simulated = problem.trials[k], simulations[k][channel]
             rate = np.zeros_like(simulated)
-            if trial.stamps_uncertain or trial.time_sd_s > 0:
+            if trial.stamps_uncertain or np.any(trial.time_sd_s):
                 rate = problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel]
             errors.append(trial.measured[channel] - simulated)
             rates.append(np.abs(rate))

@@ -364,7 +364,7 @@ class _Search:
             self.loss == "linear"
             and not self.problem.random.any()
             and len({c for names in self.problem.channels for c in names}) == 1
-            and not any(t.stamps_uncertain or t.time_sd_s or t.value_sd for t in fitted)
+            and not any(t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted)
         )
 
     def _reweigh(self) -> float:

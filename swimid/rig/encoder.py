@@ -32,15 +32,17 @@ class Displacement:
         where the body moves more than a step per sample.
     resolution : float or None
         Encoder step, in the unit of the displacement.
-    time_sd_s, position_sd : float
-        Known part of the errors (from the sampling interval, or from the step).
+    time_sd_s : float or ndarray, shape (n,)
+        Known part of the errors of the times, from the sampling interval.
+    position_sd : float
+        The same of the positions, from the step.
     """
 
     kind: Kind
     time_s: Array
     position: Array
     resolution: float | None = None
-    time_sd_s: float = 0.0
+    time_sd_s: float | Array = 0.0
     position_sd: float = 0.0
     events: bool = False
 
@@ -90,8 +92,8 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
         # a count that jumped by m passed m steps within the interval; take the middle one
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
-        spread = float(np.median(gap)) / np.sqrt(12.0)
-        return Displacement("sampled", times, middle, step, spread, 0.0, events=True)
+        # where between the two samples nobody knows: gaps differ where a log was written at its own events
+        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
         return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
     return plain
