@@ -11,9 +11,9 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.places import knobs
-from swimid.diagnosis.result import Advice
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import Problem
 
@@ -21,7 +21,7 @@ from swimid.fitting.problem import Problem
 MOST = 4
 
 
-def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
+def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     """Trials that could be run next, in words and as the model would see them."""
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
@@ -87,7 +87,7 @@ def advise(
     noise_model: NoiseModel,
     floors: Mapping[str, float],
     now: float,
-) -> tuple[Advice, ...]:
+) -> list[Advice]:
     """Proposals ranked by how well they tell the first rival from the others.
 
     Parameters
@@ -98,37 +98,29 @@ def advise(
     now : float
         How far apart the rivals are on the trials at hand, in units of the noise.
     """
-    found = []
-    names = tuple(f.effects[-1].name for f in rivals)
     known = information(context, rivals[0], noise_model)
-    for words, trial in proposals(context.model, context.trials):
-        difference = min(
-            apart(context, rivals[0], other, trial, floors, known, sorted(_channels(context)))
-            for other in rivals[1:]
-        )
-        found.append(Advice(f"run {words}", names, difference, now))
+
+    def difference(trial: Trial, noise: Mapping[str, float], channels: Sequence[str]) -> float:
+        return min(apart(context, rivals[0], other, trial, noise, known, channels) for other in rivals[1:])
+
+    measured = sorted({c for t in context.trials for c in t.measured})
+    found = [(difference(t, floors, measured), f"run {words}") for words, t in proposals(context.trials)]
     template = max(context.trials, key=lambda t: len(t.time_s))
-    sensed: dict[str, Advice] = {}
+    sensed: dict[str, tuple[float, str]] = {}
     for meaning, channel, unit in sensors(context.model, context.trials):
         noise = typical_noise(channel, floors)
         if noise is None:
             continue
-        difference = min(
-            apart(context, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
-            for other in rivals[1:]
-        )
+        size = difference(template, {**floors, channel: noise}, [channel])
         words = f"log {meaning} ({channel}) as well, to {noise:.2g} {unit}"
         # one joint of several stands for all
         kind = channel[:5]
-        if kind not in sensed or difference > sensed[kind].difference:
-            sensed[kind] = Advice(words, names, difference, now)
+        if kind not in sensed or size > sensed[kind][0]:
+            sensed[kind] = size, words
     found += sensed.values()
-    found.sort(key=lambda a: -a.difference)
-    return tuple(found[:MOST])
-
-
-def _channels(context: FitContext) -> set[str]:
-    return {c for t in context.trials for c in t.measured}
+    found.sort(key=lambda pair: -pair[0])
+    names = [f.effects[-1].name for f in rivals]
+    return [Advice(text=words, separates=names, difference=size, now=now) for size, words in found[:MOST]]
 
 
 def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:

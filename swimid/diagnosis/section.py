@@ -16,7 +16,7 @@ from swimid.results.sections import Block, Cell, Grid, Note, Section
 _LEVELS = {"none": "good", "explained": "good", "ambiguous": "caution", "unexplained": "caution"}
 
 
-@reader(format=gap.FORMAT, read=gap.read)
+@reader(format=gap.FORMAT, read=GapFile.read)
 def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
     """The section of a gap file."""
     return Section(
@@ -103,7 +103,7 @@ def _blocks(file: GapFile) -> list[Block]:
     blocks.append(_channels(file))
     if any(file.where.stage.values()):
         blocks.append(_stages(file))
-    if file.where.phase or file.where.regime or file.where.time:
+    if words.parts(file):
         blocks.append(_parts(file))
     if any(file.forces.values()):
         blocks.append(_forces(file))
@@ -171,12 +171,7 @@ def _shrinkage(cause: Cause, held_out: gap.HeldOut | None) -> Grid:
             Cell(s.channel, "code"),
             *(Cell(numbers.percent(v), numeric=True) for v in (s.shipped, s.before, s.after, s.floor)),
             Cell(numbers.percent(s.closed, 2), numeric=True),
-            Cell(
-                numbers.NOTHING
-                if None in s.ci95
-                else f"{numbers.number(100 * (s.ci95[0] or 0.0), 2)} … {numbers.percent(s.ci95[1], 2)}",
-                numeric=True,
-            ),
+            Cell(words.interval_text(s), numeric=True),
         ]
         for s in cause.shrinkage
     ]
@@ -218,7 +213,6 @@ def _stages(file: GapFile) -> Grid:
 
 
 def _parts(file: GapFile) -> Grid:
-    cells = [*file.where.regime, *file.where.phase, *file.where.time]
     rows = [
         [
             Cell(c.kind),
@@ -226,7 +220,7 @@ def _parts(file: GapFile) -> Grid:
             Cell(numbers.number(c.ratio, 3), numeric=True),
             Cell(numbers.percent(c.share, 2), numeric=True),
         ]
-        for c in cells
+        for c in words.parts(file)
     ]
     caption = "Root-mean-square residual over the noise: 1 is noise alone. Good: all near 1."
     columns = ["Over", "Part", "Residual over noise", "Of the gap"]
