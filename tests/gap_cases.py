@@ -178,12 +178,11 @@ def _overlays() -> list[Overlay]:
     rng = np.random.default_rng(7)
     time = np.arange(0.0, 10.0, 0.02)
     found = []
-    trials = (("f10a15", False, "u_m_s", "m/s"), ("f14a20", True, "yaw_rate_rad_s", "rad/s"))
-    for trial, held_out, channel, unit in trials:
+    for trial, channel, unit in (("f10a15", "u_m_s", "m/s"), ("f14a20", "yaw_rate_rad_s", "rad/s")):
         after = 0.2 * (1 - np.exp(-time)) + 0.05 * np.sin(9 * time)
         before = after * 1.15
         measured = after + rng.normal(0, 0.01, len(time))
-        found.append(Overlay(trial, channel, unit, held_out, time, measured, before, after))
+        found.append(Overlay(trial, channel, unit, time, measured, before, after))
     return found
 
 

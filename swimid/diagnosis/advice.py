@@ -38,14 +38,14 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         ]  # fmt: skip
         for change in changes:
             moved = replace(beat, **change)
-            trial = replace(template, id="proposed", swim=replace(template.swim, beat=moved))
+            trial = replace(template, swim=replace(template.swim, beat=moved))
             says = knobs(trial)
             found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
     elif template.rig.force is not None and "force_N" not in template.inputs:
         forces = [t.rig.pull for t in trials]
         for force in (0.5 * min(forces), 2.0 * max(forces)):
             if force > 0:
-                trial = replace(template, id="proposed", rig=replace(template.rig, force=force))
+                trial = replace(template, rig=replace(template.rig, force=force))
                 found.append((f"a driving force of {force:.3g} N", trial))
     elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
         f = [float(t.inputs["frequency_hz"][0]) for t in trials]
@@ -57,20 +57,14 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
             (max(f), 1.4 * max(a)),
         ):
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
-            trial = replace(template, id="proposed", inputs=inputs)
+            trial = replace(template, inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    if len(template.time_s) > 20:
-        span = float(template.time_s[-1] - template.time_s[0])
-        step = float(np.median(np.diff(template.time_s)))
-        if template.swim.joints is None and template.inputs.get("force_N", ()) is not None:
-            longer = template.time_s[0] + step * np.arange(int(2.0 * span / step) + 1)
-            if not template.inputs or beat is not None:
-                found.append(
-                    (
-                        f"one of the same settings, {2.0 * span:.3g} s long",
-                        replace(template, id="proposed", time_s=longer),
-                    )
-                )
+    time = template.time_s
+    if len(time) > 20 and template.swim.joints is None and (beat is not None or not template.inputs):
+        span, step = float(time[-1] - time[0]), float(np.median(np.diff(time)))
+        longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
+        words = f"one of the same settings, {2.0 * span:.3g} s long"
+        found.append((words, replace(template, time_s=longer)))
     # simulations are kept by the id of their trial
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
@@ -134,7 +128,7 @@ def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
     return None
 
 
-def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, Array | list[str]]:
+def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
     """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
@@ -143,7 +137,7 @@ def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[
         block = np.column_stack((rows[:, shared], fit.residuals[k]))
         seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
-    return {"labels": [fit.labels[j] for j in shared], "normal": normal}
+    return [fit.labels[j] for j in shared], normal
 
 
 def apart(
@@ -152,7 +146,7 @@ def apart(
     second: Fit,
     trial: Trial,
     floors: Mapping[str, float],
-    known: Mapping[str, Array | list[str]],
+    known: tuple[Sequence[str], Array],
     channels: Sequence[str],
 ) -> float:
     """Predicted difference of two rivals on a trial, in units of the noise, all else refitted."""
@@ -177,9 +171,9 @@ def apart(
     if not np.isfinite(difference).all() or np.max(np.abs(difference), initial=0.0) > 1e5:
         return 0.0
     normal = rows.T @ rows
-    where = [labels.index(name) for name in known["labels"] if name in labels]
-    take = [i for i, name in enumerate(known["labels"]) if name in labels]
-    prior = np.asarray(known["normal"])
+    names, prior = known
+    where = [labels.index(name) for name in names if name in labels]
+    take = [i for i, name in enumerate(names) if name in labels]
     normal[np.ix_(where, where)] += prior[np.ix_(take, take)]
     normal += 1e-9 * np.diag(np.diag(normal) + 1e-12)
     right = rows.T @ difference

@@ -364,8 +364,8 @@ def _where(state: State) -> str:
         if apart:
             return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
         return "nothing that a smooth description finds"
-    ranked = sorted(left.places.items(), key=lambda item: -item[1])
-    return " and ".join(place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300))
+    largest = sorted(left.places.items(), key=lambda item: -item[1])
+    return " and ".join(place for place, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
 
 
 def _advice(state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]) -> list[Advice]:

@@ -34,12 +34,11 @@ class Sketch:
 
 @dataclass(frozen=True)
 class Overlay:
-    """One channel of one trial: measured, simulated before and after (held out where that was possible)."""
+    """One channel of a held-out trial: measured, simulated before and after."""
 
     trial: str
     channel: str
     unit: str
-    held_out: bool
     time_s: Array
     measured: Array
     before: Array

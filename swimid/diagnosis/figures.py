@@ -15,8 +15,8 @@ from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
-#: Effects, trials, panels and sketches drawn; rows of a heat map.
-MOST_EFFECTS, MOST_TRIALS, MOST_PANELS, MOST_SKETCHES, MOST_ROWS = 10, 6, 4, 6, 24
+#: Effects, panels and sketches drawn; rows of a heat map.
+MOST_EFFECTS, MOST_PANELS, MOST_SKETCHES, MOST_ROWS = 10, 4, 6, 24
 #: Points of a curve.
 _POINTS = 800
 
@@ -172,28 +172,23 @@ def _overlays(overlays: Sequence[Overlay], closed: bool) -> list[ev.Figure]:
     trials: dict[str, list[Overlay]] = {}
     for overlay in overlays:
         trials.setdefault(overlay.trial, []).append(overlay)
-    # held-out trials are the ones that count
-    order = sorted(trials, key=lambda t: not trials[t][0].held_out)[:MOST_TRIALS]
-    missing = "" if len(order) == len(trials) else f" {len(order)} of {len(trials)} trials are shown."
-    found = []
-    for name in order:
-        parts = trials[name][:MOST_PANELS]
-        how = "held out of the fit" if parts[0].held_out else "part of the fit"
-        lines = (
-            "the model refitted without the causes dashed, with them solid; this trial was "
-            f"{how}. Good: the solid line runs through the points, the dashed one beside them."
-            if closed
-            else f"lines the refitted model; this trial was {how}. Good: the line runs through the points."
+    held_out = "this trial was held out of the fit. Good: the"
+    lines = (
+        f"the model refitted without the causes dashed, with them solid; {held_out} solid line runs through "
+        "the points, the dashed one beside them."
+        if closed
+        else f"lines the refitted model; {held_out} line runs through the points."
+    )
+    return [
+        blocks.panels(
+            f"overlay-{name}",
+            f"{name}: before and after" if closed else f"{name}: measured and simulated",
+            f"Points are measured, {lines}",
+            [_overlay(o, closed) for o in parts[:MOST_PANELS]],
+            1,
         )
-        found.append(
-            ev.Figure(
-                id=f"overlay-{name}",
-                title=f"{name}: before and after" if closed else f"{name}: measured and simulated",
-                caption=f"Points are measured, {lines}{missing}",
-                panels=[_overlay(o, closed) for o in parts],
-            )
-        )
-    return found
+        for name, parts in trials.items()
+    ]
 
 
 def _overlay(o: Overlay, closed: bool) -> ev.Panel:
@@ -208,22 +203,26 @@ def _overlay(o: Overlay, closed: bool) -> ev.Panel:
         x, y = ev.thinned(o.time_s, scale * np.asarray(values, dtype=float), _POINTS)
         traces.append(ev.Trace(x=x, y=y, style=style, label=label, group=k))  # type: ignore[arg-type]
     name = numbers.split_unit(o.channel)[0].replace("_", " ")
-    return ev.Panel(x_label="time (s)", y_label=f"{name} ({numbers.unit_text(unit) or '1'})", traces=traces)
+    return blocks.panel("time (s)", _label(name, unit), traces)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({numbers.unit_text(unit) or '1'})"
 
 
 # ---------------------------------------------------------------- what is left
 
 
 def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
-    shown = sorted(sketches, key=lambda s: -s.gain)[:MOST_SKETCHES]
-    panels = []
-    for s in shown:
-        y, error = np.asarray(s.y, dtype=float), np.nan_to_num(np.asarray(s.stderr, dtype=float))
-        x_label = f"{s.against} ({numbers.unit_text(s.against_unit) or '1'})"
-        y_label = f"{s.name} ({numbers.unit_text(s.unit) or '1'})"
-        panels.append(
-            blocks.panel(x_label, y_label, [blocks.band(s.x, y, 2 * error)], marks=[ev.Mark(at=0.0)])
+    panels = [
+        blocks.panel(
+            _label(s.against, s.against_unit),
+            _label(s.name, s.unit),
+            [blocks.band(s.x, s.y, 2 * np.nan_to_num(s.stderr))],
+            marks=[ev.Mark(at=0.0)],
         )
+        for s in sketches[:MOST_SKETCHES]
+    ]
     return _figure(
         "sketches",
         "The shape of what the model lacks",

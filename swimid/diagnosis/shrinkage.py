@@ -26,6 +26,8 @@ RESAMPLES = 1000
 TRACE = 0.02
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
+#: Trials whose traces are kept.
+OVERLAID = 3
 #: A simulation this many times its channel's range away from a trial broke down.
 ASTRAY = 10.0
 
@@ -80,11 +82,12 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
 
-def _shared(context: FitContext, fit: Fit, theta: Array) -> dict[str, float]:
+def _numbers(fit: Fit, theta: Array, of: int | None = None) -> dict[str, float]:
+    """A fit's numbers that all trials share, or those of one trial, by name."""
     return {
-        label: float(v)
+        label.split("[")[0]: float(v)
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
-        if owner is None
+        if owner == of
     }
 
 
@@ -115,14 +118,14 @@ def pieces(
     plain = context.affected(())
     nominal, model = (_average(context, f, causes if f is before else ()) for f in (before, after))
     if validation:
-        shared = [_shared(context, f, f.theta) for f in (before, after)]
+        shared = [_numbers(f, f.theta) for f in (before, after)]
         for trial in validation:
             found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
     thetas = [_without(context, f, noise_model) for f in (before, after)]
     for f in range(context.folds.count):
-        shared = [_shared(context, fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+        shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
             inside = context.folds.owner[k] == f
             if not np.any(inside):
@@ -186,12 +189,7 @@ def _whole(
 
 def _near(trial: Trial, k: int, fit: Fit) -> Trial:
     """The trial, with the start state a fit found for it as where a search begins."""
-    known = {
-        label.split("[")[0]: float(v)
-        for label, (_, owner), v in zip(fit.labels, fit.problem.slots, fit.theta, strict=True)
-        if owner == k
-    }
-    return replace(trial, starts={**trial.starts, **known})
+    return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
 
 
 def _stretch(
@@ -299,7 +297,7 @@ def closed(before: float, after: float, floor: float) -> float:
     return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
 
 
-def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6) -> list[Overlay]:
+def overlays(found: Sequence[Piece], units: Mapping[str, str]) -> list[Overlay]:
     """Traces of the trials in which the causes change most, each channel."""
     whole: dict[tuple[str, str], list[Piece]] = {}
     for p in found:
@@ -310,7 +308,7 @@ def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6)
             a, b = np.nansum((p.measured - p.before) ** 2), np.nansum((p.measured - p.after) ** 2)
             size = np.nanvar(p.measured) * len(p.measured) or 1.0
             gains[trial] = gains.get(trial, 0.0) + float((a - b) / size)
-    chosen = sorted(gains, key=lambda t: -gains[t])[: max(most // 2, 1)]
+    chosen = sorted(gains, key=lambda t: -gains[t])[:OVERLAID]
     result = []
     for (trial, channel), parts in whole.items():
         if trial not in chosen or len(parts[0].time_s) < 3:
@@ -320,5 +318,5 @@ def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6)
             np.concatenate([getattr(p, name) for p in parts])[order]
             for name in ("time_s", "measured", "before", "after")
         ]
-        result.append(Overlay(trial, channel, units.get(channel, ""), True, *traces))
+        result.append(Overlay(trial, channel, units.get(channel, ""), *traces))
     return result
