@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.diagnosis import gap_file as gap
+from swimid.diagnosis.gap_file import GapFile
 from tests.blind import swim_actuation
 from tests.generators import gap_trials
 
@@ -38,7 +38,7 @@ def settings(count: int) -> list[tuple[float, float, float]]:
     return found
 
 
-def measured(count: int) -> tuple[float, float, float, gap.GapFile]:
+def measured(count: int) -> tuple[float, float, float, GapFile]:
     """Wall and processor seconds, largest resident memory (MB), and the answer."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -50,7 +50,7 @@ def measured(count: int) -> tuple[float, float, float, gap.GapFile]:
         wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         # the largest of all children so far: sizes must grow
-        return wall, cpu, after.ru_maxrss / 1024.0, gap.read(folder / "gap.yaml")
+        return wall, cpu, after.ru_maxrss / 1024.0, GapFile.read(folder / "gap.yaml")
 
 
 def plot(path: Path, counts: list[int], walls: list[float]) -> None:

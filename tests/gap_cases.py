@@ -2,58 +2,105 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import file as diagnose_file
-from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis.gap_file import GapFile
-from swimid.diagnosis.result import (
+from swimid.diagnosis.drawings import Drawings, Overlay, Sketch
+from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     Cell,
     ChannelGap,
     Extrapolation,
-    Gap,
-    Number,
-    Overlay,
+    GapFile,
     Remaining,
     Score,
     Shrinkage,
-    Sketch,
+    Value,
+    Where,
+    ranked,
 )
 from swimid.results import evidence as ev
+
+Part = TypeVar("Part", bound=BaseModel)
 
 TRIALS = [f"f{f}a{a}" for f in (10, 14, 18) for a in (15, 20, 30)]
 _CHANNELS = ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]
 _STAGES = ["actuation", "structure", "fluid", "environment", "sensing"]
 _NAN = float("nan")
 
+
+def replace(part: Part, **changes: Any) -> Part:
+    """A gap file, or a part of one, with some of it changed."""
+    return type(part)(**{**dict(part), **changes})
+
+
+def number(value: float, stderr: float | None, unit: str, status: str = "estimated") -> Value:
+    """An estimate."""
+    return Value(value=value, stderr=stderr, unit=unit, status=status)  # type: ignore[arg-type]
+
+
+def absorbed(
+    name: str, given: Value | None, without: Value, with_effect: Value, bounds: Any = (None, None)
+) -> Absorbed:
+    """A coefficient without and with the causes."""
+    return Absorbed(coefficient=name, given=given, without=without, with_effect=with_effect, bounds=bounds)
+
+
+def _shrinkage(
+    channel: str, before: float, after: float, shipped: float, floor: float, closed: float, ci95: Any
+) -> Shrinkage:
+    return Shrinkage(
+        channel=channel, before=before, after=after, shipped=shipped, floor=floor, closed=closed, ci95=ci95
+    )
+
+
+def _channel(
+    channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float, shipped: float
+) -> ChannelGap:
+    return ChannelGap(
+        channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse, shipped=shipped
+    )
+
+
+def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
+    return Cell(kind=kind, label=label, ratio=ratio, share=share)
+
+
+def _remaining(share: float, where: str, white: bool, gain: float) -> Remaining:
+    return Remaining(share=share, where=where, white=white, gain=gain)
+
+
 BACKLASH = Cause(
     effect="servo-backlash",
     stage="actuation",
     meaning="Play between the servo and the joint.",
-    sources=("boxfish, section 4.2",),
+    sources=["boxfish, section 4.2"],
     probability=0.94,
-    equivalent=(),
-    parameters={"backlash_rad": Number(0.0351234, 0.00212, "rad")},
-    shrinkage=(
-        Shrinkage("yaw_rate_rad_s", 0.061, 0.032, 0.088, 0.030, 29 / 31, (0.71, 1.06)),
-        Shrinkage("u_m_s", 0.142, 0.034, 0.190, 0.021, 108 / 121, (0.81, 0.94)),
-        Shrinkage("joint4_rad", 0.020, 0.021, 0.030, 0.020, _NAN, (_NAN, _NAN)),
-    ),
+    equivalent=[],
+    parameters={"backlash_rad": number(0.0351234, 0.00212, "rad")},
+    shrinkage=[
+        _shrinkage("yaw_rate_rad_s", 0.061, 0.032, 0.088, 0.030, 29 / 31, (0.71, 1.06)),
+        _shrinkage("u_m_s", 0.142, 0.034, 0.190, 0.021, 108 / 121, (0.81, 0.94)),
+        _shrinkage("joint4_rad", 0.020, 0.021, 0.030, 0.020, _NAN, (_NAN, _NAN)),
+    ],
     gain=3062.4,
     gain_stderr=410.0,
-    absorbed=(
-        Absorbed("c_d0", "1", Number(0.70, 0.03, "1"), Number(0.92, 0.02, "1"), Number(0.71, 0.03, "1")),
-        Absorbed("c_ma", "1", None, Number(1.02, 0.05, "1"), Number(1.01, 0.05, "1"), (0.0, None)),
-        Absorbed("c_f4", "1", None, Number(2.0, None, "1", "at-bound"), Number(1.9, 0.1, "1"), (0.0, 2.0)),
-    ),
-    extrapolations=(Extrapolation("1.8 Hz", 6.4, 1.3), Extrapolation("30 deg", 5.1, 1.2)),
+    absorbed=[
+        absorbed("c_d0", number(0.70, 0.03, "1"), number(0.92, 0.02, "1"), number(0.71, 0.03, "1")),
+        absorbed("c_ma", None, number(1.02, 0.05, "1"), number(1.01, 0.05, "1"), (0.0, None)),
+        absorbed("c_f4", None, number(2.0, None, "1", "at-bound"), number(1.9, 0.1, "1"), (0.0, 2.0)),
+    ],
+    extrapolation=[
+        Extrapolation(left_out="1.8 Hz", before=6.4, after=1.3),
+        Extrapolation(left_out="30 deg", before=5.1, after=1.2),
+    ],
 )
 
 CURRENT = replace(
@@ -61,19 +108,19 @@ CURRENT = replace(
     effect="current",
     stage="environment",
     meaning="The water moves.",
-    sources=(),
+    sources=[],
     probability=0.81,
-    equivalent=("tether", "linear-drag"),
+    equivalent=["tether", "linear-drag"],
     parameters={
-        "east_m_s": Number(0.012, 0.002, "m/s"),
-        "north_m_s": Number(-0.1, None, "m/s", "at-bound"),
+        "east_m_s": number(0.012, 0.002, "m/s"),
+        "north_m_s": number(-0.1, None, "m/s", "at-bound"),
     },
     gain=812.0,
     gain_stderr=150.0,
 )
 
 
-def _scores(first: str = "servo-backlash") -> tuple[Score, ...]:
+def _scores(first: str = "servo-backlash") -> list[Score]:
     rng = np.random.default_rng(5)
     names = {
         "servo-backlash": "actuation",
@@ -86,16 +133,34 @@ def _scores(first: str = "servo-backlash") -> tuple[Score, ...]:
         "imu-bias": "sensing",
     }
     scores = [
-        Score(name, stage, "joint 2" if name == "joint-locked" else "", gain, 0.3 * abs(gain) + 5, (5, 9),
-              0.3, gain, True, 0.01)
+        Score(
+            effect=name,
+            stage=stage,  # type: ignore[arg-type]
+            variant="joint 2" if name == "joint-locked" else "",
+            gain=gain,
+            stderr=0.3 * abs(gain) + 5,
+            won=(5, 9),
+            absorbed=0.3,
+            screened=gain,
+            probability=0.01,
+        )
         for (name, stage), gain in zip(names.items(), rng.uniform(-40, 400, len(names)), strict=True)
-    ]  # fmt: skip
+    ]
     scores = [
         replace(s, gain=3062.4, stderr=410.0, won=(9, 9), probability=0.94) if s.effect == first else s
         for s in scores
     ]
-    weak = Score("wall", "environment", "+x", _NAN, _NAN, (0, 0), 0.97, 1.2, False, 0.0)
-    return (weak, *scores)
+    weak = Score(
+        effect="wall",
+        stage="environment",
+        variant="+x",
+        gain=None,
+        absorbed=0.97,
+        screened=1.2,
+        refitted=False,
+        probability=0.0,
+    )
+    return [weak, *scores]
 
 
 def _maps() -> dict[str, tuple[list[str], list[str], np.ndarray]]:
@@ -109,99 +174,108 @@ def _maps() -> dict[str, tuple[list[str], list[str], np.ndarray]]:
     }
 
 
-def _overlays() -> tuple[Overlay, ...]:
+def _overlays() -> list[Overlay]:
     rng = np.random.default_rng(7)
     time = np.arange(0.0, 10.0, 0.02)
     found = []
-    trials = (("f10a15", False, "u_m_s", "m/s"), ("f14a20", True, "yaw_rate_rad_s", "rad/s"))
-    for trial, held_out, channel, unit in trials:
+    for trial, channel, unit in (("f10a15", "u_m_s", "m/s"), ("f14a20", "yaw_rate_rad_s", "rad/s")):
         after = 0.2 * (1 - np.exp(-time)) + 0.05 * np.sin(9 * time)
         before = after * 1.15
         measured = after + rng.normal(0, 0.01, len(time))
-        found.append(Overlay(trial, channel, unit, held_out, time, measured, before, after))
-    return tuple(found)
+        found.append(Overlay(trial, channel, unit, time, measured, before, after))
+    return found
 
 
-EXPLAINED = Gap(
+EXPLAINED = GapFile(
     verdict="explained",
-    channels=(
-        ChannelGap("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003, 0.03),
-        ChannelGap("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09, 0.088),
-        ChannelGap("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031, 0.190),
+    where=Where(
+        channels=[
+            _channel("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003, 0.03),
+            _channel("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09, 0.088),
+            _channel("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031, 0.190),
+        ],
+        stage={"actuation": 0.95, "structure": 0.03, "fluid": 0.02, "environment": 0.0, "sensing": 0.0},
+        phase=[_cell("phase", f"{30 * k}-{30 * k + 30}°", 1.5 + np.sin(k), 1 / 12) for k in range(12)],
+        regime=[
+            _cell("frequency", "1.0 Hz", 1.3, 0.1),
+            _cell("frequency", "1.4 Hz", 3.1, 0.3),
+            _cell("frequency", "1.8 Hz", 6.2, 0.6),
+            _cell("amplitude", "15°", 6.0, 0.7),
+            _cell("amplitude", "30°", 2.0, 0.3),
+        ],
+        time=[_cell("time", "start-up", 5.0, 0.6), _cell("time", "steady", 2.2, 0.4)],
     ),
-    stages={"actuation": 0.95, "structure": 0.03, "fluid": 0.02, "environment": 0.0, "sensing": 0.0},
-    phase=tuple(Cell("phase", f"{30 * k}-{30 * k + 30}°", 1.5 + np.sin(k), 1 / 12) for k in range(12)),
-    regime=(
-        Cell("frequency", "1.0 Hz", 1.3, 0.1),
-        Cell("frequency", "1.4 Hz", 3.1, 0.3),
-        Cell("frequency", "1.8 Hz", 6.2, 0.6),
-        Cell("amplitude", "15°", 6.0, 0.7),
-        Cell("amplitude", "30°", 2.0, 0.3),
-    ),
-    time=(Cell("time", "start-up", 5.0, 0.6), Cell("time", "steady", 2.2, 0.4)),
-    causes=(BACKLASH,),
-    remaining=Remaining(0.04, "mostly in yaw_rate_rad_s", True, 3.0),
-    advice=(
+    causes=[BACKLASH],
+    remaining=_remaining(0.04, "mostly in yaw_rate_rad_s", True, 3.0),
+    advice=[
         Advice(
-            "Swim at 1.0 Hz with 10 deg for 15 s: play takes the largest share of the smallest stroke.",
-            ("servo-backlash", "amplitude-loss"),
-            41.0,
-            12.0,
+            text="Swim at 1.0 Hz with 10 deg for 15 s: play takes the largest share of the smallest stroke.",
+            separates=["servo-backlash", "amplitude-loss"],
+            difference=41.0,
+            now=12.0,
         ),
-    ),
+    ],
+    model="multilink",
+    robot="tfish",
+    experiment="free-swim",
+    params="tfish.yaml",
+    trials=TRIALS,
     scores=_scores(),
     no_gap=0.001,
     outside=0.03,
+    held_out="trials",
     floor_from="repeats of one setting, and residuals of a saturated description",
-    sketches=(
-        Sketch(
-            "surge force", "N", "speed", "m/s",
-            np.linspace(0, 0.3, 10), 0.1 * np.linspace(0, 0.3, 10), np.full(10, 0.003), 40.0,
-        ),
-        Sketch(
-            "yaw moment", "N m", "phase", "rad",
-            np.linspace(0, 6.3, 12), np.zeros(12), np.full(12, _NAN), 2.0,
-        ),
-    ),
-    overlays=_overlays(),
-    maps=_maps(),
     forces={"surge force": 40.0, "yaw moment": 2.0},
-    rounds=("Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."),
-    reasons=("One effect gains far more than noise and than any other.",),
-)  # fmt: skip
+    rounds=["Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."],
+    reasons=["One effect gains far more than noise and than any other."],
+    settings={"seed": 0},
+    provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
+)
+_SKETCHES = [
+    Sketch(
+        "surge force", "N", "speed", "m/s",
+        np.linspace(0, 0.3, 10), 0.1 * np.linspace(0, 0.3, 10), np.full(10, 0.003), 40.0,
+    ),
+    Sketch(
+        "yaw moment", "N m", "phase", "rad",
+        np.linspace(0, 6.3, 12), np.zeros(12), np.full(12, _NAN), 2.0,
+    ),
+]  # fmt: skip
 
-# the others draw less: a page of every verdict is drawn in the tests
+# the others have less to draw: a page of every verdict is drawn in the tests
 _BRIEF = replace(
     EXPLAINED,
-    overlays=EXPLAINED.overlays[:1],
-    maps={"trial by channel": EXPLAINED.maps["trial by channel"]},
-    sketches=(),
-    phase=EXPLAINED.phase[:1],
-    regime=EXPLAINED.regime[:3],
+    where=replace(EXPLAINED.where, phase=EXPLAINED.where.phase[:1], regime=EXPLAINED.where.regime[:3]),
 )
 NONE = replace(
     _BRIEF,
     verdict="none",
-    channels=tuple(replace(c, nrmse=c.floor, share=_NAN) for c in EXPLAINED.channels),
-    stages=dict.fromkeys(_STAGES, 0.0),
-    causes=(),
-    remaining=Remaining(_NAN, "", True, 0.0),
-    advice=(),
-    scores=tuple(replace(s, gain=min(s.gain, 30.0), probability=_NAN) for s in EXPLAINED.scores),
-    rounds=(),
-    reasons=(),
+    where=replace(
+        _BRIEF.where,
+        channels=[replace(c, nrmse=c.floor, share=None) for c in EXPLAINED.where.channels],
+        stage=dict.fromkeys(_STAGES, 0.0),
+    ),
+    causes=[],
+    remaining=_remaining(_NAN, "", True, 0.0),
+    advice=[],
+    scores=[
+        replace(s, gain=None if s.gain is None else min(s.gain, 30.0), probability=None)
+        for s in EXPLAINED.scores
+    ],
+    rounds=[],
+    reasons=[],
 )
-AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=(CURRENT,), scores=_scores("current"))
-PAIR = replace(_BRIEF, causes=(BACKLASH, replace(CURRENT, equivalent=())))
+AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=[CURRENT], scores=_scores("current"))
+PAIR = replace(_BRIEF, causes=[BACKLASH, replace(CURRENT, equivalent=[])])
 UNEXPLAINED = replace(
     _BRIEF,
     verdict="unexplained",
-    causes=(),
-    remaining=Remaining(1.0, "surge force against speed", False, 911.0),
-    stages={**EXPLAINED.stages, "rig": 0.0},
-    advice=(),
+    where=replace(_BRIEF.where, stage={**EXPLAINED.where.stage, "rig": 0.0}),
+    causes=[],
+    remaining=_remaining(1.0, "surge force against speed", False, 911.0),
+    advice=[],
 )
-PARTLY = replace(_BRIEF, verdict="unexplained", remaining=Remaining(0.4, "yaw moment", False, 200.0))
+PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False, 200.0))
 
 ALL = {
     "none": NONE,
@@ -213,25 +287,26 @@ ALL = {
 }
 
 
-def gap_file(gap: Gap) -> GapFile:
-    """The file of one of them."""
-    return diagnose_file.gap_file(
-        gap,
-        model="multilink",
-        robot="tfish",
-        experiment="free-swim",
-        params="tfish.yaml",
-        trials=TRIALS,
-        settings={"seed": 0},
-        provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
+def drawings(gap: GapFile) -> Drawings:
+    """What is drawn of one of them."""
+    maps, overlays, where = _maps(), _overlays(), gap.where
+    brief = len(where.phase) < 2
+    return Drawings(
+        maps={"trial by channel": maps["trial by channel"]} if brief else maps,
+        parts=[*where.regime, *where.phase, *where.time],
+        overlays=overlays[:1] if brief else overlays,
+        sketches=[] if brief else _SKETCHES,
     )
+
+
+def evidence(gap: GapFile, sources: Sequence[str] = ()) -> ev.Evidence:
+    """What one of them rests on."""
+    return diagnose_evidence.evidence(ranked(gap), drawings(gap), sources=sources)
 
 
 def written(folder: Path, name: str) -> Path:
     """One of them with its evidence, on disk."""
-    gap = ALL[name]
-    file = gap_file(gap)
     path = folder / f"{name}.yaml"
-    gap_format.write(path, file)
-    ev.write(ev.sidecar(path), diagnose_evidence.evidence(gap, file, sources=["a robot's paper"]))
+    ranked(ALL[name]).write(path)
+    ev.write(ev.sidecar(path), evidence(ALL[name], ["a robot's paper"]))
     return path

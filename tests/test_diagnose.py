@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis.gap_file import GapFile
 from tests.blind import cruises, swim_actuation, swim_effects
 from tests.blind.swim_case import Act, Channels, Trial
@@ -42,7 +41,7 @@ def diagnosed(folder: Path, *options: str | Path, params: str = "params.yaml") -
     ran = command("diagnose", folder / "trials.yaml", "--params", folder / params, "-o", out, *options)
     assert ran.status == 0, ran.err
     assert "Traceback" not in ran.err
-    return gap_format.read(out)
+    return GapFile.read(out)
 
 
 def held_responsible(file: GapFile) -> list[set[str]]:
@@ -155,7 +154,7 @@ def test_the_users_own_effect_is_found(tmp_path: Path) -> None:
         patch.chdir(tmp_path)
         ran = command(*shlex.split(line))
         assert ran.status == 0, ran.err
-        file = gap_format.read(Path("gap.yaml"))
+        file = GapFile.read(Path("gap.yaml"))
     assert "drive-droop" in held_responsible(file)[0]
     assert str(DROOP.name) in " ".join(file.provenance["inputs"])
 
@@ -169,7 +168,7 @@ def test_a_robot_of_ones_own_needs_no_code(tmp_path: Path) -> None:
     assert command("fit-graybox", trials, "-o", fitted, "-q").status in (0, 4)
     ran = command("diagnose", trials, "--params", fitted, "-o", out)
     assert ran.status == 0, ran.err
-    assert gap_format.read(out).verdict == "none"
+    assert GapFile.read(out).verdict == "none"
 
 
 # ---------------------------------------------------------------- the sample
@@ -204,7 +203,7 @@ def test_the_readme_shows_the_diagnosis_of_the_sample(sample: tuple[Path, Ran]) 
 
 @pytest.mark.slow
 def test_the_cause_in_the_sample_is_found(sample: tuple[Path, Ran]) -> None:
-    file = gap_format.read(sample[0])
+    file = GapFile.read(sample[0])
     assert file.verdict in ("explained", "ambiguous")
     assert gap_trials.CAUSE in held_responsible(file)[0]
     assert next(iter(file.where.stage)) == gap_trials.STAGE
@@ -243,7 +242,7 @@ def test_nothing_is_found_in_clean_trials(tmp_path: Path) -> None:
     assert command("fit-graybox", trials, "-o", fitted, "-q").status == 0
     ran = command("diagnose", trials, "--params", fitted, "-o", out)
     assert ran.status == 0, ran.err
-    file = gap_format.read(out)
+    file = GapFile.read(out)
     assert file.verdict == "none"
     assert file.causes == []
     assert "NONE" in ran.out
@@ -280,7 +279,7 @@ def test_the_same_seed_gives_the_same_file(rig: tuple[Path, Path], tmp_path: Pat
             3,
         )
         assert ran.status == 0, ran.err
-        file = gap_format.read(tmp_path / f"{jobs}.yaml").model_dump(mode="json")
+        file = GapFile.read(tmp_path / f"{jobs}.yaml").model_dump(mode="json")
         del file["provenance"]
         documents.append(json.dumps(file, sort_keys=True))
     assert documents[0] == documents[1]
@@ -319,7 +318,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
     ran = command("diagnose", rig[0], "--budget-s", "0.001", "-o", out)
     assert ran.status == 0, ran.err
     assert "trials against the robot file" in ran.out
-    file = gap_format.read(out)
+    file = GapFile.read(out)
     assert file.params == "the robot file"
     assert command("report", out, "-o", tmp_path / "gap.html").status == 0
 

@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +16,7 @@ import pytest
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import summary as diagnose_summary
-from swimid.diagnosis.result import Absorbed, HeldOut, Number
+from swimid.diagnosis.gap_file import GapFile, HeldOut, ranked
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.errors import InputError
@@ -29,6 +28,7 @@ from swimid.results.report import report
 from swimid.results.result import Result
 from tests import gap_cases as cases
 from tests.conftest import ROOT, Ran
+from tests.gap_cases import replace
 
 Run = Callable[..., Ran]
 LEVELS = {
@@ -42,7 +42,7 @@ LEVELS = {
 
 
 def said(name: str) -> str:
-    return diagnose_summary.summary(cases.gap_file(cases.ALL[name]))
+    return diagnose_summary.summary(ranked(cases.ALL[name]))
 
 
 def flat(text: str) -> str:
@@ -63,11 +63,11 @@ def test_a_long_answer_is_cut_and_its_advice_kept() -> None:
     long = replace(
         cases.CURRENT,
         meaning="The water moves " + "very slowly " * 30,
-        parameters={f"p{k}": Number(1.0 + k, 0.1, "N") for k in range(12)},
-        equivalent=tuple(f"some-other-effect-{k}" for k in range(9)),
+        parameters={f"p{k}": cases.number(1.0 + k, 0.1, "N") for k in range(12)},
+        equivalent=[f"some-other-effect-{k}" for k in range(9)],
     )
-    gap = replace(cases.AMBIGUOUS, causes=(long, long, long))
-    text = diagnose_summary.summary(cases.gap_file(gap))
+    gap = replace(cases.AMBIGUOUS, causes=[long, long, long])
+    text = diagnose_summary.summary(ranked(gap))
     lines = text.split("\n")
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 100
@@ -103,8 +103,8 @@ def test_the_other_verdicts_in_words() -> None:
 
 
 def test_an_explanation_names_its_rivals() -> None:
-    rivalled = replace(cases.BACKLASH, equivalent=("amplitude-loss",))
-    text = flat(diagnose_summary.summary(cases.gap_file(replace(cases.EXPLAINED, causes=(rivalled,)))))
+    rivalled = replace(cases.BACKLASH, equivalent=["amplitude-loss"])
+    text = flat(diagnose_summary.summary(ranked(replace(cases.EXPLAINED, causes=[rivalled]))))
     assert "servo-backlash (or amplitude-loss, which these trials cannot tell from it) explains it" in text
     assert "not to be told from it: amplitude-loss; together: probability 94 %" in text
 
@@ -116,8 +116,9 @@ def test_an_explanation_names_its_rivals() -> None:
 def test_a_coefficient_moved_by_two_errors_and_a_tenth(
     without: float, error: float, with_effect: float, found: bool
 ) -> None:
-    a = Absorbed("c", "1", None, Number(without, error, "1"), Number(with_effect, error, "1"))
-    file = cases.gap_file(replace(cases.EXPLAINED, causes=(replace(cases.BACKLASH, absorbed=(a,)),)))
+    number = cases.number
+    a = cases.absorbed("c", None, number(without, error, "1"), number(with_effect, error, "1"))
+    file = ranked(replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, absorbed=[a])]))
     assert bool(diagnose_summary.moved(file.causes)) is found
 
 
@@ -142,7 +143,7 @@ def test_every_verdict_is_rendered(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(cases.ALL))
 def test_the_level_follows_from_the_verdict(name: str) -> None:
-    assert diagnose_evidence.verdict(cases.gap_file(cases.ALL[name])).level == LEVELS[name]
+    assert diagnose_evidence.verdict(ranked(cases.ALL[name])).level == LEVELS[name]
 
 
 def test_a_gap_file_alone_is_shown_too(tmp_path: Path) -> None:
@@ -154,44 +155,45 @@ def test_a_gap_file_alone_is_shown_too(tmp_path: Path) -> None:
 
 
 def test_checks_warn_of_what_weakens_an_answer() -> None:
-    def verdicts(gap: Any) -> dict[str, str]:
-        return {c.name: c.verdict for c in diagnose_evidence.checks(cases.gap_file(gap))}
+    def verdicts(gap: GapFile) -> dict[str, str]:
+        return {c.name: c.verdict for c in diagnose_evidence.checks(ranked(gap))}
 
     assert set(verdicts(cases.EXPLAINED).values()) == {"pass", "info"}
     assert verdicts(cases.AMBIGUOUS)["rivals"] == "warn"
     assert verdicts(cases.PARTLY)["what remains"] == "warn"
     weak = replace(cases.BACKLASH, gain=60.0)
-    assert verdicts(replace(cases.EXPLAINED, causes=(weak,)))["held-out gain of servo-backlash"] == "warn"
-    (first, *rest) = cases.BACKLASH.extrapolations
-    lost = replace(cases.BACKLASH, extrapolations=(replace(first, after=9.0), *rest))
-    assert verdicts(replace(cases.EXPLAINED, causes=(lost,)))["carries over to settings left out"] == "warn"
+    assert verdicts(replace(cases.EXPLAINED, causes=[weak]))["held-out gain of servo-backlash"] == "warn"
+    (first, *rest) = cases.BACKLASH.extrapolation
+    lost = replace(cases.BACKLASH, extrapolation=[replace(first, after=9.0), *rest])
+    assert verdicts(replace(cases.EXPLAINED, causes=[lost]))["carries over to settings left out"] == "warn"
 
 
 def test_the_methods_cite_what_was_done() -> None:
-    made = diagnose_evidence.evidence(cases.EXPLAINED, cases.gap_file(cases.EXPLAINED))
+    made = cases.evidence(cases.EXPLAINED)
     text = " ".join(made.methods)
     for name in ("Kennedy", "Klein", "Yao", "Box"):
         assert name in text
         assert any(name in r for r in made.references)
     assert "each of 9 candidate effects, 8 of which" in text
-    silent = diagnose_evidence.evidence(cases.NONE, cases.gap_file(cases.NONE))
+    silent = cases.evidence(cases.NONE)
     assert not any("Box" in r for r in silent.references)
 
 
 def test_parts_of_the_data_stand_in_their_order() -> None:
     """A diagnosis ranks them by size; a figure goes from low to high."""
-    ranked = tuple(reversed(cases.EXPLAINED.phase))
-    gap = replace(cases.EXPLAINED, phase=ranked)
-    (figure,) = (f for f in diagnose_figures.figures(gap, cases.gap_file(gap)) if f.id == "gap-parts")
+    where = replace(cases.EXPLAINED.where, phase=cases.EXPLAINED.where.phase[::-1])
+    gap = replace(cases.EXPLAINED, where=where)
+    made = diagnose_figures.figures(gap, cases.drawings(gap))
+    (figure,) = (f for f in made if f.id == "gap-parts")
     shown = {panel.title: panel.x_categories for panel in figure.panels}
-    assert shown["phase"] == [c.label for c in cases.EXPLAINED.phase]
+    assert shown["phase"] == [c.label for c in cases.EXPLAINED.where.phase]
     assert shown["frequency"] == ["1.0 Hz", "1.4 Hz", "1.8 Hz"]
     assert shown["time"] == ["start-up", "steady"]
 
 
 def test_every_figure_says_what_good_looks_like() -> None:
     for gap in cases.ALL.values():
-        made = diagnose_evidence.evidence(gap, cases.gap_file(gap))
+        made = cases.evidence(gap)
         for part in (*made.figures, *made.tables):
             assert "Good:" in part.caption, part.id
 
@@ -323,7 +325,7 @@ def test_the_example_of_the_manual_works() -> None:
 
 class TestWhatIsStatedIsWhatIsComputed:
     def test_what_else_may_be_is_told(self) -> None:
-        file = cases.gap_file(replace(cases.EXPLAINED, no_gap=0.004, outside=0.062))
+        file = ranked(replace(cases.EXPLAINED, no_gap=0.004, outside=0.062))
         said = "no gap 0.4 %, a cause outside the catalogue 6.2 %"
         assert diagnose_summary.otherwise_text(file) == said
 
@@ -336,17 +338,17 @@ class TestWhatIsStatedIsWhatIsComputed:
         ],
     )
     def test_held_out_data_are_called_what_they_are(self, held_out: HeldOut, said: str) -> None:
-        file = cases.gap_file(replace(cases.EXPLAINED, held_out=held_out))
+        file = ranked(replace(cases.EXPLAINED, held_out=held_out))
         assert said in flat(diagnose_summary.summary(file))
 
     @pytest.mark.parametrize("name", sorted(cases.ALL))
     def test_no_report_claims_more_than_was_computed(self, name: str) -> None:
-        file = cases.gap_file(cases.ALL[name])
-        evidence = diagnose_evidence.evidence(cases.ALL[name], file)
+        file = ranked(cases.ALL[name])
+        evidence = cases.evidence(cases.ALL[name])
         parts = evidence.model_dump(exclude={"references", "provenance"})
         text = f"{parts} {diagnose_summary.summary(file)}"
         assert not re.search("at most once in|took no part|[Ss]oftmax|threshold", text)
 
     def test_the_badge_says_the_verdict_and_not_that_a_gap_is_good(self) -> None:
-        verdict = diagnose_evidence.verdict(cases.gap_file(cases.EXPLAINED))
+        verdict = diagnose_evidence.verdict(ranked(cases.EXPLAINED))
         assert (verdict.level, verdict.word) == ("good", "Explained")

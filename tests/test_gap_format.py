@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swimid.diagnosis import gap_file as gap_format
+from swimid.diagnosis.gap_file import GapFile, ranked
 from swimid.errors import InputError
 from swimid.files import yamlio
 from tests import gap_cases as cases
@@ -37,7 +37,7 @@ advice: []
 def test_the_pinned_keys_are_enough(tmp_path: Path) -> None:
     path = tmp_path / "gap.yaml"
     path.write_text(PINNED)
-    file = gap_format.read(path)
+    file = GapFile.read(path)
     assert file.causes[0].effect == "servo-backlash"
     assert file.causes[0].shrinkage[0].ci95 == (0.81, 0.94)
     assert file.where.stage["actuation"] == 0.9
@@ -46,15 +46,15 @@ def test_the_pinned_keys_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(cases.ALL))
 def test_written_and_read_back(tmp_path: Path, name: str) -> None:
     """To the last bit, with every pinned key there whatever the verdict."""
-    file = cases.gap_file(cases.ALL[name])
+    file = ranked(cases.ALL[name])
     path = tmp_path / "gap.yaml"
-    gap_format.write(path, file)
-    assert gap_format.read(path) == file
+    file.write(path)
+    assert GapFile.read(path) == file
     data = yamlio.plain(yamlio.load(path))
     assert {"format", "verdict", "where", "causes", "remaining", "advice"} <= set(data)
     assert set(data["where"]) == {"channels", "stage", "phase", "regime", "time"}
     assert set(data["where"]["stage"]) >= {"actuation", "structure", "fluid", "environment", "sensing"}
-    assert ("rig" in data["where"]["stage"]) == ("rig" in cases.ALL[name].stages)
+    assert ("rig" in data["where"]["stage"]) == ("rig" in cases.ALL[name].where.stage)
     assert {"share", "where", "white"} <= set(data["remaining"])
     for cause in data["causes"]:
         assert {"effect", "probability", "equivalent", "parameters", "shrinkage"} <= set(cause)
@@ -63,7 +63,7 @@ def test_written_and_read_back(tmp_path: Path, name: str) -> None:
 
 
 def test_everything_in_where_is_ranked() -> None:
-    where = cases.gap_file(cases.EXPLAINED).where
+    where = ranked(cases.EXPLAINED).where
     assert [c.channel for c in where.channels] == ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]
     assert next(iter(where.stage)) == "actuation"
     for cells in (where.phase, where.regime, where.time):
@@ -72,13 +72,13 @@ def test_everything_in_where_is_ranked() -> None:
 
 
 def test_scores_are_ranked_and_screened_ones_last() -> None:
-    scores = cases.gap_file(cases.EXPLAINED).scores
+    scores = ranked(cases.EXPLAINED).scores
     assert scores[0].effect == "servo-backlash"
     assert (scores[-1].effect, scores[-1].refitted, scores[-1].gain) == ("wall", False, None)
 
 
 def test_what_is_not_known_is_null() -> None:
-    file = cases.gap_file(cases.EXPLAINED)
+    file = ranked(cases.EXPLAINED)
     still = file.causes[0].shrinkage[-1]
     assert (still.channel, still.closed, still.ci95) == ("joint4_rad", None, (None, None))
     text = yamlio.dumps(file.model_dump())
@@ -108,7 +108,7 @@ def test_what_is_refused(tmp_path: Path, change: tuple[str, str], place: str, te
     path = tmp_path / "gap.yaml"
     path.write_text(PINNED.replace(*change))
     with pytest.raises(InputError) as caught:
-        gap_format.read(path)
+        GapFile.read(path)
     assert str(path) in str(caught.value)
     assert place in str(caught.value)
     assert text in str(caught.value)

@@ -6,8 +6,7 @@ effects, ``crossval`` compares them on held-out trials, ``weighting`` learns the
 ``search`` fits every effect and sets of them, ``posterior`` says how likely each is, ``remainder`` and
 ``generic`` find what no effect explains, ``floor`` says how large the noise is, ``dropouts`` which samples
 are none, ``places`` where the gap is, ``shrinkage`` how far it closes, ``advice`` names the next experiment;
-``power`` and ``power_file`` what trials could show. ``conclusion`` and ``answer`` say what was found, as
-``result``. ``diagnose`` is the verb,
-``options`` what it can be told, ``diagnosed`` its result, with ``gap_file``, ``file``, ``section``,
-``summary``, ``evidence`` and ``figures``.
+``power`` and ``power_file`` what trials could show. ``conclusion`` and ``answer`` say what was found, as a
+``gap_file``, with ``drawings`` beside it that only its figures need. ``diagnose`` is the verb, ``options``
+what it can be told, ``diagnosed`` its result, with ``section``, ``summary``, ``evidence`` and ``figures``.
 """

@@ -11,9 +11,9 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.places import knobs
-from swimid.diagnosis.result import Advice
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import Problem
 
@@ -21,7 +21,7 @@ from swimid.fitting.problem import Problem
 MOST = 4
 
 
-def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
+def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     """Trials that could be run next, in words and as the model would see them."""
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
@@ -38,14 +38,14 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         ]  # fmt: skip
         for change in changes:
             moved = replace(beat, **change)
-            trial = replace(template, id="proposed", swim=replace(template.swim, beat=moved))
+            trial = replace(template, swim=replace(template.swim, beat=moved))
             says = knobs(trial)
             found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
     elif template.rig.force is not None and "force_N" not in template.inputs:
         forces = [t.rig.pull for t in trials]
         for force in (0.5 * min(forces), 2.0 * max(forces)):
             if force > 0:
-                trial = replace(template, id="proposed", rig=replace(template.rig, force=force))
+                trial = replace(template, rig=replace(template.rig, force=force))
                 found.append((f"a driving force of {force:.3g} N", trial))
     elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
         f = [float(t.inputs["frequency_hz"][0]) for t in trials]
@@ -57,20 +57,14 @@ def proposals(model: Model, trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
             (max(f), 1.4 * max(a)),
         ):
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
-            trial = replace(template, id="proposed", inputs=inputs)
+            trial = replace(template, inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    if len(template.time_s) > 20:
-        span = float(template.time_s[-1] - template.time_s[0])
-        step = float(np.median(np.diff(template.time_s)))
-        if template.swim.joints is None and template.inputs.get("force_N", ()) is not None:
-            longer = template.time_s[0] + step * np.arange(int(2.0 * span / step) + 1)
-            if not template.inputs or beat is not None:
-                found.append(
-                    (
-                        f"one of the same settings, {2.0 * span:.3g} s long",
-                        replace(template, id="proposed", time_s=longer),
-                    )
-                )
+    time = template.time_s
+    if len(time) > 20 and template.swim.joints is None and (beat is not None or not template.inputs):
+        span, step = float(time[-1] - time[0]), float(np.median(np.diff(time)))
+        longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
+        words = f"one of the same settings, {2.0 * span:.3g} s long"
+        found.append((words, replace(template, time_s=longer)))
     # simulations are kept by the id of their trial
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
@@ -87,7 +81,7 @@ def advise(
     noise_model: NoiseModel,
     floors: Mapping[str, float],
     now: float,
-) -> tuple[Advice, ...]:
+) -> list[Advice]:
     """Proposals ranked by how well they tell the first rival from the others.
 
     Parameters
@@ -98,37 +92,29 @@ def advise(
     now : float
         How far apart the rivals are on the trials at hand, in units of the noise.
     """
-    found = []
-    names = tuple(f.effects[-1].name for f in rivals)
     known = information(context, rivals[0], noise_model)
-    for words, trial in proposals(context.model, context.trials):
-        difference = min(
-            apart(context, rivals[0], other, trial, floors, known, sorted(_channels(context)))
-            for other in rivals[1:]
-        )
-        found.append(Advice(f"run {words}", names, difference, now))
+
+    def difference(trial: Trial, noise: Mapping[str, float], channels: Sequence[str]) -> float:
+        return min(apart(context, rivals[0], other, trial, noise, known, channels) for other in rivals[1:])
+
+    measured = sorted({c for t in context.trials for c in t.measured})
+    found = [(difference(t, floors, measured), f"run {words}") for words, t in proposals(context.trials)]
     template = max(context.trials, key=lambda t: len(t.time_s))
-    sensed: dict[str, Advice] = {}
+    sensed: dict[str, tuple[float, str]] = {}
     for meaning, channel, unit in sensors(context.model, context.trials):
         noise = typical_noise(channel, floors)
         if noise is None:
             continue
-        difference = min(
-            apart(context, rivals[0], other, template, {**floors, channel: noise}, known, [channel])
-            for other in rivals[1:]
-        )
+        size = difference(template, {**floors, channel: noise}, [channel])
         words = f"log {meaning} ({channel}) as well, to {noise:.2g} {unit}"
         # one joint of several stands for all
         kind = channel[:5]
-        if kind not in sensed or difference > sensed[kind].difference:
-            sensed[kind] = Advice(words, names, difference, now)
+        if kind not in sensed or size > sensed[kind][0]:
+            sensed[kind] = size, words
     found += sensed.values()
-    found.sort(key=lambda a: -a.difference)
-    return tuple(found[:MOST])
-
-
-def _channels(context: FitContext) -> set[str]:
-    return {c for t in context.trials for c in t.measured}
+    found.sort(key=lambda pair: -pair[0])
+    names = [f.effects[-1].name for f in rivals]
+    return [Advice(text=words, separates=names, difference=size, now=now) for size, words in found[:MOST]]
 
 
 def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
@@ -142,7 +128,7 @@ def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
     return None
 
 
-def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, Array | list[str]]:
+def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
     """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
@@ -151,7 +137,7 @@ def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[
         block = np.column_stack((rows[:, shared], fit.residuals[k]))
         seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
-    return {"labels": [fit.labels[j] for j in shared], "normal": normal}
+    return [fit.labels[j] for j in shared], normal
 
 
 def apart(
@@ -160,7 +146,7 @@ def apart(
     second: Fit,
     trial: Trial,
     floors: Mapping[str, float],
-    known: Mapping[str, Array | list[str]],
+    known: tuple[Sequence[str], Array],
     channels: Sequence[str],
 ) -> float:
     """Predicted difference of two rivals on a trial, in units of the noise, all else refitted."""
@@ -185,9 +171,9 @@ def apart(
     if not np.isfinite(difference).all() or np.max(np.abs(difference), initial=0.0) > 1e5:
         return 0.0
     normal = rows.T @ rows
-    where = [labels.index(name) for name in known["labels"] if name in labels]
-    take = [i for i, name in enumerate(known["labels"]) if name in labels]
-    prior = np.asarray(known["normal"])
+    names, prior = known
+    where = [labels.index(name) for name in names if name in labels]
+    take = [i for i, name in enumerate(names) if name in labels]
     normal[np.ix_(where, where)] += prior[np.ix_(take, take)]
     normal += 1e-9 * np.diag(np.diag(normal) + 1e-12)
     right = rows.T @ difference

@@ -6,33 +6,37 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from swimid.diagnosis import advice, conclusion, crossval, places, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
+from swimid.diagnosis.drawings import Drawings
 from swimid.diagnosis.floor import by_channel, split
 from swimid.diagnosis.floor import floors as noise_floors
 from swimid.diagnosis.folds import Folds
-from swimid.diagnosis.nominal import Given
-from swimid.diagnosis.posterior import UNSURE
-from swimid.diagnosis.result import (
+from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     ChannelGap,
     Extrapolation,
-    Gap,
-    Number,
+    GapFile,
     Remaining,
-    Score,
     Shrinkage,
+    Stage,
+    Value,
+    Where,
+    ranked,
 )
+from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.fitting.model import Array, Trial
 from swimid.progress import Progress, silent
+from swimid.results.parameters import Estimate
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.
 FAILED, FAILED_MISFIT = 4, 50.0
@@ -41,22 +45,28 @@ FAILED, FAILED_MISFIT = 4, 50.0
 def answer(
     state: State,
     validation: Sequence[Trial],
-    given: Mapping[str, Given],
+    given: Mapping[str, Estimate],
     raw: Sequence[Trial],
     *,
     seed: int = 0,
     progress: Progress = silent,
-) -> Gap:
+) -> tuple[GapFile, Drawings]:
     """Verdict, causes, shrinkage, what remains, what next.
 
     Parameters
     ----------
     validation : sequence of Trial
         Trials that take part in no fit.
-    given : mapping of name to Given
+    given : mapping of name to Estimate
         The coefficients of the parameter file.
     raw : sequence of Trial
         The fitted trials with their failed samples still in.
+
+    Returns
+    -------
+    GapFile
+        What was diagnosed is not yet named in it.
+    Drawings
     """
     rng = np.random.default_rng(seed)
     context = state.context
@@ -98,45 +108,51 @@ def answer(
         word = "ambiguous" if word == "explained" else word
     # what a cause accounts for is none of the random effects of the model without it
     gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
-    size = {c: float(np.sqrt(np.mean(v**2))) for c, v in by_channel(nominal, gap_left).items()}
+    size = {c: _rms(v) for c, v in by_channel(nominal, gap_left).items()}
     if word == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
         floor = {c: max(v, size[c]) for c, v in floor.items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
-    causes = _causes(state, chosen, nominal, given, closing if word != "none" else ())
-    if failed:
-        causes = _with_failed(state, causes, raw, nominal, floor, failed, rows)
-    where = places.Map(context, nominal, gap_left, floor)
     gap = word != "none"
-    stages = conclusion.stages(rows, bool(chosen), {s.stage for s in rows})
+    causes = _causes(state, chosen, nominal, given, closing if gap else [])
+    if failed:
+        causes = _with_failed(state, causes, raw, nominal, floor, failed)
+    where = places.Map(context, nominal, gap_left, floor)
+    stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(chosen))}
     if failed and causes and causes[0].effect == MarkerDropout.name:
         stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
     left = state.left
-    return Gap(
+    regime, phase, time = places.regimes(where), places.phases(where) if gap else [], places.times(where)
+    file = GapFile(
         verdict=word,
-        channels=_channels(context, nominal, gap_left, floor, shipped, units, held),
-        stages=stages,
-        phase=places.phases(where) if gap else (),
-        regime=places.regimes(where),
-        time=places.times(where),
-        causes=tuple(causes) if gap else (),
+        where=Where(
+            channels=_channels(context, nominal, gap_left, floor, units, held),
+            stage=stages,
+            phase=phase,
+            regime=regime,
+            time=time,
+        ),
+        causes=causes if gap else [],
         remaining=_remaining(state, nominal, gap_left, floor),
         advice=_advice(state, chosen, word, floor),
-        scores=rows,
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
-        floor_from=how,
-        held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        sketches=places.sketches(context, state.base, left) if left is not None and left.found else (),
-        overlays=shrinkage.overlays(held, units),
-        maps=places.maps(where),
-        forces=dict(left.places) if left is not None else {},
-        rounds=tuple(state.told),
-        reasons=(*reasons, *_reasons(state)),
         hypotheses=conclusion.hypotheses(state),
-        samples=sum(len(r) for r in nominal.residuals),
-        tried=state.tried,
+        samples=sum(len(r) for r in nominal.residuals) or None,
+        tried=state.tried or None,
+        held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
+        floor_from=how,
+        scores=rows,
+        forces={**left.places} if left is not None else {},
+        rounds=state.told,
+        reasons=[*reasons, *_reasons(state)],
+    )
+    return ranked(file), Drawings(
+        maps=places.maps(where),
+        parts=[*regime, *phase, *time],
+        overlays=shrinkage.overlays(held, units),
+        sketches=places.sketches(left) if left is not None and left.found else [],
     )
 
 
@@ -160,9 +176,8 @@ def _alone(state: State) -> Fit:
     return context.fit((), noise_model, context.begins(context.problem(()), begin), tolerance=FINE)
 
 
-def _reasons(state: State) -> tuple[str, ...]:
-    said: list[str] = []
-    said += [f"{name}: {why}" for name, why in state.singles.screen.left_out.items()]
+def _reasons(state: State) -> list[str]:
+    said = [f"{name}: {why}" for name, why in state.singles.screen.left_out.items()]
     if state.out_of_time:
         said.append("the time budget ran out before every effect was refitted")
     said += [
@@ -170,7 +185,7 @@ def _reasons(state: State) -> tuple[str, ...]:
         for kind in state.random_effects
         if kind.sd > 0.02
     ]
-    return tuple(said)
+    return said
 
 
 def _channels(
@@ -178,89 +193,96 @@ def _channels(
     nominal: Fit,
     residuals: Sequence[Array],
     floor: Mapping[str, float],
-    shipped: Mapping[str, float],
     units: Mapping[str, str],
     held: Sequence[shrinkage.Piece],
-) -> tuple[ChannelGap, ...]:
-    squares: dict[str, list[Array]] = {}
+) -> list[ChannelGap]:
     spans: dict[str, list[Array]] = {}
     for k, trial in enumerate(context.trials):
         for channel, series in split(nominal, k, residuals[k]).items():
-            there = np.isfinite(series)
-            squares.setdefault(channel, []).append(series[there] ** 2)
-            spans.setdefault(channel, []).append(trial.measured[channel][there])
-    as_given: dict[str, list[Array]] = {}
-    for p in held:
-        error = (p.measured - p.shipped)[np.isfinite(p.measured)]
-        as_given.setdefault(p.channel, []).append(error**2)
+            spans.setdefault(channel, []).append(trial.measured[channel][np.isfinite(series)])
+    pieces = shrinkage.by_channel(held)
     excess = _excess(nominal, residuals, floor)
     total = sum(excess.values()) or 1.0
     found = []
-    for channel, parts in squares.items():
-        rmse = float(np.sqrt(np.mean(np.concatenate(parts))))
-        span = float(np.ptp(np.concatenate(spans[channel]))) or 1.0
-        before = as_given.get(channel)
-        shipped_rmse = float(np.sqrt(np.mean(np.concatenate(before)))) if before else math.nan
+    for channel, left in by_channel(nominal, residuals).items():
+        rmse, size = _rms(left), _span(spans[channel])
+        errors = [p.seen(p.measured - p.shipped) for p in pieces.get(channel, ())]
         found.append(
             ChannelGap(
-                channel, units.get(channel, "1"), rmse / span, floor[channel] / span, excess[channel] / total,
-                rmse, shipped_rmse / span,
+                channel=channel,
+                nrmse=rmse / size,
+                floor=floor[channel] / size,
+                share=excess[channel] / total,
+                rmse=rmse,
+                unit=units.get(channel, "1"),
+                shipped=_rms(np.concatenate(errors)) / size if errors else None,
             )
-        )  # fmt: skip
-    return tuple(sorted(found, key=lambda c: -c.share))
+        )
+    return found
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _span(parts: Sequence[Array]) -> float:
+    """The range over all parts; 1 where it is none."""
+    return float(np.ptp(np.concatenate(parts))) or 1.0
 
 
 def _causes(
     state: State,
     chosen: Sequence[Named],
     nominal: Fit,
-    given: Mapping[str, Given],
-    closing: tuple[Shrinkage, ...],
+    given: Mapping[str, Estimate],
+    closing: list[Shrinkage],
 ) -> list[Cause]:
     if not chosen:
         return []
     sd = conclusion.parameter_errors(state, state.base)
-    absorbed = _absorbed(state, nominal, given, sd)
-    beyond = _extrapolations(state, nominal)
-    causes = []
-    for number, c in enumerate(chosen):
-        effect = c.best.tried.effect
-        numbers: dict[str, Number] = {}
-        for p in c.best.tried.parameters:
-            labels = [n for n in state.base.labels if n.split("[")[0] == f"{effect.name}/{p.name}"]
-            values = [state.base.value(n) for n in labels]
-            if not values:
-                continue
-            if p.per_trial:
-                size = float(np.sqrt(np.mean(np.square(values))))
-                numbers[f"{p.name}_rms"] = Number(size, None, p.unit)
-            else:
-                bound = values[0] <= p.lower or values[0] >= p.upper
-                error = sd.get(labels[0])
-                status = "at-bound" if bound else "estimated"
-                numbers[p.name] = Number(values[0], None if bound else error, p.unit, status)
-        causes.append(
-            Cause(
-                effect.name,
-                effect.stage,
-                effect.meaning,
-                effect.sources,
-                float(np.clip(c.probability, 0.0, 1.0)),
-                c.equivalent,
-                numbers,
-                closing if number == 0 else (),
-                c.best.gain,
-                c.best.stderr,
-                absorbed if number == 0 else (),
-                beyond if number == 0 else (),
-            )
+    causes = [
+        Cause(
+            effect=c.best.tried.effect.name,
+            probability=float(np.clip(c.probability, 0.0, 1.0)),
+            equivalent=list(c.equivalent),
+            parameters=_values(state, c, sd),
+            stage=c.best.tried.effect.stage,
+            meaning=c.best.tried.effect.meaning,
+            sources=list(c.best.tried.effect.sources),
+            gain=c.best.gain,
+            gain_stderr=c.best.stderr,
         )
-    return causes
+        for c in chosen
+    ]
+    first = {
+        "shrinkage": closing,
+        "absorbed": _absorbed(state, nominal, given, sd),
+        "extrapolation": _extrapolations(state, nominal),
+    }
+    return [causes[0].model_copy(update=first), *causes[1:]]
+
+
+def _values(state: State, cause: Named, sd: Mapping[str, float]) -> dict[str, Value]:
+    """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
+    found = {}
+    for p in cause.best.tried.parameters:
+        name = f"{cause.best.tried.effect.name}/{p.name}"
+        labels = [n for n in state.base.labels if n.split("[")[0] == name]
+        values = [state.base.value(n) for n in labels]
+        if not values:
+            continue
+        if p.per_trial:
+            found[f"{p.name}_rms"] = Value(value=_rms(np.array(values)), unit=p.unit)
+        elif values[0] <= p.lower or values[0] >= p.upper:
+            found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
+        else:
+            found[p.name] = Value(value=values[0], stderr=sd.get(labels[0]), unit=p.unit)
+    return found
 
 
 def _absorbed(
-    state: State, nominal: Fit, given: Mapping[str, Given], sd: Mapping[str, float]
-) -> tuple[Absorbed, ...]:
+    state: State, nominal: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
+) -> list[Absorbed]:
     plain = conclusion.parameter_errors(state, nominal)
     found = []
     for p in state.context.parameters:
@@ -269,22 +291,22 @@ def _absorbed(
         known = given.get(p.name)
         found.append(
             Absorbed(
-                p.name,
-                p.unit,
-                Number(known.value, known.stderr, p.unit, known.status) if known else None,
-                Number(nominal.value(p.name), plain[p.name], p.unit),
-                Number(state.base.value(p.name), sd.get(p.name), p.unit),
-                p.bounds,
+                coefficient=p.name,
+                given=known
+                and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
+                without=Value(value=nominal.value(p.name), stderr=plain[p.name], unit=p.unit),
+                with_effect=Value(value=state.base.value(p.name), stderr=sd.get(p.name), unit=p.unit),
+                bounds=p.bounds,
             )
         )
-    return tuple(found)
+    return found
 
 
-def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
+def _extrapolations(state: State, nominal: Fit) -> list[Extrapolation]:
     """Errors on the outermost frequency, amplitude or force, left out of the fit."""
     context = state.context
     if not context.folds.whole:
-        return ()
+        return []
     settings = [places.knobs(t) for t in context.trials]
     found = []
     for kind in ("frequency", "amplitude", "force"):
@@ -302,8 +324,8 @@ def _extrapolations(state: State, nominal: Fit) -> tuple[Extrapolation, ...]:
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
                 misfit = float(crossval.held_out(inner)[1])
                 ratios.append(math.sqrt(max(misfit, 0.0) / max(float(inner.samples[1]), 1.0)))
-            found.append(Extrapolation(f"{kind} {label}", ratios[0], ratios[1]))
-    return tuple(found)
+            found.append(Extrapolation(left_out=f"{kind} {label}", before=ratios[0], after=ratios[1]))
+    return found
 
 
 def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
@@ -318,20 +340,17 @@ def _remaining(
 ) -> Remaining:
     left = state.left
     if left is None:
-        return Remaining(0.0, "", True, 0.0)
-    where = _where(state)
-    if not left.found:
-        moving = remainder.drifting(state.low_frequency)
-        if moving:
-            gap, still = (
-                _excess(nominal, residuals, floor),
-                _excess(state.base, state.nuisance_residuals, floor),
-            )
-            share = sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300)
-            return Remaining(min(share, 1.0), where, False, max(left.gain, 0.0))
-        apart = bool(conclusion.differs(state))
-        return Remaining(float(apart), where, not apart, max(left.gain, 0.0))
-    return Remaining(state.posterior.left, where, False, left.gain)
+        return Remaining(share=0.0, where="", white=True, gain=0.0)
+    if left.found:
+        return Remaining(share=state.posterior.left, where=_where(state), white=False, gain=left.gain)
+    moving = remainder.drifting(state.low_frequency)
+    apart = bool(moving or conclusion.differs(state))
+    share = float(apart)
+    if moving:
+        gap = _excess(nominal, residuals, floor)
+        still = _excess(state.base, state.nuisance_residuals, floor)
+        share = min(sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300), 1.0)
+    return Remaining(share=share, where=_where(state), white=not apart, gain=max(left.gain, 0.0))
 
 
 def _where(state: State) -> str:
@@ -345,39 +364,27 @@ def _where(state: State) -> str:
         if apart:
             return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
         return "nothing that a smooth description finds"
-    ranked = sorted(left.places.items(), key=lambda item: -item[1])
-    return " and ".join(place for place, gain in ranked[:2] if gain > 0.3 * max(ranked[0][1], 1e-300))
+    largest = sorted(left.places.items(), key=lambda item: -item[1])
+    return " and ".join(place for place, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
 
 
-def _advice(
-    state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]
-) -> tuple[Advice, ...]:
-    context, found = state.context, state.rounds
+def _advice(state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]) -> list[Advice]:
     if chosen:
+        first = state.rounds[0]
         names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent)
-        rivals = [next(r for r in found[0].ranked if r.tried.effect.name == n) for n in names]
+        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
         if len(rivals) == 1:
-            others = [r for r in found[0].ranked if r.tried.effect.name != names[0]]
-            rivals += others[:1]
+            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
         if len(rivals) > 1:
-            first, second = rivals[0], rivals[1]
-            now = math.sqrt(max(first.gain - second.gain, 0.0))
+            now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
             try:
-                return advice.advise(context, [r.fit for r in rivals], found[0].noise_model, floor, now)
+                return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
             except (ArithmeticError, np.linalg.LinAlgError):
-                return ()
-    if word == "unexplained":
-        where = _where(state)
-        return (
-            Advice(
-                "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
-                f"{where})",
-                (),
-                math.nan,
-                math.nan,
-            ),
-        )
-    return ()
+                return []
+    if word != "unexplained":
+        return []
+    text = "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
+    return [Advice(text=f"{text}{_where(state)})")]
 
 
 # ------------------------------------------------------------ failed samples
@@ -415,60 +422,50 @@ def _with_failed(
     nominal: Fit,
     floor: Mapping[str, float],
     misfit: float,
-    rows: Sequence[Score],
 ) -> list[Cause]:
     """The causes with the failed samples among them, where their misfit puts them."""
-    closing = list(causes[0].shrinkage) if causes else []
-    widened = []
+    closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
+    sound = by_channel(nominal, nominal.residuals)
+    widened = {}
     for channel in floor:
         squares, count = _failed_squares(state, nominal, raw, channel)
         if not count:
             continue
-        sound = [split(nominal, k, nominal.residuals[k]).get(channel) for k in range(len(raw))]
-        own = np.concatenate([s[np.isfinite(s)] for s in sound if s is not None])
-        values = np.concatenate(
-            [t.measured[channel][np.isfinite(t.measured[channel])] for t in raw if channel in t.measured]
+        own = sound[channel]
+        measured = (t.measured[channel] for t in raw if channel in t.measured)
+        size = _span([y[np.isfinite(y)] for y in measured])
+        before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / size
+        known = closing[channel].after if channel in closing else None
+        after = _rms(own) / size if known is None else known
+        level = floor[channel] / size
+        widened[channel] = Shrinkage(
+            channel=channel,
+            before=before,
+            after=after,
+            shipped=before,
+            floor=level,
+            closed=shrinkage.closed(before, after, level),
         )
-        span = float(np.ptp(values)) or 1.0
-        before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
-        known = next((s for s in closing if s.channel == channel), None)
-        after = known.after if known else float(np.sqrt(np.mean(own**2))) / span
-        level = floor[channel] / span
-        widened.append(
-            Shrinkage(
-                channel,
-                before,
-                after,
-                before,
-                level,
-                shrinkage.closed(before, after, level),
-                (math.nan, math.nan),
-            )
-        )
-    rest = [s for s in closing if s.channel not in {w.channel for w in widened}]
     stretches = state.dropouts.stretches
     kinds = sorted({kind for *_, kind in stretches})
-    samples = sum(int(np.isfinite(t.measured[c]).sum()) for t in raw for c in t.measured)
-    first = min(stretches, key=lambda s: s[2])
+    samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
     effect = Cause(
-        MarkerDropout.name,
-        MarkerDropout.stage,
-        f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
-        MarkerDropout.sources,
-        0.97,
-        (),
-        {
-            "failed_share": Number(state.dropouts.count / max(samples, 1), None, "1"),
-            "first_failure_s": Number(first[2], None, "s"),
+        effect=MarkerDropout.name,
+        probability=0.97,
+        parameters={
+            "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
+            "first_failure_s": Value(value=min(s[2] for s in stretches), unit="s"),
         },
-        (),
-        misfit,
-        math.nan,
+        stage=MarkerDropout.stage,
+        meaning=f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
+        sources=list(MarkerDropout.sources),
+        gain=misfit,
     )
-    ordered = sorted([*causes, effect], key=lambda c: -c.gain)
-    head = ordered[0]
-    carried = causes[0] if causes else effect
-    ordered[0] = replace(
-        head, shrinkage=(*widened, *rest), absorbed=carried.absorbed, extrapolations=carried.extrapolations
-    )
-    return [ordered[0], *(replace(c, shrinkage=(), absorbed=(), extrapolations=()) for c in ordered[1:])]
+    of_all = {
+        "shrinkage": [*widened.values(), *(s for c, s in closing.items() if c not in widened)],
+        "absorbed": causes[0].absorbed if causes else [],
+        "extrapolation": causes[0].extrapolation if causes else [],
+    }
+    first, *rest = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
+    bare: dict[str, list[Any]] = {name: [] for name in of_all}
+    return [first.model_copy(update=of_all), *(c.model_copy(update=bare) for c in rest)]

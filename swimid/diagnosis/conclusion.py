@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.diagnosis.candidates import Refitted
+from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import Fit, errors
+from swimid.diagnosis.gap_file import Hypothesis, Score, Stage, Verdict
 from swimid.diagnosis.noise_model import NoiseModel, coloured
-from swimid.diagnosis.posterior import UNSURE, Candidate
+from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.random_effects import LARGEST_SD
-from swimid.diagnosis.result import Score, Verdict
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
+from swimid.fitting.model import Array
 from swimid.fitting.sandwich import sandwich
 
 #: Effects that cannot be told from a cause are the fewest that with it make up so much of the probability.
@@ -59,50 +60,59 @@ def named(state: State, found: Round) -> Named:
     return Named(best, tuple(shown[1:]), posterior.having(*shown), share[name], len(alike) > SET)
 
 
-def scores(state: State) -> tuple[Score, ...]:
-    """How every effect did alone."""
-    found = state.singles
+def scores(state: State) -> list[Score]:
+    """How every effect did alone, the likeliest first."""
     rows: dict[str, Score] = {}
-    for r in found.ranked:
-        e = r.tried.effect
-        if e.name in rows:
-            continue
-        rows[e.name] = Score(
-            e.name,
-            e.stage,
-            ", ".join(p.name for p in r.tried.parameters),
-            r.gain,
-            r.stderr,
-            (int(np.sum(r.gains > 0)), len(r.gains)),
-            r.tried.absorbed,
-            r.tried.gain,
-            True,
-            state.posterior.having(e.name),
-        )
-    for t in found.screen.tried:
-        e = t.effect
-        if e.name not in rows:
-            rows[e.name] = Score(
-                e.name, e.stage, ", ".join(p.name for p in t.parameters), t.gain, float("nan"),
-                (int(np.sum(t.gains > 0)), len(t.gains)), t.absorbed, t.gain, False, 0.0,
-            )  # fmt: skip
-    return tuple(sorted(rows.values(), key=lambda s: (not s.refitted, -s.probability, -s.gain)))
+    for r in state.singles.ranked:
+        name = r.tried.effect.name
+        if name not in rows:
+            rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
+    for t in state.singles.screen.tried:
+        if t.effect.name not in rows:
+            rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
+    return sorted(rows.values(), key=lambda s: (not s.refitted, -(s.probability or 0.0), -(s.gain or 0.0)))
 
 
-def hypotheses(state: State) -> tuple[tuple[Candidate, float], ...]:
-    """Every set of effects that was weighed, as :attr:`swimid.diagnosis.result.Gap.hypotheses` has them."""
+def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:
+    return Score(
+        effect=tried.effect.name,
+        stage=tried.effect.stage,
+        variant=", ".join(p.name for p in tried.parameters),
+        gain=float(gains.sum()),
+        stderr=stderr,
+        won=(int(np.sum(gains > 0)), len(gains)),
+        absorbed=tried.absorbed,
+        screened=tried.gain,
+        refitted=refitted,
+        probability=probability,
+    )
+
+
+def hypotheses(state: State) -> list[Hypothesis]:
+    """Every set of effects that was weighed, the model as it is first."""
     found = state.posterior
-    return tuple((c, found.sets.get(c.names, found.none)) for c in found.candidates)
+    return [
+        Hypothesis(
+            effects=sorted(c.names),
+            numbers=c.numbers,
+            score=c.score,
+            slow=c.slow,
+            folds=c.folds.tolist(),
+            probability=found.sets.get(c.names, found.none),
+        )
+        for c in found.candidates
+    ]
 
 
-def stages(rows: Sequence[Score], gap: bool, applied: set[str]) -> dict[str, float]:
+def stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
     """Share of the evidence each stage of the chain has."""
-    shares: dict[str, float] = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
+    applied = {row.stage for row in rows}
+    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
     if not gap:
         return shares
     for row in rows:
         if row.stage in shares:
-            shares[row.stage] += row.probability
+            shares[row.stage] += row.probability or 0.0
     total = sum(shares.values())
     return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
 

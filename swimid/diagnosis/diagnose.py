@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, nominal, power, power_file, search
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import file as diagnose_file
-from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power_file import DetectionPower, PowerFile
@@ -120,22 +119,22 @@ def diagnose(
         ahead = {"simulated_s": RUNS * lasting, "affected_s": AFFECTED * lasting}
         model.prepare(progress, **ahead, checkpoint=keep)
         workers = options.jobs or os.cpu_count() or 1
-        params = "the robot file" if options.params is None else str(parameters_format.place(options.params))
+        about: dict[str, Any] = {
+            "model": model.name,
+            "robot": experiment.robot.name,
+            "experiment": experiment.name,
+            "params": "the robot file"
+            if options.params is None
+            else str(parameters_format.place(options.params)),
+            "trials": [t.id for t in experiment.trials],
+            "provenance": origin,
+        }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
                 at = power.begun(model, model.parameters, fitted, begun.prior, tried, seed=seed, jobs=workers)
                 rows, left_out = power.shown(at, [e for e in tried if asked is None or e.name in asked])
             keep.done()
-            could = PowerFile(
-                model=model.name,
-                robot=experiment.robot.name,
-                experiment=experiment.name,
-                params=params,
-                trials=[t.id for t in experiment.trials],
-                effects=power_file.rows(rows),
-                left_out=dict(left_out),
-                provenance=origin,
-            )
+            could = PowerFile(**about, effects=rows, left_out=dict(left_out))
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         state = search.run(
             model, model.parameters, fitted, begun.prior, tried,
@@ -143,30 +142,22 @@ def diagnose(
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
-            gap = answer.answer(state, validation, begun.given, fitted, seed=seed, progress=progress)
-    file = diagnose_file.gap_file(
-        gap,
-        model=model.name,
-        robot=experiment.robot.name,
-        experiment=experiment.name,
-        params=params,
-        trials=[t.id for t in experiment.trials],
-        settings={
-            "prior": "none but the bounds"
-            if options.params is None
-            else ("from other trials" if not begun.own_data else "these trials: none but the bounds"),
-            "held_out": "validation trials"
-            if validation
-            else ("folds of settings" if state.context.folds.whole else "stretches of trials"),
-            "folds": state.context.folds.labels if len(state.context.folds.labels) <= 30 else [],
-        },
-        provenance=origin,
-    )
+            file, drawings = answer.answer(
+                state, validation, begun.given, fitted, seed=seed, progress=progress
+            )
+    folds = state.context.folds
+    prior = "from other trials" if not begun.own_data else "these trials: none but the bounds"
+    settings = {
+        "prior": "none but the bounds" if options.params is None else prior,
+        "held_out": "validation trials"
+        if validation
+        else ("folds of settings" if folds.whole else "stretches of trials"),
+        "folds": folds.labels if len(folds.labels) <= 30 else [],
+    }
+    file = file.model_copy(update={**about, "settings": settings})
     evidence = diagnose_evidence.evidence(
-        gap, file, sources=experiment.robot.sources, notices=blocks.notices(notices)
+        file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
-    text = diagnose_summary.summary(file)
-    made = Diagnosis("diagnose", text, file.model_dump(mode="json"), evidence=evidence, document=file)
-    made = made.saved(output)
+    made = Diagnosis.of(file, evidence).saved(output)
     keep.done()
     return made

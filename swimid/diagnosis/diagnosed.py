@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swimid.diagnosis import gap_file, summary
 from swimid.diagnosis.gap_file import GapFile
 from swimid.results.evidence import Evidence
-from swimid.results.result import Result
+from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Result):
+class Diagnosis(FileResult[GapFile]):
     """The gap between trials and a model, and its causes, as ``diagnose`` gives it.
 
     Attributes
@@ -38,12 +37,7 @@ class Diagnosis(Result):
     """
 
     format = gap_file.FORMAT
-
-    @property
-    def file(self) -> GapFile:
-        """What :meth:`save` writes."""
-        assert isinstance(self.document, GapFile)
-        return self.document
+    file_type = GapFile
 
     @property
     def answer(self) -> str:
@@ -80,13 +74,5 @@ class Diagnosis(Result):
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
 
     @classmethod
-    def _read(cls, path: str | Path) -> GapFile:
-        return gap_file.read(path)
-
-    @classmethod
     def _told(cls, document: GapFile, evidence: Evidence | None) -> str:
         return summary.summary(document)
-
-    def _write(self, path: Path) -> list[Path]:
-        gap_file.write(path, self.file)
-        return [path]

@@ -1,17 +1,17 @@
-"""Evidence of a diagnosis: checks, tables and methods; its figures are in ``diagnose_figures``."""
+"""Evidence of a diagnosis: checks, tables and methods; its figures are in ``figures``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Iterable, Sequence
+from typing import Literal
 
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as words
-from swimid.diagnosis.gap_file import Cause, GapFile, Score
-from swimid.diagnosis.result import Gap
+from swimid.diagnosis.drawings import Drawings
+from swimid.diagnosis.gap_file import GapFile
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 
 #: The causes should close at least this share of a channel's gap.
 GOOD_CLOSED = 0.5
@@ -39,28 +39,20 @@ RAD = (
     "approximate leave-one-out cross-validation. Journal of the Royal Statistical Society B, 82(4), 965-996."
 )
 
-Row = list[str | float | int | bool | None]
-
 
 def evidence(
-    gap: Gap,
     file: GapFile,
+    drawings: Drawings,
     *,
     sources: Sequence[str] = (),
     notices: Sequence[ev.NoticeRecord] = (),
-    provenance: Mapping[str, Any] | None = None,
 ) -> ev.Evidence:
     """What a diagnosis rests on.
 
     Parameters
     ----------
-    gap : Gap
-    file : GapFile
-        Made from it.
     sources : sequence of str
         Of the robot, to cite.
-    provenance : mapping, optional
-        Default that of the file.
     """
     references = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
     named = [source for cause in file.causes for source in cause.sources]
@@ -70,11 +62,11 @@ def evidence(
         verdict=verdict(file),
         checks=checks(file),
         tables=tables(file),
-        figures=diagnose_figures.figures(gap, file),
+        figures=diagnose_figures.figures(file, drawings),
         notices=list(notices),
         methods=methods(file),
         references=list(dict.fromkeys([*sources, *references, *named])),
-        provenance=dict(file.provenance if provenance is None else provenance),
+        provenance=dict(file.provenance),
     )
 
 
@@ -86,14 +78,12 @@ def verdict(file: GapFile) -> ev.Verdict:
     left = file.remaining.share
     if file.verdict == "unexplained" and (left is None or left > 0.5):
         level = "bad"
-    said = [words.verdict_sentence(file)]
+    said = words.verdict_sentence(file)
     closed = next((s for s in words.held_out(file) if s.closed is not None), None)
     if closed is not None:
-        said.append(f"Of the gap in {closed.channel} {words.closed_text(closed)} is closed.")
-    unsure = [c.name for c in checks(file) if c.verdict in ("warn", "fail")]
-    if unsure:
-        said.append(f"Look at: {', '.join(unsure)}.")
-    return ev.Verdict(level=level, word=gap_format.WORDS[file.verdict], text=" ".join(said))
+        said += f" Of the gap in {closed.channel} {words.closed_text(closed)} is closed."
+    text = blocks.verdict(checks(file), said).text
+    return ev.Verdict(level=level, word=gap_format.WORDS[file.verdict], text=text)
 
 
 # ---------------------------------------------------------------- checks
@@ -101,166 +91,128 @@ def verdict(file: GapFile) -> ev.Verdict:
 
 def checks(file: GapFile) -> list[ev.Check]:
     """The tests the answer has to pass."""
-    found = _size(file)
-    if file.verdict == "none":
-        return [*found, *_nothing_gains(file)]
-    found += _gains(file) + _rivals(file) + _closed(file) + _transfer(file) + _coefficients(file)
-    left = file.remaining
-    found.append(
-        ev.Check(
-            name="what remains",
-            value=words.remaining_text(file),
-            limit="no structure",
-            verdict="pass" if left.white else "warn",
-            text="whether a description without any physics still gains on held-out trials",
-        )
+    parts = (
+        (_nothing_gains,)
+        if file.verdict == "none"
+        else (_gains, _rivals, _closed, _transfer, _coefficients, _left)
     )
-    return found
+    return [check for part in (_size, *parts) for check in part(file)]
 
 
-def _size(file: GapFile) -> list[ev.Check]:
-    known = [c for c in file.where.channels if c.nrmse is not None]
-    if not known:
-        return []
+def _size(file: GapFile) -> Iterable[ev.Check]:
     # the largest is first
-    return [
-        ev.Check(
-            name="size of the gap",
-            value=words.size_of(known[0]),
-            verdict="pass" if file.verdict == "none" else "info",
+    for largest in [c for c in file.where.channels if c.nrmse is not None][:1]:
+        yield ev.check(
+            "size of the gap",
+            words.size_of(largest),
+            True if file.verdict == "none" else None,
             text="root-mean-square error of the refitted model over the measured range, in the channel with "
             f"most of the gap; {file.floor_from or 'the floor is what noise alone would leave'}",
         )
-    ]
 
 
-def _nothing_gains(file: GapFile) -> list[ev.Check]:
-    best = next((s for s in file.scores if s.refitted and s.gain is not None), None)
-    if best is None:
-        return []
-    return [
-        ev.Check(
-            name="largest held-out gain",
-            value=f"{numbers.number(best.gain, 3)} ({best.effect})",
-            verdict="pass",
+def _nothing_gains(file: GapFile) -> Iterable[ev.Check]:
+    for best in words.refitted(file)[:1]:
+        yield ev.check(
+            "largest held-out gain",
+            f"{numbers.number(best.gain, 3)} ({best.effect})",
+            True,
             text=f"of all effects tried; {words.otherwise_text(file)}",
         )
-    ]
 
 
-def _gains(file: GapFile) -> list[ev.Check]:
-    found = []
+def _gains(file: GapFile) -> Iterable[ev.Check]:
     for cause in file.causes:
-        above = cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0)
         won = next((s.won for s in file.scores if s.effect == cause.effect and s.won[1]), None)
         most = f"; positive in {won[0]} of {won[1]} folds" if won else ""
-        found.append(
-            ev.Check(
-                name=f"held-out gain of {cause.effect}",
-                value=numbers.measured(cause.gain, cause.gain_stderr) + most,
-                limit="> 2 std. errors",
-                verdict="pass" if above else "warn",
-                text="drop of the squared residuals, in units of the noise, in approximate cross-validation",
-            )
+        yield ev.check(
+            f"held-out gain of {cause.effect}",
+            numbers.measured(cause.gain, cause.gain_stderr) + most,
+            cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0),
+            "> 2 std. errors",
+            "drop of the squared residuals, in units of the noise, in approximate cross-validation",
         )
-    return found
 
 
-def _rivals(file: GapFile) -> list[ev.Check]:
-    if not file.causes:
-        return []
-    sets = [c for c in file.causes if c.equivalent]
-    return [
-        ev.Check(
-            name="rivals",
-            value="; ".join(f"{c.effect}: {words.listed(c.equivalent)}" for c in sets) if sets else "none",
-            limit="none",
-            verdict="warn" if sets else "pass",
-            text="effects that have 90 % of the probability with the cause, the other causes given",
+def _rivals(file: GapFile) -> Iterable[ev.Check]:
+    sets = [f"{c.effect}: {words.listed(c.equivalent)}" for c in file.causes if c.equivalent]
+    if file.causes:
+        yield ev.check(
+            "rivals",
+            "; ".join(sets) or "none",
+            not sets,
+            "none",
+            "effects that have 90 % of the probability with the cause, the other causes given",
         )
-    ]
 
 
-def _closed(file: GapFile) -> list[ev.Check]:
-    found = []
+def _closed(file: GapFile) -> Iterable[ev.Check]:
     for s in words.held_out(file)[:3]:
         if s.closed is None:
             continue
         low = s.ci95[0]
-        good = s.closed >= GOOD_CLOSED and (low is None or low > 0)
-        found.append(
-            ev.Check(
-                name=f"gap closed in {s.channel}",
-                value=words.closed_text(s),
-                limit=f"≥ {100 * GOOD_CLOSED:g} %, interval above 0",
-                verdict="pass" if good else "warn",
-                text=f"{words.held_out_text(file)}: {words.errors_text(s)}",
-            )
+        yield ev.check(
+            f"gap closed in {s.channel}",
+            words.closed_text(s),
+            s.closed >= GOOD_CLOSED and (low is None or low > 0),
+            f"≥ {100 * GOOD_CLOSED:g} %, interval above 0",
+            f"{words.held_out_text(file)}: {words.errors_text(s)}",
         )
-    return found
 
 
-def _transfer(file: GapFile) -> list[ev.Check]:
+def _transfer(file: GapFile) -> Iterable[ev.Check]:
     tried = [e for c in file.causes[:1] for e in c.extrapolation if None not in (e.before, e.after)]
-    if not tried:
-        return []
     lost = [e.left_out for e in tried if (e.after or 0.0) > (e.before or 0.0)]
-    return [
-        ev.Check(
-            name="carries over to settings left out",
-            value="yes" if not lost else f"not to {words.listed(lost)}",
-            limit="all",
-            verdict="warn" if lost else "pass",
-            text="an effect that loses where it was not fitted takes up errors and causes none",
+    if tried:
+        yield ev.check(
+            "carries over to settings left out",
+            f"not to {words.listed(lost)}" if lost else "yes",
+            not lost,
+            "all",
+            "an effect that loses where it was not fitted takes up errors and causes none",
         )
-    ]
 
 
-def _coefficients(file: GapFile) -> list[ev.Check]:
-    known = {a.coefficient: a for c in file.causes for a in c.absorbed}
+def _coefficients(file: GapFile) -> Iterable[ev.Check]:
+    known = words.absorbed(file.causes)
     if not known:
-        return []
-    stuck = [n for n, a in known.items() if a.with_effect.status == "at-bound"]
+        return
+    stuck = [a.coefficient for a in known if a.with_effect.status == "at-bound"]
+    yield ev.check(
+        "coefficients with the causes",
+        f"at a bound: {words.listed(stuck)}" if stuck else "inside their bounds",
+        not stuck,
+        "inside",
+        "a coefficient at its bound still stands in for something",
+    )
     stood_in = [a.coefficient for a in words.moved(file.causes)]
-    found = [
-        ev.Check(
-            name="coefficients with the causes",
-            value="inside their bounds" if not stuck else f"at a bound: {words.listed(stuck)}",
-            limit="inside",
-            verdict="warn" if stuck else "pass",
-            text="a coefficient at its bound still stands in for something",
-        )
-    ]
     if stood_in:
-        found.append(
-            ev.Check(
-                name="coefficients that stood in for the causes",
-                value=words.listed(stood_in),
-                verdict="info",
-                text="their values without the causes are not to be used",
-            )
+        yield ev.check(
+            "coefficients that stood in for the causes",
+            words.listed(stood_in),
+            None,
+            text="their values without the causes are not to be used",
         )
-    hidden = [s for s in _answering(file) if s.absorbed is not None and s.absorbed > HIDDEN]
+    named = {c.effect for c in file.causes}
+    hidden = [s for s in file.scores if s.effect in named and (s.absorbed or 0.0) > HIDDEN]
     if hidden:
-        found.append(
-            ev.Check(
-                name="hidden in the coefficients",
-                value="; ".join(f"{s.effect}: {numbers.percent(s.absorbed, 2)}" for s in hidden),
-                limit=f"≤ {100 * HIDDEN:g} %",
-                verdict="warn",
-                text="share of the cause's signature that the model's own coefficients imitate",
-            )
+        yield ev.check(
+            "hidden in the coefficients",
+            "; ".join(f"{s.effect}: {numbers.percent(s.absorbed, 2)}" for s in hidden),
+            False,
+            f"≤ {100 * HIDDEN:g} %",
+            "share of the cause's signature that the model's own coefficients imitate",
         )
-    return found
 
 
-def _answering(file: GapFile) -> list[Score]:
-    names = {c.effect for c in file.causes}
-    first: dict[str, Score] = {}
-    for s in file.scores:
-        if s.effect in names:
-            first.setdefault(s.effect, s)
-    return list(first.values())
+def _left(file: GapFile) -> Iterable[ev.Check]:
+    yield ev.check(
+        "what remains",
+        words.remaining_text(file),
+        file.remaining.white,
+        "no structure",
+        "whether a description without any physics still gains on held-out trials",
+    )
 
 
 # ---------------------------------------------------------------- tables
@@ -268,31 +220,26 @@ def _answering(file: GapFile) -> list[Score]:
 
 def tables(file: GapFile) -> list[ev.Table]:
     """What cannot be told apart, every effect tried, the coefficients, and settings left out."""
-    found = [_equivalence(file)] if any(c.equivalent for c in file.causes) else []
-    if any(c.absorbed for c in file.causes):
-        found.append(_absorbed(file.causes))
-    if any(c.extrapolation for c in file.causes):
-        found.append(_extrapolations(file.causes))
-    if file.scores:
-        found.append(_scores(file))
-    return found
+    found = (_equivalence(file), _absorbed(file), _extrapolations(file), _scores(file))
+    return [table for table in found if table.rows]
 
 
 def _equivalence(file: GapFile) -> ev.Table:
-    scores = {s.effect: s for s in reversed(file.scores)}
-    rows: list[Row] = []
+    scores = {s.effect: s for s in file.scores}
+    rows = []
     for cause in file.causes:
         for name in (cause.effect, *cause.equivalent) if cause.equivalent else ():
             s = scores.get(name)
-            rows.append(
+            told = (
                 [
-                    cause.effect,
-                    name,
-                    (s.stage or numbers.NOTHING) if s else numbers.NOTHING,
-                    numbers.measured(s.gain, s.stderr) if s else numbers.NOTHING,
-                    numbers.percent(s.probability, 2) if s else numbers.NOTHING,
+                    s.stage or numbers.NOTHING,
+                    numbers.measured(s.gain, s.stderr),
+                    numbers.percent(s.probability, 2),
                 ]
+                if s
+                else [numbers.NOTHING] * 3
             )
+            rows.append([cause.effect, name, *told])
     return ev.Table(
         id="equivalent",
         title="What these trials cannot tell apart",
@@ -303,18 +250,17 @@ def _equivalence(file: GapFile) -> ev.Table:
     )
 
 
-def _absorbed(causes: Sequence[Cause]) -> ev.Table:
-    known = {a.coefficient: a for c in causes for a in c.absorbed}
-    strayed = {a.coefficient for a in words.moved(causes)}
-    rows: list[Row] = [
+def _absorbed(file: GapFile) -> ev.Table:
+    strayed = {a.coefficient for a in words.moved(file.causes)}
+    rows = [
         [
-            name,
+            a.coefficient,
             "–" if a.given is None else numbers.measured(a.given.value, a.given.stderr, a.given.unit),
             *(words.value_text(v) for v in (a.without, a.with_effect)),
             numbers.bounds_text(a.bounds),
-            "yes" if name in strayed else "no",
+            "yes" if a.coefficient in strayed else "no",
         ]
-        for name, a in known.items()
+        for a in words.absorbed(file.causes)
     ]
     return ev.Table(
         id="coefficients",
@@ -327,36 +273,32 @@ def _absorbed(causes: Sequence[Cause]) -> ev.Table:
     )
 
 
-def _extrapolations(causes: Sequence[Cause]) -> ev.Table:
-    known = {e.left_out: e for c in causes for e in c.extrapolation}
-    rows: list[Row] = [
-        [name, numbers.number(e.before, 3), numbers.number(e.after, 3)] for name, e in known.items()
-    ]
+def _extrapolations(file: GapFile) -> ev.Table:
+    known = {e.left_out: e for c in file.causes for e in c.extrapolation}
     return ev.Table(
         id="extrapolation",
         title="Settings left out of the fit",
         columns=["Left out", "Without the causes", "With them"],
-        rows=rows,
+        rows=[[name, numbers.number(e.before, 3), numbers.number(e.after, 3)] for name, e in known.items()],
         caption="Root-mean-square error on all trials of a setting, left out of the fit by one Gauss-Newton "
         "step from the fit to all, in units of the noise. Good: smaller with the causes, and near 1.",
     )
 
 
 def _scores(file: GapFile) -> ev.Table:
-    rows: list[Row] = []
-    for s in file.scores:
-        rows.append(
-            [
-                s.effect,
-                s.stage or numbers.NOTHING,
-                s.variant or numbers.NOTHING,
-                numbers.measured(s.gain, s.stderr) if s.refitted else numbers.NOTHING,
-                f"{s.won[0]} of {s.won[1]}" if s.won[1] else numbers.NOTHING,
-                numbers.percent(s.absorbed, 2),
-                numbers.number(s.screened, 3),
-                numbers.percent(s.probability, 2),
-            ]
-        )
+    rows = [
+        [
+            s.effect,
+            s.stage or numbers.NOTHING,
+            s.variant or numbers.NOTHING,
+            numbers.measured(s.gain, s.stderr) if s.refitted else numbers.NOTHING,
+            f"{s.won[0]} of {s.won[1]}" if s.won[1] else numbers.NOTHING,
+            numbers.percent(s.absorbed, 2),
+            numbers.number(s.screened, 3),
+            numbers.percent(s.probability, 2),
+        ]
+        for s in file.scores
+    ]
     columns = ["Effect", "Stage", "Form", "Held-out gain ± std. error", "Positive in", "Imitated", "Screen"]
     return ev.Table(
         id="scores",

@@ -4,39 +4,48 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from swimid.diagnosis import summary as words
-from swimid.diagnosis.gap_file import GapFile
-from swimid.diagnosis.result import Cell, Gap, Overlay, Sketch
+from swimid.diagnosis.drawings import Drawings, Overlay, Sketch
+from swimid.diagnosis.gap_file import Cell, GapFile
+from swimid.fitting.model import Array
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 
-#: Effects, trials, panels and sketches drawn; rows of a heat map.
-MOST_EFFECTS, MOST_TRIALS, MOST_PANELS, MOST_SKETCHES, MOST_ROWS = 10, 6, 4, 6, 24
+#: Effects, panels and sketches drawn; rows of a heat map.
+MOST_EFFECTS, MOST_PANELS, MOST_SKETCHES, MOST_ROWS = 10, 4, 6, 24
 #: Points of a curve.
 _POINTS = 800
 
 _ALONE = ev.Mark(at=1.0, label="noise alone")
 
 
-def figures(gap: Gap, file: GapFile) -> list[ev.Figure]:
+def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:
     """Where the gap is, what closes it, and what is left."""
-    found = [*_maps(gap), *_parts(gap)]
-    found += (
-        _ranked(file) + _shrinkage(file) + _overlays(gap.overlays, bool(gap.causes)) + _sketches(gap.sketches)
-    )
-    return found
+    return [
+        *_maps(drawings.maps),
+        *_parts(drawings.parts),
+        *_ranked(file),
+        *_shrinkage(file),
+        *_overlays(drawings.overlays, bool(file.causes)),
+        *_sketches(drawings.sketches),
+    ]
+
+
+def _figure(id: str, title: str, caption: str, panels: Sequence[ev.Panel]) -> list[ev.Figure]:
+    """A figure of panels two abreast, where there are any."""
+    return [blocks.panels(id, title, caption, panels, min(len(panels), 2))] if panels else []
 
 
 # ---------------------------------------------------------------- where
 
 
-def _maps(gap: Gap) -> list[ev.Figure]:
+def _maps(maps: Mapping[str, tuple[list[str], list[str], Array]]) -> list[ev.Figure]:
     panels, cut = [], False
-    for title, (rows, columns, values) in gap.maps.items():
+    for title, (rows, columns, values) in maps.items():
         ratios = np.asarray(values, dtype=float)
         if ratios.size == 0:
             continue
@@ -47,47 +56,31 @@ def _maps(gap: Gap) -> list[ev.Figure]:
             worst = np.argsort(-np.nan_to_num(ratios, nan=-1.0).max(axis=1), kind="stable")[:MOST_ROWS]
             kept = np.sort(worst)
             rows, ratios = [rows[k] for k in kept], ratios[kept]
+        heat = ev.Heat(rows=rows, columns=columns, values=list(ratios))
         panels.append(
-            ev.Panel(
-                title=title,
-                x_label="",
-                y_label="root-mean-square residual over the noise",
-                heat=ev.Heat(rows=rows, columns=columns, values=list(ratios)),
-            )
+            blocks.panel("", "root-mean-square residual over the noise", [], title=title, heat=heat)
         )
-    if not panels:
-        return []
     few = f" The {MOST_ROWS} worst rows are shown where there are more." if cut else ""
-    return [
-        ev.Figure(
-            id="gap-map",
-            title="Where the gap is",
-            caption="Residual of the refitted model without any effect, in units of the noise. 1 is noise "
-            "alone and not shaded; the shade grows with the logarithm. Good: every number near 1. A row or "
-            "column that stands out says which trials, channels or part of the stroke the model lacks "
-            f"something in.{few}",
-            panels=panels,
-        )
-    ]
+    caption = (
+        "Residual of the refitted model without any effect, in units of the noise. 1 is noise "
+        "alone and not shaded; the shade grows with the logarithm. Good: every number near 1. A row or "
+        "column that stands out says which trials, channels or part of the stroke the model lacks "
+        f"something in.{few}"
+    )
+    return [blocks.panels("gap-map", "Where the gap is", caption, panels, 1)] if panels else []
 
 
-def _parts(gap: Gap) -> list[ev.Figure]:
+def _parts(parts: Sequence[Cell]) -> list[ev.Figure]:
     groups: dict[str, list[Cell]] = {}
-    for cell in (*gap.regime, *gap.phase, *gap.time):
+    for cell in parts:
         groups.setdefault(cell.kind, []).append(cell)
-    panels = [_part(kind, sorted(cells, key=_order)) for kind, cells in groups.items() if len(cells) > 1]
-    if not panels:
-        return []
-    return [
-        ev.Figure(
-            id="gap-parts",
-            title="The gap over settings, phase and time",
-            caption="Root-mean-square residual over the noise in each part of the data. Good: all near the "
-            "line at 1. Growth with a setting tells what drives the gap.",
-            panels=panels,
-            columns=2 if len(panels) > 1 else 1,
-        )
-    ]
+    return _figure(
+        "gap-parts",
+        "The gap over settings, phase and time",
+        "Root-mean-square residual over the noise in each part of the data. Good: all near the "
+        "line at 1. Growth with a setting tells what drives the gap.",
+        [_part(kind, sorted(cells, key=_order)) for kind, cells in groups.items() if len(cells) > 1],
+    )
 
 
 def _order(cell: Cell) -> tuple[float, str]:
@@ -97,21 +90,16 @@ def _order(cell: Cell) -> tuple[float, str]:
 
 
 def _part(kind: str, cells: Sequence[Cell]) -> ev.Panel:
-    return ev.Panel(
-        title=kind,
-        x_label="",
-        y_label="residual over the noise",
-        traces=[ev.Trace(x=list(range(len(cells))), y=[c.ratio for c in cells], style="bars")],
-        x_categories=[c.label for c in cells],
-        marks=[_ALONE],
-    )
+    bars = ev.Trace(x=list(range(len(cells))), y=[c.ratio for c in cells], style="bars")
+    names = [c.label for c in cells]
+    return blocks.panel("", "residual over the noise", [bars], title=kind, x_categories=names, marks=[_ALONE])
 
 
 # ---------------------------------------------------------------- which
 
 
 def _ranked(file: GapFile) -> list[ev.Figure]:
-    shown = [s for s in file.scores if s.refitted and s.gain is not None][:MOST_EFFECTS]
+    shown = words.refitted(file)[:MOST_EFFECTS]
     if not shown:
         return []
     named = {c.effect for c in file.causes}
@@ -133,19 +121,15 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         if places
     ]
     return [
-        ev.Figure(
-            id="effects",
-            title="What each effect gains in approximate cross-validation",
-            caption=f"Drop of the squared residuals in units of the noise, with one standard error; the best "
+        blocks.figure(
+            "effects",
+            "What each effect gains in approximate cross-validation",
+            f"Drop of the squared residuals in units of the noise, with one standard error; the best "
             f"{len(shown)} of {len(file.scores)} effects, each alone. Good: one effect far above all others.",
-            panels=[
-                ev.Panel(
-                    x_label="",
-                    y_label="held-out gain",
-                    traces=traces,
-                    x_categories=[s.effect for s in shown],
-                )
-            ],
+            "",
+            "held-out gain",
+            traces,
+            x_categories=[s.effect for s in shown],
         )
     ]
 
@@ -171,19 +155,15 @@ def _shrinkage(file: GapFile) -> list[ev.Figure]:
         if any(v is not None for v in values)
     ]
     return [
-        ev.Figure(
-            id="shrinkage",
-            title="Errors before and after",
-            caption=f"Root-mean-square error over the measured range, {words.held_out_text(file)}. "
+        blocks.figure(
+            "shrinkage",
+            "Errors before and after",
+            f"Root-mean-square error over the measured range, {words.held_out_text(file)}. "
             "Good: with the causes it comes down to the noise floor.",
-            panels=[
-                ev.Panel(
-                    x_label="",
-                    y_label="error over the measured range (%)",
-                    traces=traces,
-                    x_categories=[s.channel for s in found],
-                )
-            ],
+            "",
+            "error over the measured range (%)",
+            traces,
+            x_categories=[s.channel for s in found],
         )
     ]
 
@@ -192,28 +172,23 @@ def _overlays(overlays: Sequence[Overlay], closed: bool) -> list[ev.Figure]:
     trials: dict[str, list[Overlay]] = {}
     for overlay in overlays:
         trials.setdefault(overlay.trial, []).append(overlay)
-    # held-out trials are the ones that count
-    order = sorted(trials, key=lambda t: not trials[t][0].held_out)[:MOST_TRIALS]
-    missing = "" if len(order) == len(trials) else f" {len(order)} of {len(trials)} trials are shown."
-    found = []
-    for name in order:
-        parts = trials[name][:MOST_PANELS]
-        how = "held out of the fit" if parts[0].held_out else "part of the fit"
-        lines = (
-            "the model refitted without the causes dashed, with them solid; this trial was "
-            f"{how}. Good: the solid line runs through the points, the dashed one beside them."
-            if closed
-            else f"lines the refitted model; this trial was {how}. Good: the line runs through the points."
+    held_out = "this trial was held out of the fit. Good: the"
+    lines = (
+        f"the model refitted without the causes dashed, with them solid; {held_out} solid line runs through "
+        "the points, the dashed one beside them."
+        if closed
+        else f"lines the refitted model; {held_out} line runs through the points."
+    )
+    return [
+        blocks.panels(
+            f"overlay-{name}",
+            f"{name}: before and after" if closed else f"{name}: measured and simulated",
+            f"Points are measured, {lines}",
+            [_overlay(o, closed) for o in parts[:MOST_PANELS]],
+            1,
         )
-        found.append(
-            ev.Figure(
-                id=f"overlay-{name}",
-                title=f"{name}: before and after" if closed else f"{name}: measured and simulated",
-                caption=f"Points are measured, {lines}{missing}",
-                panels=[_overlay(o, closed) for o in parts],
-            )
-        )
-    return found
+        for name, parts in trials.items()
+    ]
 
 
 def _overlay(o: Overlay, closed: bool) -> ev.Panel:
@@ -228,36 +203,32 @@ def _overlay(o: Overlay, closed: bool) -> ev.Panel:
         x, y = ev.thinned(o.time_s, scale * np.asarray(values, dtype=float), _POINTS)
         traces.append(ev.Trace(x=x, y=y, style=style, label=label, group=k))  # type: ignore[arg-type]
     name = numbers.split_unit(o.channel)[0].replace("_", " ")
-    return ev.Panel(x_label="time (s)", y_label=f"{name} ({numbers.unit_text(unit) or '1'})", traces=traces)
+    return blocks.panel("time (s)", _label(name, unit), traces)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({numbers.unit_text(unit) or '1'})"
 
 
 # ---------------------------------------------------------------- what is left
 
 
 def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
-    shown = sorted(sketches, key=lambda s: -s.gain)[:MOST_SKETCHES]
-    if not shown:
-        return []
-    panels = []
-    for s in shown:
-        y, error = np.asarray(s.y, dtype=float), np.nan_to_num(np.asarray(s.stderr, dtype=float))
-        panels.append(
-            ev.Panel(
-                x_label=f"{s.against} ({numbers.unit_text(s.against_unit) or '1'})",
-                y_label=f"{s.name} ({numbers.unit_text(s.unit) or '1'})",
-                traces=[ev.Trace(x=s.x, y=y, lower=y - 2 * error, upper=y + 2 * error)],
-                marks=[ev.Mark(at=0.0)],
-            )
+    panels = [
+        blocks.panel(
+            _label(s.against, s.against_unit),
+            _label(s.name, s.unit),
+            [blocks.band(s.x, s.y, 2 * np.nan_to_num(s.stderr))],
+            marks=[ev.Mark(at=0.0)],
         )
-    return [
-        ev.Figure(
-            id="sketches",
-            title="The shape of what the model lacks",
-            caption="The force, moment or sensor term that would have to be added to the refitted model, "
-            "over what may drive it, with twice its standard error. Its shape hints at the physics: "
-            "straight through zero over speed is linear drag, a constant is a trim or a current. Good: "
-            "flat about zero.",
-            panels=panels,
-            columns=2 if len(panels) > 1 else 1,
-        )
+        for s in sketches[:MOST_SKETCHES]
     ]
+    return _figure(
+        "sketches",
+        "The shape of what the model lacks",
+        "The force, moment or sensor term that would have to be added to the refitted model, "
+        "over what may drive it, with twice its standard error. Its shape hints at the physics: "
+        "straight through zero over speed is linear drag, a constant is a trim or a current. Good: "
+        "flat about zero.",
+        panels,
+    )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -187,9 +188,10 @@ class Hypothesis(yamlio.Document):
     probability: Number = None
 
 
-class GapFile(yamlio.Document):
+class GapFile(yamlio.ResultFile):
     """A gap file."""
 
+    kind: ClassVar[str] = "gap file"
     format: Literal["swimid-gap/1"] = FORMAT
     verdict: Verdict
     where: Where
@@ -224,20 +226,34 @@ class GapFile(yamlio.Document):
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
+    def write(self, path: str | Path) -> None:
+        """Write the file, whole or not at all; what is not known is null."""
+        yamlio.write(path, self.model_dump(mode="python"))
 
-def write(path: str | Path, gap: GapFile) -> None:
-    """Write a gap file, whole or not at all; what is not known is null."""
-    yamlio.write(path, gap.model_dump(mode="python"))
 
+def ranked(gap: GapFile) -> GapFile:
+    """The same with the largest first in every list of ``where`` and of scores, and what is not known last.
 
-def read(path: str | Path) -> GapFile:
-    """Read a gap file.
-
-    Raises
-    ------
-    InputError
-        When it is none.
+    Scores of effects that were refitted go by their gain, then the others by the gain the screen predicted.
     """
-    path = Path(path)
-    data = yamlio.of_format(path, FORMAT, "gap file")
-    return yamlio.validate(data, GapFile, path)
+    where = gap.where
+    channels = sorted(where.channels, key=lambda c: -_size(c.share))
+    order = {c.channel: k for k, c in enumerate(channels)}
+    by_size = {
+        name: sorted(getattr(where, name), key=lambda c: -_size(c.ratio))
+        for name in ("phase", "regime", "time")
+    }
+    stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
+    causes = [
+        c.model_copy(
+            update={"shrinkage": sorted(c.shrinkage, key=lambda s: order.get(s.channel, len(order)))}
+        )
+        for c in gap.causes
+    ]
+    scores = sorted(gap.scores, key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
+    found = where.model_copy(update={"channels": channels, "stage": stage, **by_size})
+    return gap.model_copy(update={"where": found, "causes": causes, "scores": scores})
+
+
+def _size(value: float | None) -> float:
+    return -math.inf if value is None else value

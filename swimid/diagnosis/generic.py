@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -43,15 +44,10 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
 
 #: The same for a body of one coordinate.
 RIG_TERMS = (
-    "constant",
-    "speed",
-    "speed squared",
-    "speed cubed",
-    "place",
-    "place squared",
-    "place cubed",
-    "time",
-)
+    "constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time",
+)  # fmt: skip
+#: What the error of a channel may depend on.
+SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
@@ -70,6 +66,18 @@ class _Generic(Effect):
     meaning: ClassVar[str] = "what is left, without physics"
     #: Words for where it acts.
     place: str = ""
+    #: What it is made of, what their names begin with, and unit and typical size of their factors.
+    terms: tuple[str, ...] = ()
+    prefix: str = ""
+    unit: str = "1"
+    size: float
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """One factor per term."""
+        return tuple(
+            Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
+            for term in self.terms
+        )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Each parameter at its typical size: the change is nearly linear."""
@@ -82,27 +90,18 @@ class ResidualForce(_Generic):
     name: ClassVar[str] = "residual-force"
     needs: ClassVar[frozenset[str]] = frozenset({"force"})
 
+    terms = TERMS
+
     def __init__(self, axis: str, size: float, speed: float, turn: float) -> None:
         self.axis, self.size, self.speed, self.turn = axis, size, speed, turn
-        self.place = f"{axis} {'moment' if axis == 'yaw' else 'force'}"
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
-        unit = "N m" if self.axis == "yaw" else "N"
-        return tuple(
-            Parameter(f"{self.axis} {term}", unit, -math.inf, math.inf, 0.0, self.size) for term in TERMS
-        )
+        self.prefix = f"{axis} "
+        self.unit, kind = ("N m", "moment") if axis == "yaw" else ("N", "force")
+        self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The force of one trial."""
-        constants = np.concatenate(
-            (
-                [AXES[self.axis], beat_hz(trial), trial.time_s[0]],
-                [max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9), self.speed, self.turn],
-                values,
-            )
-        )
-        return Hooks(force=(Force(smooth_force, constants),))
+        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed, self.turn]
+        return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
 
 class ResidualPush(_Generic):
@@ -111,21 +110,17 @@ class ResidualPush(_Generic):
     name: ClassVar[str] = "residual-push"
     needs: ClassVar[frozenset[str]] = frozenset({"force"})
     place = "surge force"
+    terms = RIG_TERMS
+    prefix = "surge "
+    unit = "N"
 
     def __init__(self, size: float, speed: float, span: float) -> None:
         self.size, self.speed, self.span = size, speed, span
 
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
-        return tuple(
-            Parameter(f"surge {term}", "N", -math.inf, math.inf, 0.0, self.size) for term in RIG_TERMS
-        )
-
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The force of one trial."""
-        length = max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
-        constants = np.concatenate(([trial.time_s[0], length, self.speed, self.span], values))
-        return Hooks(force=(Force(smooth_push, constants),))
+        known = [*_window(trial), self.speed, self.span]
+        return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(_Generic):
@@ -135,18 +130,12 @@ class StrokeDeviation(_Generic):
     stage: ClassVar[Stage] = "actuation"
     needs: ClassVar[frozenset[str]] = frozenset({"command"})
     place = "stroke"
-    terms: ClassVar[tuple[str, ...]] = ("gain", "gain x time", "bias", "bias x time", "quarter-beat", "cubic")
-
-    def __init__(self, size: float) -> None:
-        self.size = size
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
-        return tuple(Parameter(term, "1", -math.inf, math.inf, 0.0, 0.03) for term in self.terms)
+    terms = ("gain", "gain x time", "bias", "bias x time", "quarter-beat", "cubic")
+    size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The stroke of one trial."""
-        begin, length = float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+        begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 
         def change(time: Array, angle: Array, joint: int) -> Array:
@@ -167,29 +156,18 @@ class SensorTerm(_Generic):
     name: ClassVar[str] = "residual-sensor"
     stage: ClassVar[Stage] = "sensing"
     needs: ClassVar[frozenset[str]] = frozenset({"output"})
-    terms: ClassVar[tuple[str, ...]] = (
-        "gain",
-        "drift",
-        "drift squared",
-        "cos phase",
-        "sin phase",
-        "quadratic",
-    )
 
-    def __init__(self, channel: str, size: float, *, dynamic: bool) -> None:
-        self.channel, self.size = channel, size
-        self.used = self.terms if dynamic else ("gain", "quadratic")
+    size = 0.02
+
+    def __init__(self, channel: str, top: float, *, dynamic: bool) -> None:
+        self.channel, self.top = channel, top
+        self.terms = SENSOR_TERMS if dynamic else ("gain", "quadratic")
+        self.prefix = f"{channel} "
         self.place = f"sensor of {channel}"
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
-        return tuple(
-            Parameter(f"{self.channel} {term}", "1", -math.inf, math.inf, 0.0, 0.02) for term in self.used
-        )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The channel of one trial."""
-        begin, length = float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+        begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
         def change(channels: dict[str, Array], time: Array) -> dict[str, Array]:
@@ -198,13 +176,13 @@ class SensorTerm(_Generic):
             first = y[0] if len(y) > 1 else 0.0
             by_name = {
                 "gain": y - first,
-                "drift": self.size * late,
-                "drift squared": self.size * late**2,
-                "cos phase": self.size * np.cos(turn * time),
-                "sin phase": self.size * np.sin(turn * time),
-                "quadratic": (y - first) * np.abs(y - first) / self.size,
+                "drift": self.top * late,
+                "drift squared": self.top * late**2,
+                "cos phase": self.top * np.cos(turn * time),
+                "sin phase": self.top * np.sin(turn * time),
+                "quadratic": (y - first) * np.abs(y - first) / self.top,
             }
-            error = sum(v * by_name[name] for v, name in zip(values, self.used, strict=True))
+            error = sum(v * by_name[name] for v, name in zip(values, self.terms, strict=True))
             return {**channels, self.channel: y + error}
 
         return Hooks(output=(change,))
@@ -217,28 +195,18 @@ class StrokeTable(_Generic):
     stage: ClassVar[Stage] = "actuation"
     needs: ClassVar[frozenset[str]] = frozenset({"stroke"})
     place = "thrust"
-    terms: ClassVar[tuple[str, ...]] = (
-        "frequency",
-        "frequency squared",
-        "amplitude",
-        "amplitude squared",
-        "product",
-        "order",
-    )
+    terms = (
+        "frequency", "frequency squared", "amplitude", "amplitude squared", "product", "order",
+    )  # fmt: skip
+    size = 0.1
 
     def __init__(self, frequency_hz: float, amplitude_rad: float, order: Mapping[str, float]) -> None:
         self.frequency_hz, self.amplitude_rad, self.order = frequency_hz, amplitude_rad, order
-
-    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
-        return tuple(Parameter(term, "1", -math.inf, math.inf, 0.0, 0.1) for term in self.terms)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The thrust of one trial."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
-            from dataclasses import replace
-
             f = np.log(stroke.frequency_hz / self.frequency_hz)
             a = np.log(stroke.amplitude_rad / self.amplitude_rad)
             parts = (f, f**2, a, a**2, f * a, self.order.get(trial.id, 0.0))
@@ -246,6 +214,11 @@ class StrokeTable(_Generic):
             return replace(stroke, thrust=stroke.thrust * factor)
 
         return Hooks(stroke=(change,))
+
+
+def _window(trial: Trial) -> tuple[float, float]:
+    """When a trial begins, and its length."""
+    return float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
 
 
 def beat_hz(trial: Trial) -> float:
@@ -290,7 +263,7 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
         for axis in axes:
             found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed, 1.0))
     if "command" in model.offers and dynamic:
-        found.append(StrokeDeviation(0.03))
+        found.append(StrokeDeviation())
     if "stroke" in model.offers:
         f = [float(np.median(t.inputs["frequency_hz"])) for t in trials if "frequency_hz" in t.inputs]
         a = [float(np.median(t.inputs["amplitude_rad"])) for t in trials if "amplitude_rad" in t.inputs]

@@ -11,6 +11,7 @@ import numpy as np
 
 from swimid.files.provenance import digests_of
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
 #: Endings of logs among the inputs.
@@ -24,15 +25,6 @@ DERIVED = 0.3
 
 
 @dataclass(frozen=True)
-class Given:
-    """A coefficient as the parameter file has it."""
-
-    value: float
-    stderr: float | None
-    status: str
-
-
-@dataclass(frozen=True)
 class Begun:
     """What a diagnosis sets out from, its model aside.
 
@@ -40,7 +32,7 @@ class Begun:
     ----------
     trials : list of Trial
         Of every role, as they are compared with the model.
-    given : dict of name to Given
+    given : dict of name to Estimate
         Coefficients of the parameter file.
     own_data : bool
         Whether that was fitted to one of these very logs.
@@ -49,7 +41,7 @@ class Begun:
     """
 
     trials: list[Trial]
-    given: dict[str, Given]
+    given: dict[str, Estimate]
     own_data: bool
     prior: dict[str, tuple[float, float]]
 
@@ -64,13 +56,9 @@ def begun(loaded: Loaded) -> Begun:
     return Begun(trials, given, same, prior(model.parameters, given, own_data=same))
 
 
-def _given(loaded: Loaded) -> dict[str, Given]:
+def _given(loaded: Loaded) -> dict[str, Estimate]:
     file = loaded.applied.file
-    if file is None:
-        return {}
-    return {
-        name: Given(e.value, e.stderr, e.status) for name, e in file.parameters.items() if "[" not in name
-    }
+    return {} if file is None else {name: e for name, e in file.parameters.items() if "[" not in name}
 
 
 def _own_data(loaded: Loaded) -> bool:
@@ -83,7 +71,7 @@ def _own_data(loaded: Loaded) -> bool:
 
 
 def refitted(
-    parameters: Sequence[Parameter], given: Mapping[str, Given], values: Array, own: Collection[str] = ()
+    parameters: Sequence[Parameter], given: Mapping[str, Estimate], values: Array, own: Collection[str] = ()
 ) -> tuple[Parameter, ...]:
     """The model's parameters as the diagnosis refits them.
 
@@ -108,7 +96,7 @@ def refitted(
 
 
 def prior(
-    parameters: Sequence[Parameter], given: Mapping[str, Given], *, own_data: bool
+    parameters: Sequence[Parameter], given: Mapping[str, Estimate], *, own_data: bool
 ) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of each refitted coefficient before these trials.
 

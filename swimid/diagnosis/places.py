@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.diagnosis import remainder
 from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.drawings import Sketch
 from swimid.diagnosis.floor import split
+from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
 from swimid.diagnosis.remainder import Left
-from swimid.diagnosis.result import Cell, Sketch
 from swimid.fitting.model import Array, Trial
 
 Mask = NDArray[np.bool_]
@@ -48,22 +49,36 @@ class Map:
         values = [v[np.isfinite(v)] - 1.0 for by in self.excess for v in by.values()]
         self.total = max(float(np.concatenate(values).sum()) if values else 0.0, 1e-12)
 
+    def values(self, pick: list[tuple[int, Mask]], channels: Collection[str]) -> Array:
+        """Of some samples: trial and mask over its samples."""
+        parts = [v[m & np.isfinite(v)] for k, m in pick for c, v in self.excess[k].items() if c in channels]
+        return np.concatenate(parts) if parts else np.empty(0)
+
     def cell(self, kind: str, label: str, pick: list[tuple[int, Mask]]) -> Cell | None:
-        """The gap in some samples: trial and mask over its samples."""
-        parts = [v[m & np.isfinite(v)] for k, m in pick for v in self.excess[k].values()]
-        values = np.concatenate(parts) if parts else np.empty(0)
+        """The gap in some samples, all channels together."""
+        values = self.values(pick, self.channels)
         if not len(values):
             return None
         share = float(np.sum(values - 1.0)) / self.total
-        return Cell(kind, label, float(np.sqrt(np.mean(values))), float(np.clip(share, 0.0, 1.0)))
+        return Cell(
+            kind=kind,
+            label=label,
+            ratio=float(np.sqrt(np.mean(values))),
+            share=float(np.clip(share, 0.0, 1.0)),
+        )
 
     def every(self, k: int) -> Mask:
         """All samples of a trial."""
         return np.ones(len(self.trials[k].time_s), dtype=bool)
 
 
-def _ranked(cells: Sequence[Cell | None]) -> tuple[Cell, ...]:
-    return tuple(sorted((c for c in cells if c is not None), key=lambda c: -c.share))
+def _ranked(cells: Sequence[Cell | None]) -> list[Cell]:
+    return sorted((c for c in cells if c is not None), key=lambda c: -(c.share or 0.0))
+
+
+def _eighth(trial: Trial) -> Array:
+    """In which of the :data:`PHASES` of the stroke each sample is."""
+    return np.minimum(((trial.time_s * beat_hz(trial)) % 1.0 * PHASES).astype(int), PHASES - 1)
 
 
 def knobs(trial: Trial) -> dict[str, str]:
@@ -89,7 +104,7 @@ def knobs(trial: Trial) -> dict[str, str]:
     return found
 
 
-def regimes(where: Map) -> tuple[Cell, ...]:
+def regimes(where: Map) -> list[Cell]:
     """The gap by what was set, and by trial."""
     groups: dict[tuple[str, str], list[int]] = {}
     for k, trial in enumerate(where.trials):
@@ -107,27 +122,24 @@ def regimes(where: Map) -> tuple[Cell, ...]:
     )
 
 
-def phases(where: Map) -> tuple[Cell, ...]:
+def phases(where: Map) -> list[Cell]:
     """The gap by phase of the stroke; empty without a beat."""
     if not any(t.swim.beat is not None for t in where.trials):
-        return ()
+        return []
     cells = []
     for i in range(PHASES):
-        pick = []
-        for k, t in enumerate(where.trials):
-            turn = (t.time_s * beat_hz(t)) % 1.0
-            pick.append((k, np.minimum((turn * PHASES).astype(int), PHASES - 1) == i))
+        pick = [(k, _eighth(t) == i) for k, t in enumerate(where.trials)]
         low, high = round(360 * i / PHASES), round(360 * (i + 1) / PHASES)
         cells.append(where.cell("phase", f"{low}-{high} deg", pick))
     return _ranked(cells)
 
 
-def times(where: Map) -> tuple[Cell, ...]:
+def times(where: Map) -> list[Cell]:
     """Start-up against steady, and change points of single trials."""
     early, late = [], []
     for k, t in enumerate(where.trials):
         if len(t.time_s) < 10:
-            return ()
+            return []
         span = float(t.time_s[-1] - t.time_s[0])
         beat = t.swim.beat is not None
         start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
@@ -138,9 +150,7 @@ def times(where: Map) -> tuple[Cell, ...]:
     for k, t in enumerate(where.trials):
         at = _change(where, k)
         if at is not None:
-            after = t.time_s >= at
-            cell = where.cell("change", f"{t.id} from {at:.3g} s", [(k, after)])
-            cells.append(cell)
+            cells.append(where.cell("change", f"{t.id} from {at:.3g} s", [(k, t.time_s >= at)]))
     return _ranked(cells)
 
 
@@ -174,16 +184,13 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     """Heat maps of root-mean-square residual over floor."""
     found: dict[str, tuple[list[str], list[str], Array]] = {}
 
-    def ratio(k: int, channel: str, mask: Mask) -> float:
-        v = where.excess[k].get(channel)
-        if v is None:
-            return math.nan
-        there = v[mask & np.isfinite(v)]
-        return float(np.sqrt(np.mean(there))) if len(there) else math.nan
+    def ratio(channel: str, pick: list[tuple[int, Mask]]) -> float:
+        values = where.values(pick, [channel])
+        return float(np.sqrt(np.mean(values))) if len(values) else math.nan
 
     ids = [t.id for t in where.trials]
     if len(ids) <= 30 and any(len(t.time_s) > 5 for t in where.trials):
-        grid = np.array([[ratio(k, c, where.every(k)) for c in where.channels] for k in range(len(ids))])
+        grid = np.array([[ratio(c, [(k, where.every(k))]) for c in where.channels] for k in range(len(ids))])
         found["trial by channel"] = (ids, where.channels, grid)
         thirds = []
         for k, t in enumerate(where.trials):
@@ -191,32 +198,25 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
                 ((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9) * TIMES).astype(int), TIMES - 1
             )
             thirds.append(
-                [_overall(np.array([ratio(k, c, part == i) for c in where.channels])) for i in range(TIMES)]
+                [
+                    _overall(np.array([ratio(c, [(k, part == i)]) for c in where.channels]))
+                    for i in range(TIMES)
+                ]
             )
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
         found["trial by time"] = (ids, labels, np.array(thirds))
     if any(t.swim.beat is not None for t in where.trials):
-        rows = []
-        for channel in where.channels:
-            row = []
-            for i in range(PHASES):
-                parts = []
-                for k, t in enumerate(where.trials):
-                    if channel not in where.excess[k]:
-                        continue
-                    turn = (t.time_s * beat_hz(t)) % 1.0
-                    v = where.excess[k][channel]
-                    parts.append(
-                        v[(np.minimum((turn * PHASES).astype(int), PHASES - 1) == i) & np.isfinite(v)]
-                    )
-                row.append(float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else math.nan)
-            rows.append(row)
+        eighths = [_eighth(t) for t in where.trials]
+        rows = [
+            [ratio(channel, [(k, own == i) for k, own in enumerate(eighths)]) for i in range(PHASES)]
+            for channel in where.channels
+        ]
         labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
         found["channel by phase"] = (where.channels, labels, np.array(rows))
     return found
 
 
-def sketches(context: FitContext, fit: Fit, left: Left) -> tuple[Sketch, ...]:
+def sketches(left: Left) -> list[Sketch]:
     """The residual force of each axis against speed, phase and time, as the generic description has it."""
     found = []
     for place, terms in remainder.force_terms(left).items():
@@ -226,7 +226,7 @@ def sketches(context: FitContext, fit: Fit, left: Left) -> tuple[Sketch, ...]:
             continue
         for against, against_unit, x, value in _curves(terms):
             found.append(Sketch(place, unit, against, against_unit, x, value, np.zeros_like(value), gain))
-    return tuple(sorted(found, key=lambda s: -s.gain))
+    return sorted(found, key=lambda s: -s.gain)
 
 
 def _curves(terms: Mapping[str, float]) -> list[tuple[str, str, Array, Array]]:

@@ -16,6 +16,7 @@ from scipy.stats import ncx2
 
 from swimid.diagnosis import candidates, crossval, posterior
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
+from swimid.diagnosis.power_file import Row
 from swimid.diagnosis.search import Search, context_of
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -24,31 +25,6 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 POWER = 0.9
 #: Share of a change that is left of rounding once the model's numbers are projected out.
 ROUNDING = 1e-9
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What the trials could show of one effect.
-
-    Attributes
-    ----------
-    effect : Effect
-    parameter : Parameter
-        The one that says how large it is.
-    size : float or None
-        The smallest value of the parameter that is seen with 90 % power; None where none within its bounds
-        is.
-    absorbed : float
-        Share of its squared change that the model's numbers imitate.
-    alike : tuple of str
-        Effects the trials do not tell from it, however large it is.
-    """
-
-    effect: Effect
-    parameter: Parameter
-    size: float | None
-    absorbed: float
-    alike: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -121,12 +97,12 @@ def begun(
     return search
 
 
-def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mapping[str, str]]:
+def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Row], Mapping[str, str]]:
     """What the trials of a search could show of each effect, and why nothing of some.
 
     Returns
     -------
-    list of Shown
+    list of Row
         An effect each, in the order given.
     mapping of name to reason
     """
@@ -149,7 +125,7 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
     left = crossval.projected(inner)[:-1, :-1]
     whole = inner.products.sum(axis=0)[inner.shared : -1, inner.shared : -1]
     record = search.record
-    best: dict[str, tuple[float, Shown, int]] = {}
+    best: dict[str, tuple[float, Row, int]] = {}
     for line in lines:
         penalty = posterior.penalty(line.shared, line.per_trial, record.samples, len(context.trials))
         drop = needed(record, line.kinds) + penalty
@@ -163,21 +139,26 @@ def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Shown], Mappi
         size = p.start + (column.value - p.start) * strength / column.strength
         inside = p.lower <= size <= p.upper
         absorbed = float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)) if total[at] > 0 else 1.0
-        said = Shown(line.effect, p, size if inside else None, absorbed, ())
         name = line.effect.name
         if name not in best or strength < best[name][0]:
-            best[name] = strength, said, column.place
+            row = Row(
+                effect=name,
+                stage=line.effect.stage,
+                parameter=p.name,
+                size=size if inside else None,
+                unit=p.unit,
+                absorbed=absorbed,
+            )
+            best[name] = strength, row, column.place
         left_out.pop(name, None)
-    rows = []
-    for name, (_, said, place) in best.items():
-        alike = [
-            other
-            for other, (_, _, there) in best.items()
-            if other != name and not told_apart(record, _cosine(left, place, there))
-        ]
-        known = tuple(alike) if said.size is not None else ()
-        rows.append(Shown(said.effect, said.parameter, said.size, said.absorbed, known))
-    return rows, left_out
+    for name, (_, row, place) in best.items():
+        if row.size is not None:
+            row.alike = [
+                other
+                for other, (_, _, there) in best.items()
+                if other != name and not told_apart(record, _cosine(left, place, there))
+            ]
+    return [row for _, row, _ in best.values()], left_out
 
 
 def _lines(tried: candidates.Trialled, columns: list[list[Array]], trials: int) -> list[_Line]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from swimid.diagnosis.power import Shown
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
 from swimid.results import evidence as ev
@@ -51,22 +50,6 @@ class PowerFile(yamlio.ResultFile):
     #: Effects of which nothing can be said, and why.
     left_out: dict[str, str] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
-
-
-def rows(found: Sequence[Shown]) -> list[Row]:
-    """What was found, as the file has it: the effects of each stage together, as the catalogue has them."""
-    return [
-        Row(
-            effect=s.effect.name,
-            stage=s.effect.stage,
-            parameter=s.parameter.name,
-            size=s.size,
-            unit=s.parameter.unit,
-            absorbed=s.absorbed,
-            alike=list(s.alike),
-        )
-        for s in found
-    ]
 
 
 def answer(file: PowerFile) -> str:

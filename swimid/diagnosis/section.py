@@ -16,7 +16,7 @@ from swimid.results.sections import Block, Cell, Grid, Note, Section
 _LEVELS = {"none": "good", "explained": "good", "ambiguous": "caution", "unexplained": "caution"}
 
 
-@reader(format=gap.FORMAT, read=gap.read)
+@reader(format=gap.FORMAT, read=GapFile.read)
 def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
     """The section of a gap file."""
     return Section(
@@ -43,13 +43,7 @@ def power_section(path: Path, file: power.PowerFile, evidence: Evidence | None) 
         kind="Power",
         title=f"What trials could show: {file.robot}",
         verdict=Verdict(level="good", text=power.answer(file)),
-        facts=[
-            ("Robot", file.robot),
-            ("Model", file.model),
-            ("Experiment", file.experiment),
-            ("Parameters", file.params),
-            ("Trials", str(len(file.trials))),
-        ],
+        facts=_about(file),
         blocks=[_seen(file)],
         provenance=file.provenance,
         data=file.model_dump(mode="json"),
@@ -63,7 +57,7 @@ def _seen(file: power.PowerFile) -> Grid:
             Cell(r.parameter, "code"),
             Cell("not within its bounds" if r.size is None else numbers.number(r.size, 2), numeric=True),
             Cell(numbers.unit_text(r.unit)),
-            Cell(numbers.percent(r.absorbed, 3), numeric=True),
+            _percent(r.absorbed),
             Cell(", ".join(r.alike) or "none"),
         ]
         for r in file.effects
@@ -81,13 +75,25 @@ def _facts(file: GapFile) -> list[tuple[str, str]]:
     facts: list[tuple[str, str]] = [("Verdict", file.verdict)]
     if file.causes:
         facts.append(("Cause", " + ".join(" or ".join([c.effect, *c.equivalent]) for c in file.causes)))
-    named = (("Robot", file.robot), ("Model", file.model), ("Experiment", file.experiment))
-    facts += [(name, value) for name, value in (*named, ("Parameters", file.params)) if value]
-    if file.trials:
-        facts.append(("Trials", str(len(file.trials))))
+    facts += _about(file)
     if file.scores:
         facts.append(("Effects tried", str(len({s.effect for s in file.scores}))))
     return facts
+
+
+def _about(file: GapFile | power.PowerFile) -> list[tuple[str, str]]:
+    """What was diagnosed, as far as it is named."""
+    named = (("Robot", file.robot), ("Model", file.model), ("Experiment", file.experiment))
+    trials = ("Trials", str(len(file.trials) or ""))
+    return [(name, value) for name, value in (*named, ("Parameters", file.params), trials) if value]
+
+
+def _number(value: float | None, digits: int = 3, unit: str = "") -> Cell:
+    return Cell(numbers.number(value, digits, unit), numeric=True)
+
+
+def _percent(value: float | None, digits: int = 3) -> Cell:
+    return Cell(numbers.percent(value, digits), numeric=True)
 
 
 def _blocks(file: GapFile) -> list[Block]:
@@ -103,7 +109,7 @@ def _blocks(file: GapFile) -> list[Block]:
     blocks.append(_channels(file))
     if any(file.where.stage.values()):
         blocks.append(_stages(file))
-    if file.where.phase or file.where.regime or file.where.time:
+    if words.parts(file):
         blocks.append(_parts(file))
     if any(file.forces.values()):
         blocks.append(_forces(file))
@@ -122,7 +128,7 @@ def _causes(file: GapFile) -> Grid:
             Cell(c.effect, "code"),
             Cell(c.stage or numbers.NOTHING),
             Cell(_sentence(c.meaning) or numbers.NOTHING),
-            Cell(numbers.percent(c.probability, 2), numeric=True),
+            _percent(c.probability, 2),
             Cell(", ".join(c.equivalent) or "none"),
             Cell("; ".join(c.sources) or numbers.NOTHING, "muted"),
         ]
@@ -159,24 +165,17 @@ def _sizes(causes: list[Cause]) -> Grid:
 
 
 def _interval(v: Value) -> Cell:
-    ends = numbers.confidence95(v.value, v.stderr)
-    if ends is None or v.status != "estimated":
-        return Cell(numbers.NOTHING, numeric=True)
-    return Cell(numbers.interval(*ends, v.stderr), numeric=True)
+    ends = numbers.confidence95(v.value, v.stderr) if v.status == "estimated" else None
+    return Cell(numbers.interval(*ends, v.stderr) if ends else numbers.NOTHING, numeric=True)
 
 
 def _shrinkage(cause: Cause, held_out: gap.HeldOut | None) -> Grid:
     rows = [
         [
             Cell(s.channel, "code"),
-            *(Cell(numbers.percent(v), numeric=True) for v in (s.shipped, s.before, s.after, s.floor)),
-            Cell(numbers.percent(s.closed, 2), numeric=True),
-            Cell(
-                numbers.NOTHING
-                if None in s.ci95
-                else f"{numbers.number(100 * (s.ci95[0] or 0.0), 2)} … {numbers.percent(s.ci95[1], 2)}",
-                numeric=True,
-            ),
+            *(_percent(v) for v in (s.shipped, s.before, s.after, s.floor)),
+            _percent(s.closed, 2),
+            Cell(words.interval_text(s), numeric=True),
         ]
         for s in cause.shrinkage
     ]
@@ -193,9 +192,9 @@ def _channels(file: GapFile) -> Grid:
     rows = [
         [
             Cell(c.channel, "code"),
-            Cell(numbers.number(c.rmse, 3, c.unit), numeric=True),
-            *(Cell(numbers.percent(v), numeric=True) for v in (c.shipped, c.nrmse, c.floor)),
-            Cell(numbers.percent(c.share, 2), numeric=True),
+            _number(c.rmse, 3, c.unit),
+            *(_percent(v) for v in (c.shipped, c.nrmse, c.floor)),
+            _percent(c.share, 2),
         ]
         for c in file.where.channels
     ]
@@ -209,35 +208,21 @@ def _channels(file: GapFile) -> Grid:
 
 
 def _stages(file: GapFile) -> Grid:
-    rows = [
-        [Cell(stage), Cell(numbers.percent(share, 2), numeric=True)]
-        for stage, share in file.where.stage.items()
-    ]
+    rows = [[Cell(stage), _percent(share, 2)] for stage, share in file.where.stage.items()]
     caption = "How the evidence is shared between the stages of the chain, over all effects tried."
     return Grid("The gap by stage of the chain", ["Stage", "Of the evidence"], rows, caption)
 
 
 def _parts(file: GapFile) -> Grid:
-    cells = [*file.where.regime, *file.where.phase, *file.where.time]
-    rows = [
-        [
-            Cell(c.kind),
-            Cell(c.label),
-            Cell(numbers.number(c.ratio, 3), numeric=True),
-            Cell(numbers.percent(c.share, 2), numeric=True),
-        ]
-        for c in cells
-    ]
+    rows = [[Cell(c.kind), Cell(c.label), _number(c.ratio), _percent(c.share, 2)] for c in words.parts(file)]
     caption = "Root-mean-square residual over the noise: 1 is noise alone. Good: all near 1."
     columns = ["Over", "Part", "Residual over noise", "Of the gap"]
     return Grid("The gap by part of the data", columns, rows, caption, folded=True)
 
 
 def _forces(file: GapFile) -> Grid:
-    rows = [
-        [Cell(name), Cell(numbers.number(gain, 3), numeric=True)]
-        for name, gain in sorted(file.forces.items(), key=lambda item: -(item[1] or 0.0))
-    ]
+    ranked = sorted(file.forces.items(), key=lambda item: -(item[1] or 0.0))
+    rows = [[Cell(name), _number(gain)] for name, gain in ranked]
     caption = (
         "What a smooth force, moment or sensor term without any physics gains in cross-validation, by where "
         "it acts. A large one says where the model lacks something, also when no effect of the catalogue "

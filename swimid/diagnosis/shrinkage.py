@@ -11,8 +11,9 @@ import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.drawings import Overlay
+from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.result import Overlay, Shrinkage
 from swimid.fitting import start_states
 from swimid.fitting.model import Array, Model, Trial
 
@@ -25,6 +26,8 @@ RESAMPLES = 1000
 TRACE = 0.02
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
+#: Trials whose traces are kept.
+OVERLAID = 3
 #: A simulation this many times its channel's range away from a trial broke down.
 ASTRAY = 10.0
 
@@ -36,8 +39,6 @@ class Piece:
     Attributes
     ----------
     measured, shipped, before, after : ndarray, shape (n,)
-    held_out : bool
-        False where a trial had to be fitted, too.
     """
 
     trial: Trial
@@ -47,7 +48,28 @@ class Piece:
     shipped: Array
     before: Array
     after: Array
-    held_out: bool = True
+
+    def seen(self, values: Array) -> Array:
+        """Those of some values at which something was measured."""
+        return values[np.isfinite(self.measured)]
+
+    def squares(self, simulated: Array, unit: float = 1.0) -> Array:
+        """Squared errors of a simulation; one that broke down is as wrong as can be."""
+        errors = self.seen(self.measured - simulated) / unit
+        return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
+
+
+def span(found: Sequence[Piece]) -> float:
+    """The measured range over some pieces; 1 where it is none."""
+    return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
+
+
+def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
+    """The pieces of each channel."""
+    parts: dict[str, list[Piece]] = {}
+    for p in found:
+        parts.setdefault(p.channel, []).append(p)
+    return parts
 
 
 def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
@@ -60,11 +82,12 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
 
-def _shared(context: FitContext, fit: Fit, theta: Array) -> dict[str, float]:
+def _numbers(fit: Fit, theta: Array, of: int | None = None) -> dict[str, float]:
+    """A fit's numbers that all trials share, or those of one trial, by name."""
     return {
-        label: float(v)
+        label.split("[")[0]: float(v)
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
-        if owner is None
+        if owner == of
     }
 
 
@@ -95,14 +118,14 @@ def pieces(
     plain = context.affected(())
     nominal, model = (_average(context, f, causes if f is before else ()) for f in (before, after))
     if validation:
-        shared = [_shared(context, f, f.theta) for f in (before, after)]
+        shared = [_numbers(f, f.theta) for f in (before, after)]
         for trial in validation:
             found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
     thetas = [_without(context, f, noise_model) for f in (before, after)]
     for f in range(context.folds.count):
-        shared = [_shared(context, fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+        shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
             inside = context.folds.owner[k] == f
             if not np.any(inside):
@@ -166,12 +189,7 @@ def _whole(
 
 def _near(trial: Trial, k: int, fit: Fit) -> Trial:
     """The trial, with the start state a fit found for it as where a search begins."""
-    known = {
-        label.split("[")[0]: float(v)
-        for label, (_, owner), v in zip(fit.labels, fit.problem.slots, fit.theta, strict=True)
-        if owner == k
-    }
-    return replace(trial, starts={**trial.starts, **known})
+    return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
 
 
 def _stretch(
@@ -211,7 +229,7 @@ def _stretch(
 
 def shrinkages(
     found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator
-) -> tuple[Shrinkage, ...]:
+) -> list[Shrinkage]:
     """Before, after, floor and closed share of each channel, with a bootstrap interval over trials.
 
     Parameters
@@ -220,53 +238,46 @@ def shrinkages(
         Noise, in the channel's unit.
     """
     result = []
-    for channel in dict.fromkeys(p.channel for p in found):
-        mine = [p for p in found if p.channel == channel]
+    for channel, mine in by_channel(found).items():
         trials = list(dict.fromkeys(p.trial.id for p in mine))
         squares = np.zeros((len(trials), 4))
         for p in mine:
-            i = trials.index(p.trial.id)
-            for j, y in enumerate((p.shipped, p.before, p.after)):
-                error = (p.measured - y)[np.isfinite(p.measured)]
-                squares[i, j] += float(np.sum(np.minimum(np.nan_to_num(error**2, nan=WORST**2), WORST**2)))
-            squares[i, 3] += np.isfinite(p.measured).sum()
-        values = np.concatenate([p.measured[np.isfinite(p.measured)] for p in mine])
-        span = float(np.ptp(values)) or 1.0
-        shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / span
-        floor = floors.get(channel, 0.0) / span
+            sums = [float(np.sum(p.squares(y))) for y in (p.shipped, p.before, p.after)]
+            squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
+        size = span(mine)
+        shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
+        floor = floors.get(channel, 0.0) / size
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
         drawn = squares[picks].sum(axis=1)
-        roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / span
+        roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
         shares = [closed(b, a, floor) for b, a in roots]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
-        ci = (
-            (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975)))
-            if len(known) > 20
-            else (
-                math.nan,
-                math.nan,
-            )
-        )
+        few = len(known) <= 20
         result.append(
             Shrinkage(
-                channel, float(before), float(after), float(shipped), floor, closed(before, after, floor), ci
+                channel=channel,
+                before=before,
+                after=after,
+                shipped=shipped,
+                floor=floor,
+                closed=closed(before, after, floor),
+                ci95=(None, None)
+                if few
+                else (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))),
             )
         )
-    return tuple(result)
+    return result
 
 
 def sound(found: Sequence[Piece]) -> bool:
     """Whether no held-out trial breaks down with the causes that did not break down without them."""
-    values: dict[str, list[Array]] = {}
-    for p in found:
-        values.setdefault(p.channel, []).append(p.measured[np.isfinite(p.measured)])
-    span = {c: float(np.ptp(np.concatenate(v))) for c, v in values.items()}
-    for p in found:
-        there = np.isfinite(p.measured)
-        errors = [np.abs((p.measured - y)[there]) for y in (p.before, p.after)]
-        before, after = (float(np.max(np.nan_to_num(e, nan=np.inf), initial=0.0)) for e in errors)
-        if after > ASTRAY * max(span[p.channel], before):
-            return False
+    for mine in by_channel(found).values():
+        values = np.concatenate([p.seen(p.measured) for p in mine])
+        for p in mine:
+            errors = [np.abs(p.seen(p.measured - y)) for y in (p.before, p.after)]
+            before, after = (float(np.max(np.nan_to_num(e, nan=np.inf), initial=0.0)) for e in errors)
+            if after > ASTRAY * max(float(np.ptp(values)), before):
+                return False
     return True
 
 
@@ -274,15 +285,9 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     """Whether the causes close more than a trace of the gap on held-out data, in units of the noise."""
     gained, gap = 0.0, 0.0
     for p in found:
-        floor = max(floors.get(p.channel, 1.0), 1e-300)
-        there = np.isfinite(p.measured)
-        # a simulation that broke down is as wrong as can be
-        errors = [
-            np.minimum(np.nan_to_num((p.measured - y)[there] / floor, nan=WORST) ** 2, WORST**2)
-            for y in (p.before, p.after)
-        ]
-        gained += float(np.sum(errors[0] - errors[1]))
-        gap += float(np.sum(errors[0] - 1.0))
+        before, after = (p.squares(y, max(floors.get(p.channel, 1.0), 1e-300)) for y in (p.before, p.after))
+        gained += float(np.sum(before - after))
+        gap += float(np.sum(before - 1.0))
     return gained > TRACE * max(gap, 0.0) or not found
 
 
@@ -292,7 +297,7 @@ def closed(before: float, after: float, floor: float) -> float:
     return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
 
 
-def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6) -> tuple[Overlay, ...]:
+def overlays(found: Sequence[Piece], units: Mapping[str, str]) -> list[Overlay]:
     """Traces of the trials in which the causes change most, each channel."""
     whole: dict[tuple[str, str], list[Piece]] = {}
     for p in found:
@@ -303,7 +308,7 @@ def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6)
             a, b = np.nansum((p.measured - p.before) ** 2), np.nansum((p.measured - p.after) ** 2)
             size = np.nanvar(p.measured) * len(p.measured) or 1.0
             gains[trial] = gains.get(trial, 0.0) + float((a - b) / size)
-    chosen = sorted(gains, key=lambda t: -gains[t])[: max(most // 2, 1)]
+    chosen = sorted(gains, key=lambda t: -gains[t])[:OVERLAID]
     result = []
     for (trial, channel), parts in whole.items():
         if trial not in chosen or len(parts[0].time_s) < 3:
@@ -313,5 +318,5 @@ def overlays(found: Sequence[Piece], units: Mapping[str, str], *, most: int = 6)
             np.concatenate([getattr(p, name) for p in parts])[order]
             for name in ("time_s", "measured", "before", "after")
         ]
-        result.append(Overlay(trial, channel, units.get(channel, ""), True, *traces))
-    return tuple(result)
+        result.append(Overlay(trial, channel, units.get(channel, ""), *traces))
+    return result

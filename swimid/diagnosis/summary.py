@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChannelGap, GapFile, Shrinkage, Value
+from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChannelGap, GapFile, Score, Shrinkage, Value
 from swimid.results import numbers
 
 #: Extent of the terminal summary.
@@ -82,17 +82,18 @@ def size_of(channel: ChannelGap) -> str:
 
 def closed_text(s: Shrinkage) -> str:
     """What is closed of a channel's gap: ``89 % (95 %: 81 … 94 %)``."""
-    low, high = s.ci95
     if s.closed is None:
         return "no gap in it to close"
     share = numbers.percent(s.closed, 2)
+    return share if None in s.ci95 else f"{share} (95 %: {interval_text(s)})"
+
+
+def interval_text(s: Shrinkage) -> str:
+    """The interval of what is closed: ``81 … 94 %``."""
+    low, high = s.ci95
     if low is None or high is None:
-        return share
-    return f"{share} (95 %: {_bare_percent(low)} … {numbers.percent(high, 2)})"
-
-
-def _bare_percent(value: float) -> str:
-    return numbers.number(100.0 * value, 2)
+        return numbers.NOTHING
+    return f"{numbers.number(100.0 * low, 2)} … {numbers.percent(high, 2)}"
 
 
 def errors_text(s: Shrinkage) -> str:
@@ -115,10 +116,19 @@ def value_text(value: Value) -> str:
     return text + (" (at its bound)" if value.status == "at-bound" else "")
 
 
+def refitted(file: GapFile) -> list[Score]:
+    """Scores of the effects that were refitted, best first."""
+    return [s for s in file.scores if s.refitted and s.gain is not None]
+
+
+def absorbed(causes: Iterable[Cause]) -> list[Absorbed]:
+    """The model's coefficients without and with the causes."""
+    return list({a.coefficient: a for c in causes for a in c.absorbed}.values())
+
+
 def moved(causes: Iterable[Cause]) -> list[Absorbed]:
     """Coefficients that stood in for the causes, those that moved farthest first."""
-    known = {a.coefficient: a for c in causes for a in c.absorbed}
-    far = [(_shift(a), a) for a in known.values()]
+    far = [(_shift(a), a) for a in absorbed(causes)]
     return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
 
 
@@ -135,10 +145,8 @@ def _shift(a: Absorbed) -> float:
 
 def moved_text(a: Absorbed) -> str:
     """What a coefficient absorbed."""
-    text = (
-        f"{a.coefficient} {numbers.measured(a.without.value, a.without.stderr, a.without.unit)} without, "
-        f"{numbers.measured(a.with_effect.value, a.with_effect.stderr, a.with_effect.unit)} with the effect"
-    )
+    without, with_effect = (numbers.measured(v.value, v.stderr, v.unit) for v in (a.without, a.with_effect))
+    text = f"{a.coefficient} {without} without, {with_effect} with the effect"
     return text + ("; at its bound without" if a.without.status == "at-bound" else "")
 
 
@@ -147,13 +155,15 @@ def place(cell: Cell) -> str:
     return cell.label if cell.kind in ("time", "change") else f"{cell.kind} {cell.label}"
 
 
+def parts(file: GapFile) -> list[Cell]:
+    """The gap in each part of the data: settings, phases, times."""
+    return [*file.where.regime, *file.where.phase, *file.where.time]
+
+
 def worst_cells(file: GapFile) -> list[Cell]:
     """The parts of the data in which the gap is largest, one of each kind."""
     first: dict[str, Cell] = {}
-    for cell in sorted(
-        (c for c in (*file.where.regime, *file.where.phase, *file.where.time) if c.ratio is not None),
-        key=lambda c: -(c.ratio or 0.0),
-    ):
+    for cell in sorted((c for c in parts(file) if c.ratio is not None), key=lambda c: -(c.ratio or 0.0)):
         first.setdefault(cell.kind, cell)
     return list(first.values())
 
