@@ -83,7 +83,12 @@ def read(folders: Iterable[Path]) -> list[Truth]:
             label = json.loads((folder / "labels" / f"{place.parent.name}.json").read_text())
             rows = [
                 Candidate(
-                    frozenset(h["effects"]), h["score"], np.array(h["folds"]), h["numbers"], h.get("slow")
+                    frozenset(h["effects"]),
+                    h["score"],
+                    np.array(h["folds"]),
+                    h["numbers"],
+                    h.get("slow"),
+                    h.get("alike", {}),
                 )
                 for h in gap["hypotheses"]
             ]
@@ -133,6 +138,7 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
             np.log(start.directions),
             np.log(start.form),
             start.number,
+            np.log(start.further),
             start.outside,
             start.grows,
         ]
@@ -153,8 +159,8 @@ def calibrated(cases: Sequence[Truth], start: Calibration) -> Calibration:
 
 def _constants(x: np.ndarray) -> Calibration:
     """Positive ones by their logarithms."""
-    directions, form = (float(v) for v in np.exp(x[:2]))
-    return Calibration(directions, form, float(x[2]), float(x[3]), float(x[4]))
+    directions, form, further = (float(v) for v in np.exp(x[[0, 1, 3]]))
+    return Calibration(directions, form, float(x[2]), further, float(x[4]), float(x[5]))
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
@@ -208,7 +214,7 @@ def sensitivity(cases: Sequence[Truth], known: Calibration) -> list[tuple[str, f
 def main() -> None:
     """Print the constants, how they do on the very cases, and what changing each by half does."""
     cases = read(Path(a) for a in sys.argv[1:])
-    known = calibrated(cases, Calibration(5.0, 0.1, 2.0, -3.0, 3.0))
+    known = calibrated(cases, Calibration(5.0, 0.1, 2.0, 10.0, -3.0, 3.0))
     print(f"{len(cases)} truths: {known}")
     for p, right, count in bins(cases, known):
         print(f"said {p:.2f}  true {right:.2f}  of {count}")

@@ -97,6 +97,7 @@ def hypotheses(state: State) -> list[Hypothesis]:
             numbers=c.numbers,
             score=c.score,
             slow=c.slow,
+            alike=dict(c.alike),
             folds=c.folds.tolist(),
             probability=found.sets.get(c.names, found.none),
         )

@@ -183,6 +183,8 @@ class Hypothesis(yamlio.Document):
     score: Number
     #: The same with noise of long memory, where trials are too few to tell which it is.
     slow: Number = None
+    #: Of each effect of several, the largest squared cosine between what it changes and what another does.
+    alike: dict[str, float] = {}
     #: Squared residuals of each fold.
     folds: list[Number] = []
     probability: Number = None

@@ -5,6 +5,8 @@ its excess, is a discrepancy of unknown variance in some directions of each part
 variance at its likeliest the logarithm of the evidence falls by half of their number times that of the excess
 (a Student likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a
 few samples' worth more.
+A further cause is weighed against the error of form of those before it: in what it changes like them it tells
+nothing, and elsewhere it must close nearly all that they leave, as an error of form hardly ever looks just so.
 Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
 
 A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then
@@ -15,8 +17,8 @@ long memory, too: the two are pooled by their logarithms.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import logsumexp
@@ -45,6 +47,8 @@ class Calibration:
         Share of the squared gap that a true effect may leave by its form alone.
     number : float
         Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
+    further : float
+        Directions, of the whole record, in which what a true effect leaves by its form may lie.
     outside, grows : float
         Of the evidence that something from outside the catalogue is at work, too: its logarithm where nothing
         is left, and how much it grows with that of what is.
@@ -53,13 +57,14 @@ class Calibration:
     directions: float
     form: float
     number: float
+    further: float
     outside: float
     grows: float
 
 
 #: By ``python -m tests.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
-CALIBRATED = Calibration(6.9, 0.16, 2.0, -2.5, 3.3)
+CALIBRATED = Calibration(6.9, 0.16, 2.0, 12.0, -2.5, 3.3)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,9 @@ class Candidate:
         Squared residuals of each fold.
     numbers : int
         How many kinds of them its effects have; what each trial has of its own is one kind.
+    alike : mapping of str to float
+        Of each effect of several, the largest squared cosine between what it changes and what another of them
+        does, the numbers of the model projected out.
     slow : float, optional
         The score with noise of long memory, where trials are too few to tell which it is.
     """
@@ -85,6 +93,7 @@ class Candidate:
     folds: Array
     numbers: int
     slow: float | None = None
+    alike: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -189,6 +198,42 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 
 
+def _further(
+    names: Sequence[frozenset[str]],
+    candidates: Sequence[Candidate],
+    known: Array,
+    closes: Array,
+    small: Array,
+    directions: float,
+) -> None:
+    """What larger sets close, from that of the likeliest smaller one within each; in place.
+
+    Parameters
+    ----------
+    names : sequence of frozenset of str
+        All sets, the empty one first.
+    candidates : sequence of Candidate
+        All but the model as it is.
+    known : ndarray, shape (c,)
+        Logarithm of what each has before any data, and what its numbers cost.
+    closes : ndarray, shape (c, m)
+        Logarithmic evidence of each in each weighting.
+    small : ndarray, shape (c, m)
+        Logarithm of what each leaves, in units that the error of form takes no part in.
+    """
+    place = {n: i for i, n in enumerate(names)}
+    order = sorted(range(len(candidates)), key=lambda i: len(candidates[i].names))
+    for i in (i for i in order if len(candidates[i].names) > 1):
+        c = candidates[i]
+        within = [(place[c.names - {n}], n) for n in sorted(c.names) if c.names - {n} in place]
+        if not within:
+            continue
+        j, last = max(within, key=lambda w: float(closes[w[0]].mean()))
+        apart = 1.0 - c.alike.get(last, 0.0)
+        gained = 0.5 * directions * apart * (small[j] - small[i + 1])
+        closes[i + 1] = closes[j] - known[j] + known[i + 1] + gained
+
+
 def penalty(shared: int, own: int, samples: float, trials: int) -> float:
     """What numbers of effects must lower the cost by: the logarithm of the samples that tell each, of all
     trials or of one [1]_.
@@ -206,10 +251,9 @@ def penalty(shared: int, own: int, samples: float, trials: int) -> float:
     return shared * math.log(samples) + own * math.log(samples / trials)
 
 
-def most(excess: float, gap: float, record: Record) -> float:
+def most(excess: float, record: Record) -> float:
     """What a larger set may gain in logarithmic evidence at most."""
-    directions = CALIBRATED.directions * record.parts
-    gained = 0.5 * directions * math.log1p(max(excess, 0.0) / unit(record, gap))
+    gained = 0.5 * CALIBRATED.further * math.log1p(max(excess, 0.0) / unit(record, 0.0))
     return gained - CALIBRATED.number
 
 
@@ -254,6 +298,8 @@ def posterior(
     known = np.concatenate(([0.0], known))
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     closes[0] = 0.0
+    small = np.log1p(drawn / unit(record, 0.0, calibration))
+    _further([c.names for c in every], candidates, known, closes, small, calibration.further)
     pooled = _pooled(every, record, calibration)
     beyond = closes + calibration.outside + calibration.grows * size
     if pooled is not None:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -204,6 +205,7 @@ class Search:
         self.random_effects: list[RandomEffect] = []
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
+        self._cosines: dict[frozenset[int], float] = {}
         self.out_of_time = False
 
     # ------------------------------------------------------------ fits
@@ -367,6 +369,7 @@ class Search:
         self.random_effects = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in self.random_effects]
         self.noise_model = noise_model
         self.screens.clear()
+        self._cosines.clear()
         kept, null = list(self.pool.values()), self.null
         self.pool.clear()
         self.begin(context.start((), noise_model, null.fit))
@@ -422,7 +425,28 @@ class Search:
         if self.noise_model.long_memory is not None:
             inner = crossval.normal_equations(self.context, h.fit, self.noise_model.long_memory)
             slow = float(crossval.projected(inner)[-1, -1]) + self.penalty(h.fit)
-        return Candidate(h.names, h.score, h.inside, len(kinds), slow)
+        return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
+
+    def _alike(self, h: Hypothesis) -> dict[str, float]:
+        """How much each effect of several changes the trials like another of them does."""
+        if len(h.names) < 2:
+            return {}
+        screened = {id(t.effect): t for t in self.screened(self.null).tried}
+        mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
+        found = dict.fromkeys(h.names, 0.0)
+        for (one, first), (other, second) in combinations(mine, 2):
+            # of one that changes nothing by itself nothing is known
+            cosine = 0.0 if first is None or second is None else self._cosine(first, second)
+            found[one], found[other] = (max(found[n], cosine**2) for n in (one, other))
+        return found
+
+    def _cosine(self, first: Tried, second: Tried) -> float:
+        """Of what two effects change, the model's numbers projected out; kept while the noise stays."""
+        pair = frozenset((id(first), id(second)))
+        if pair not in self._cosines:
+            fit = self.null.fit
+            self._cosines[pair] = candidates.alike(self.context, fit, self.noise_model, first, second)
+        return self._cosines[pair]
 
     def likeliest(self, found: Posterior) -> Hypothesis:
         """The hypothesis of the likeliest set, the model itself where there is none."""
@@ -566,7 +590,7 @@ def chosen(
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
         # noise read off the best of all has what it leaves in it: so much as the screen promises may be left
         left = found.excess[best.names] + max(0.0, *(t.gain for t in search.screened(best).tried))
-        if posterior.most(left, found.excess[frozenset()], search.record) < loses:
+        if posterior.most(left, search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:
             search.step = partial(show, shown)
