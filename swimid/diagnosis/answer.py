@@ -98,7 +98,11 @@ def answer(
         )
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
+    refuted: list[str] = []
     sound = shrinkage.sound(held)
+    if chosen and shrinkage.refute(held, floor):
+        refuted = [c.best.tried.effect.name for c in chosen]
+        chosen, word, state.base = [], "unexplained", nominal
     if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
         names = ", ".join(c.best.tried.effect.name for c in chosen)
         hides = "are no better with it: what differs from trial to trial hides it"
@@ -136,6 +140,7 @@ def answer(
         causes=causes if gap else [],
         remaining=_remaining(state, nominal, gap_left, floor),
         advice=_advice(state, chosen, word, floor),
+        refuted=refuted,
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         hypotheses=conclusion.hypotheses(state),

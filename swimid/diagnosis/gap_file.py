@@ -225,6 +225,8 @@ class GapFile(yamlio.ResultFile):
     #: What each round did, and why the verdict is what it is, in words.
     rounds: list[str] = []
     reasons: list[str] = []
+    #: The likeliest causes by the fits, if held-out errors are worse with them by more than the gap.
+    refuted: list[str] = []
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 

@@ -5,8 +5,9 @@ its excess, is a discrepancy of unknown variance in some directions of each part
 variance at its likeliest the logarithm of the evidence falls by half of their number times that of the excess
 (a Student likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a
 few samples' worth more.
-A further cause is weighed against the error of form of those before it: in what it changes like them it tells
-nothing, and elsewhere it must close nearly all that they leave, as an error of form hardly ever looks just so.
+A further cause is weighed against the error of form of those before it: in what it changes like them it
+tells nothing, and elsewhere it must close nearly all that they leave, as an error of form hardly ever looks
+just so.
 Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
 
 A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then

@@ -283,12 +283,24 @@ def sound(found: Sequence[Piece]) -> bool:
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     """Whether the causes close more than a trace of the gap on held-out data, in units of the noise."""
+    gained, gap = _gained(found, floors)
+    return gained > TRACE * max(gap, 0.0) or not found
+
+
+def refute(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
+    """Whether with the causes held-out errors grow by more than all of the gap."""
+    gained, gap = _gained(found, floors)
+    return gained < -max(gap, 0.0) and bool(found)
+
+
+def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
+    """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
     gained, gap = 0.0, 0.0
     for p in found:
         before, after = (p.squares(y, max(floors.get(p.channel, 1.0), 1e-300)) for y in (p.before, p.after))
         gained += float(np.sum(before - after))
         gap += float(np.sum(before - 1.0))
-    return gained > TRACE * max(gap, 0.0) or not found
+    return gained, gap
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -192,6 +192,11 @@ def summary(file: GapFile) -> str:
     if file.verdict != "none":
         rows += _cause_rows(file)
         rows.append(("left", remaining_text(file)))
+    if file.refuted:
+        names = listed(file.refuted)
+        rows.append(
+            ("refuted", f"{names}: likeliest by the fits, but held-out errors are worse by more than the gap")
+        )
     if file.advice:
         rows.append(("next", file.advice[0].text))
     body = [_wrapped(f"  {label:<{_MARGIN - 2}}", text, " " * _MARGIN) for label, text in rows]
