@@ -73,6 +73,17 @@ CURRENT = replace(
 )
 
 
+#: Another reading of the robot has no numbers.
+READING = replace(
+    BACKLASH,
+    effect="reading:drag_point=strips",
+    stage="fluid",
+    meaning='Another answer to "Where on a link is its speed taken?": spread evenly along each link.',
+    sources=(),
+    parameters={},
+)
+
+
 def _scores(first: str = "servo-backlash") -> tuple[Score, ...]:
     rng = np.random.default_rng(5)
     names = {
@@ -85,6 +96,8 @@ def _scores(first: str = "servo-backlash") -> tuple[Score, ...]:
         "time-offset": "sensing",
         "imu-bias": "sensing",
     }
+    if first not in names:
+        names[first] = "fluid"
     scores = [
         Score(name, stage, "joint 2" if name == "joint-locked" else "", gain, 0.3 * abs(gain) + 5, (5, 9),
               0.3, gain, True, 0.01)
@@ -201,6 +214,9 @@ UNEXPLAINED = replace(
     stages={**EXPLAINED.stages, "rig": 0.0},
     advice=(),
 )
+REREAD = replace(
+    _BRIEF, causes=(READING,), scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
+)
 PARTLY = replace(_BRIEF, verdict="unexplained", remaining=Remaining(0.4, "yaw moment", False, 200.0))
 
 ALL = {
@@ -210,6 +226,7 @@ ALL = {
     "ambiguous": AMBIGUOUS,
     "unexplained": UNEXPLAINED,
     "partly": PARTLY,
+    "reread": REREAD,
 }
 
 

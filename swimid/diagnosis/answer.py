@@ -31,7 +31,7 @@ from swimid.diagnosis.result import (
 )
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.
@@ -113,6 +113,7 @@ def answer(
         stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
     left = state.left
+    stuck = _at_bounds(context, nominal)
     return Gap(
         verdict=word,
         channels=_channels(context, nominal, gap_left, floor, shipped, units, held),
@@ -133,7 +134,8 @@ def answer(
         maps=places.maps(where),
         forces=dict(left.places) if left is not None else {},
         rounds=tuple(state.told),
-        reasons=(*reasons, *_reasons(state)),
+        reasons=(*(_stuck(name, value) for name, value in stuck.items()), *reasons, *_reasons(state)),
+        at_bound=stuck,
         hypotheses=conclusion.hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals),
         tried=state.tried,
@@ -258,11 +260,28 @@ def _causes(
     return causes
 
 
+def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
+    """The model's own shared coefficients that a fit ends with at a bound, and the bound."""
+    own = {p.name for p in context.parameters if not p.per_trial}
+    ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
+    return {label: float(value) for label, value, inside in ends if label in own and not inside}
+
+
+def _stuck(name: str, bound: float) -> str:
+    return f"{name} ends at its bound {bound:.4g} in the refit without effects: it may stand in for a cause"
+
+
 def _absorbed(
     state: State, nominal: Fit, given: Mapping[str, Given], sd: Mapping[str, float]
 ) -> tuple[Absorbed, ...]:
     plain = conclusion.parameter_errors(state, nominal)
     found = []
+
+    def refitted(p: Parameter, fit: Fit, error: Mapping[str, float]) -> Number:
+        if p.name in _at_bounds(state.context, fit):
+            return Number(fit.value(p.name), None, p.unit, "at-bound")
+        return Number(fit.value(p.name), error.get(p.name), p.unit)
+
     for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels:
             continue
@@ -272,8 +291,8 @@ def _absorbed(
                 p.name,
                 p.unit,
                 Number(known.value, known.stderr, p.unit, known.status) if known else None,
-                Number(nominal.value(p.name), plain[p.name], p.unit),
-                Number(state.base.value(p.name), sd.get(p.name), p.unit),
+                refitted(p, nominal, plain),
+                refitted(p, state.base, sd),
                 p.bounds,
             )
         )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, nominal, power, power_file, search
+from swimid.diagnosis import answer, nominal, power, power_file, readings, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import file as diagnose_file
 from swimid.diagnosis import summary as diagnose_summary
@@ -107,7 +108,8 @@ def diagnose(
         own_made = [e for path in own for e in effect_catalogue.from_file(path)]
         # the noise is what the best of all leaves, whichever are asked for
         known = [*effect_catalogue.catalogue(), *own_made]
-        asked = {e.name for e in (*effect_catalogue.chosen(list(effects)), *own_made)} if effects else None
+        named, read = readings.asked(effects, experiment)
+        asked = {*read, *(e.name for e in (*effect_catalogue.chosen(named), *own_made))} if effects else None
         begun = nominal.begun(loaded)
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
@@ -137,13 +139,16 @@ def diagnose(
                 provenance=origin,
             )
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
+        others, alike = readings.others(experiment, fitted)
         state = search.run(
-            model, model.parameters, fitted, begun.prior, tried,
+            model, model.parameters, fitted, begun.prior, [*tried, *others],
             asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             gap = answer.answer(state, validation, begun.given, fitted, seed=seed, progress=progress)
+        said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
+        gap = replace(gap, reasons=(*gap.reasons, *said))
     file = diagnose_file.gap_file(
         gap,
         model=model.name,

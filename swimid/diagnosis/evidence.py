@@ -101,7 +101,7 @@ def verdict(file: GapFile) -> ev.Verdict:
 
 def checks(file: GapFile) -> list[ev.Check]:
     """The tests the answer has to pass."""
-    found = _size(file)
+    found = _at_bounds(file) + _size(file)
     if file.verdict == "none":
         return [*found, *_nothing_gains(file)]
     found += _gains(file) + _rivals(file) + _closed(file) + _transfer(file) + _coefficients(file)
@@ -116,6 +116,20 @@ def checks(file: GapFile) -> list[ev.Check]:
         )
     )
     return found
+
+
+def _at_bounds(file: GapFile) -> list[ev.Check]:
+    if not file.at_bound:
+        return []
+    return [
+        ev.Check(
+            name="bounds without effects",
+            value=words.bounds_text(file),
+            limit="inside",
+            verdict="warn",
+            text="a coefficient that the refit without effects takes to its bound may stand in for a cause",
+        )
+    ]
 
 
 def _size(file: GapFile) -> list[ev.Check]:

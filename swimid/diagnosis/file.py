@@ -86,6 +86,7 @@ def gap_file(
         floor_from=gap.floor_from,
         scores=[_score(s) for s in ranked_scores(gap.scores)],
         forces=dict(gap.forces),
+        at_bound=dict(gap.at_bound),
         rounds=list(gap.rounds),
         reasons=list(gap.reasons),
         settings=dict(settings or {}),

@@ -275,6 +275,8 @@ class Gap:
         Held-out gain of generic residual forces and sensor terms, by axis.
     floor_from : str
         How the floor was found, in words.
+    at_bound : mapping of coefficient to float
+        Bounds at which coefficients end in the refit without effects.
     """
 
     verdict: Verdict
@@ -300,3 +302,4 @@ class Gap:
     hypotheses: tuple[tuple[Candidate, float], ...] = ()
     samples: int = 0
     tried: int = 0
+    at_bound: Mapping[str, float] = field(default_factory=dict)

@@ -225,7 +225,9 @@ class Search:
         samples = float(sum(len(r) for r in fit.residuals))
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
-        return posterior.penalty(len(mine) - each, each, samples, len(fit.residuals))
+        # a coefficient of which less is known than of the model's own counts like a number of an effect
+        freed = len(self.context.loosened(fit.problem))
+        return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
         """The model itself, from known coefficients too where it has left them far behind: what a poor
@@ -239,7 +241,7 @@ class Search:
     def screened(self, parent: Hypothesis) -> Screen:
         """Every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
-            rest = [e for e in self.effects if e.name not in {p.name for p in parent.fit.effects}]
+            rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             simulated = candidates.simulate(self.context, parent.fit, rest, jobs=self.jobs)
             found = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
             self.screens[parent.key] = found
@@ -284,7 +286,7 @@ class Search:
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         problem = context.problem(effects, noise_model.random_effects)
         starts = []
-        for point in (tried.point, *tried.starts):
+        for point in (tried.point, *tried.starts) if names else (tried.point,):
             own = dict(zip(names, point, strict=True))
             starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
         name = "+".join([*(e.name for e in effects), *names, str(len(noise_model.random_effects))])
@@ -292,7 +294,7 @@ class Search:
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
-        if not fit.cost <= parent.fit.cost:
+        if names and not fit.cost <= parent.fit.cost:
             # a model without the effect is the model with it at nought
             fit = context.multistart(
                 effects, noise_model, [context.start(effects, noise_model, parent.fit)], warm=parent.fit
@@ -370,7 +372,8 @@ class Search:
             starts = context.begins(problem, context.start(effects, noise_model, h.fit))
             steps = FEW if h.names in far else STEPS
             fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps)
-            if not fit.cost <= self.null.fit.cost and h.names not in far:
+            sized = any(_belongs(label, effects) for label in h.fit.labels)
+            if sized and not fit.cost <= self.null.fit.cost and h.names not in far:
                 # its coefficients were those of a poor optimum: from the model's own, and its own sizes
                 sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
                 starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]
