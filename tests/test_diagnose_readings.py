@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import readings
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.noise_model import NoiseModel
@@ -24,8 +25,8 @@ from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.model import LinkedModel
 from tests.blind import swim_effects
 from tests.conftest import Ran
-from tests.generators import gap_trials
-from tests.test_diagnose import diagnosed, held_responsible
+from tests.generators import gap_trials, swimmer
+from tests.test_diagnose import command, diagnosed, held_responsible
 
 Run = Callable[..., Ran]
 STAGES = {
@@ -219,12 +220,57 @@ def test_what_other_trials_told_they_told_of_the_nominal_robot(
 # ---------------------------------------------------------------- that they are found
 
 
+def answered(option: str) -> swimmer.Swimmer:
+    """The tendon fish of the oracle, one question answered otherwise than the robot file does."""
+    fish = swimmer.tfish(swimmer.SAMPLE)
+    if option == "drag_point=com":
+        # the first five points of water are the drag of a link each
+        fish.water.behind[[0, 4]] = 0.192, 0.027
+    elif option == "head_inertia=com":
+        fish.inertia[0] = 91.6e-3 * (1.0 + swimmer.SAMPLE["c_Ia"])
+    return fish
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["drag_point=com", "head_inertia=com"])
+def test_trials_of_a_robot_read_otherwise(tmp_path: Path, option: str) -> None:
+    """Without a parameter file: the coefficients are free to stand in for the reading, and one ends at its
+    bound where they cannot.
+    """
+    fish, runs = answered(option), []
+    for k, (frequency, amplitude, bias) in enumerate(gap_trials.SETTINGS):
+        drive = {"frequency_hz": frequency, "amplitude_deg": amplitude, "bias_deg": bias}
+        runs.append(swimmer.Run(f"run{k}", drive, swimmer.swim(fish, drive, 8.0, rate_hz=25.0)))
+    noise = {"x_m": 0.0015, "y_m": 0.0015, "yaw_rad": 0.008}
+    swimmer.write_trials(tmp_path, "tfish", runs, noise, 7, columns=list(noise))
+    out = tmp_path / "gap.yaml"
+    assert command("diagnose", tmp_path / "trials.yaml", "-o", out).status == 0
+    file = gap_format.read(out)
+    assert file.verdict == "explained"
+    assert f"reading:{option}" in held_responsible(file)[0]
+    assert [c.effect for c in file.causes] == [f"reading:{option}"]
+    for name, bound in file.at_bound.items():
+        assert name in file.reasons[list(file.at_bound).index(name)]
+        assert bound in next((c.bounds for c in file.causes[0].absorbed if c.coefficient == name), ())
+
+
 @pytest.mark.slow
 def test_drag_along_the_links_is_another_reading(tmp_path: Path) -> None:
     spread = swim_effects.spread_drag(np.random.default_rng(5), 1.0, "tfish")
     gap_trials.write(tmp_path, "tfish", [spread])
     file = diagnosed(tmp_path)
     assert file.verdict == "explained"
-    assert held_responsible(file)[0] == {"reading:drag_point=strips"}
+    assert held_responsible(file) == [{"reading:drag_point=strips"}]
     assert file.causes[0].parameters == {}
-    assert file.causes[0].shrinkage[0].closed > 0.7
+    closed = file.causes[0].shrinkage[0].closed
+    assert closed is not None
+    assert closed > 0.7
+
+
+@pytest.mark.slow
+def test_a_current_is_no_reading(tmp_path: Path) -> None:
+    current = swim_effects.current(np.random.default_rng(5), 2.0, "tfish")
+    gap_trials.write(tmp_path, "tfish", [current])
+    file = diagnosed(tmp_path)
+    assert file.causes[0].effect == "current"
+    assert not any(name.startswith("reading:") for names in held_responsible(file) for name in names)

@@ -112,6 +112,9 @@ def _part(kind: str, cells: Sequence[Cell]) -> ev.Panel:
 
 def _ranked(file: GapFile) -> list[ev.Figure]:
     shown = [s for s in file.scores if s.refitted and s.gain is not None][:MOST_EFFECTS]
+    best = max((s.gain for s in shown if s.gain is not None), default=0.0)
+    # another reading of the robot may lose millions
+    shown = [s for s in shown if best <= 0 or s.gain is None or s.gain >= -best]
     if not shown:
         return []
     named = {c.effect for c in file.causes}
