@@ -23,13 +23,14 @@ AWAY = 0.1
 #: What a place of the robot file belongs to by the words in it, along the chain; other places are structure.
 PLACES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
-    (".strokes.", "actuation"),
     (".elements.", "fluid"),
     (".coefficients.", "fluid"),
     ("fluid.", "fluid"),
     (".reference", "sensing"),
     (".markers.", "sensing"),
 )
+#: Places of which the trials were made when they were read.
+COMMANDS = (".strokes.",)
 
 
 class Reread:
@@ -97,15 +98,18 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
         for option, answer in reading.options.items():
             if option == reading.chosen:
                 continue
+            places = [*reading.options[reading.chosen].set, *answer.set]
             question, says = reading.question.rstrip("."), answer.says.rstrip(".")
             other = OtherReading(
                 key,
                 option,
                 meaning=f'Another answer to "{question}": {says}.',
-                stage=_stage([*reading.options[reading.chosen].set, *answer.set]),
+                stage=_stage(places),
                 readings=reread,
             )
-            if not reread.stand({key: option}):
+            if any(word in place for word in COMMANDS for place in places):
+                left_out[other.name] = "the trials tell the robot what it changes: choose it by --reading"
+            elif not reread.stand({key: option}):
                 left_out[other.name] = "its coefficients or channels are not those of the reading chosen"
             elif _alike(other.in_place_of(nominal), values, trials, seen):
                 left_out[other.name] = "it changes nothing that was measured in these trials"

@@ -28,6 +28,7 @@ from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
+from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.progress import Progress, show, silent
@@ -242,8 +243,16 @@ class Search:
         """Every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
-            simulated = candidates.simulate(self.context, parent.fit, rest, jobs=self.jobs)
-            found = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
+            found = Screen([])
+            for readings in (False, True):
+                # apart: beside more columns the inner products of the others would end in other digits
+                part = [e for e in rest if isinstance(e, OtherReading) == readings]
+                simulated = candidates.simulate(self.context, parent.fit, part, jobs=self.jobs)
+                if simulated:
+                    more = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
+                    found.tried += more.tried
+                    found.left_out |= more.left_out
+            found.tried.sort(key=lambda t: -t.gain)
             self.screens[parent.key] = found
         return self.screens[parent.key]
 
