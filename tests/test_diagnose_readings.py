@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis import readings
+from swimid.diagnosis import readings, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.search import Search
+from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
+from swimid.effects.base import Effect
 from swimid.effects.reading import OtherReading
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials
@@ -27,6 +28,7 @@ from tests.blind import swim_effects
 from tests.conftest import Ran
 from tests.generators import gap_trials, swimmer
 from tests.test_diagnose import command, diagnosed, held_responsible
+from tests.test_diagnosis_parts import PLAIN, Hooked, Seen, plainly, ring, rise
 
 Run = Callable[..., Ran]
 STAGES = {
@@ -209,12 +211,66 @@ def test_what_other_trials_told_they_told_of_the_nominal_robot(
     at = plain.labels.index("c_d0")
     assert context.expected(plain)[1][at] == pytest.approx(1 / 0.1)
     assert context.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
-    search = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0), jobs=1)
+    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0), jobs=1)
     fit = context.at((), NoiseModel(plain.sd), np.array(plain.start))
     other = context.at((others["reading:areas=as-printed"],), NoiseModel(plain.sd), np.array(read.start))
     samples = sum(len(r) for r in fit.residuals)
-    assert search.penalty(fit) == 0.0
-    assert search.penalty(other) == pytest.approx(np.log(samples))
+    assert searched.penalty(fit) == 0.0
+    assert searched.penalty(other) == pytest.approx(np.log(samples))
+
+
+class Quicker:
+    """Of a decay ``a exp(-t)`` the reading ``a exp(-2 t)``."""
+
+    def __init__(self) -> None:
+        self.other = Hooked(lambda values, t: {"y": values[0] * np.exp(-2.0 * t)}, PLAIN, ("y",))
+
+    def model(self, model: Model, question: str, option: str) -> Model:
+        return self.other
+
+    def stand(self, answers: Mapping[str, str]) -> bool:
+        return True
+
+
+def decays(rng: np.random.Generator, rate_1_s: float, rising: float) -> list[Trial]:
+    """Six trials of a decay, beside something that rises."""
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0 + 0.3 * k, 200)
+        y = np.exp(-rate_1_s * t) + rising * rise(t) + 0.02 * rng.normal(size=len(t))
+        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, rig=RigInput(force=1.0 + k)))
+    return trials
+
+
+def sought(trials: list[Trial], *, reading: bool = True) -> State:
+    effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
+    if reading:
+        said = 'Another answer to "How fast does it decay?": twice as fast.'
+        effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", readings=Quicker()))
+    return search.run(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}, effects)
+
+
+@pytest.mark.parametrize(
+    "rate, rising, causes",
+    [(2.0, 0.0, {"reading:rate=quick"}), (2.0, 0.3, {"reading:rate=quick", "rise"}), (1.0, 0.3, {"rise"})],
+)
+def test_a_reading_is_named_alone_and_in_a_set(
+    rng: np.random.Generator, rate: float, rising: float, causes: set[str]
+) -> None:
+    state = sought(decays(rng, rate, rising))
+    assert {e.name for e in state.base.effects} == causes
+    assert state.posterior.sets[frozenset(causes)] > 0.8
+
+
+def test_beside_a_reading_the_fits_of_effects_stay_what_they_are(rng: np.random.Generator) -> None:
+    """To the last bit, where it does not lead and so does not tell the noise."""
+    trials = decays(rng, 1.0, 0.3)
+    found, without = sought(trials), sought(trials, reading=False)
+    np.testing.assert_array_equal(found.base.theta, without.base.theta)
+    gains = [{r.tried.effect.name: r.gains for r in state.singles.ranked} for state in (found, without)]
+    assert set(gains[0]) == {*gains[1], "reading:rate=quick"}
+    for name, own in gains[1].items():
+        np.testing.assert_array_equal(gains[0][name], own)
 
 
 # ---------------------------------------------------------------- that they are found
