@@ -120,6 +120,17 @@ CURRENT = replace(
 )
 
 
+#: Another reading of the robot has no numbers.
+READING = replace(
+    BACKLASH,
+    effect="reading:drag_point=strips",
+    stage="fluid",
+    meaning='Another answer to "Where on a link is its speed taken?": spread evenly along each link.',
+    sources=[],
+    parameters={},
+)
+
+
 def _scores(first: str = "servo-backlash") -> list[Score]:
     rng = np.random.default_rng(5)
     names = {
@@ -132,6 +143,8 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
         "time-offset": "sensing",
         "imu-bias": "sensing",
     }
+    if first not in names:
+        names[first] = "fluid"
     scores = [
         Score(
             effect=name,
@@ -275,6 +288,9 @@ UNEXPLAINED = replace(
     remaining=_remaining(1.0, "surge force against speed", False, 911.0),
     advice=[],
 )
+REREAD = replace(
+    _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
+)
 PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False, 200.0))
 
 ALL = {
@@ -284,6 +300,7 @@ ALL = {
     "ambiguous": AMBIGUOUS,
     "unexplained": UNEXPLAINED,
     "partly": PARTLY,
+    "reread": REREAD,
 }
 
 

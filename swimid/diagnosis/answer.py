@@ -34,7 +34,7 @@ from swimid.diagnosis.gap_file import (
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
@@ -127,6 +127,7 @@ def answer(
         stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
     left = state.left
+    stuck = _at_bounds(context, nominal)
     regime, phase, time = places.regimes(where), places.phases(where) if gap else [], places.times(where)
     file = GapFile(
         verdict=word,
@@ -143,6 +144,7 @@ def answer(
         refuted=refuted,
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
+        at_bound=stuck,
         hypotheses=conclusion.hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
@@ -151,7 +153,7 @@ def answer(
         scores=rows,
         forces={**left.places} if left is not None else {},
         rounds=state.told,
-        reasons=[*reasons, *_reasons(state)],
+        reasons=[*(_stuck(name, value) for name, value in stuck.items()), *reasons, *_reasons(state)],
     )
     return ranked(file), Drawings(
         maps=places.maps(where),
@@ -285,11 +287,28 @@ def _values(state: State, cause: Named, sd: Mapping[str, float]) -> dict[str, Va
     return found
 
 
+def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
+    """The model's own shared coefficients that a fit ends with at a bound, and the bound."""
+    own = {p.name for p in context.parameters if not p.per_trial}
+    ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
+    return {label: float(value) for label, value, inside in ends if label in own and not inside}
+
+
+def _stuck(name: str, bound: float) -> str:
+    return f"{name} ends at its bound {bound:.4g} in the refit without effects: it may stand in for a cause"
+
+
 def _absorbed(
     state: State, nominal: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
     plain = conclusion.parameter_errors(state, nominal)
     found = []
+
+    def refitted(p: Parameter, fit: Fit, error: Mapping[str, float]) -> Value:
+        if p.name in _at_bounds(state.context, fit):
+            return Value(value=fit.value(p.name), stderr=None, unit=p.unit, status="at-bound")
+        return Value(value=fit.value(p.name), stderr=error.get(p.name), unit=p.unit)
+
     for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels:
             continue
@@ -299,8 +318,8 @@ def _absorbed(
                 coefficient=p.name,
                 given=known
                 and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
-                without=Value(value=nominal.value(p.name), stderr=plain[p.name], unit=p.unit),
-                with_effect=Value(value=state.base.value(p.name), stderr=sd.get(p.name), unit=p.unit),
+                without=refitted(p, nominal, plain),
+                with_effect=refitted(p, state.base, sd),
                 bounds=p.bounds,
             )
         )

@@ -233,8 +233,9 @@ def _best(
             moved = tuple(int(j) for j in np.flatnonzero(tried_at != null))
             if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
                 leaders[moved] = (float(gains.sum()), chosen[0])
-            # a size out of bounds is no size: what the effect does there is what it does at the bound
-            allowed = _allowed(null, tried_at - null, float(factors[0]), *inside)
+            # a size out of bounds is no size: what the effect does there is what it does at the bound; and
+            # what has no size is there as a whole
+            allowed = _allowed(null, tried_at - null, float(factors[0]), *inside) if parameters else 1.0
             if allowed != factors[0]:
                 gains = np.minimum(gains, plain - crossval.held_out_less(inner, where[0], allowed))
                 factors = np.array([allowed])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
@@ -318,9 +319,19 @@ class FitContext:
         """Places of the numbers that folds share, without those at their bounds: these stay there."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
+    def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
+        """Coefficients of which less is known once the robot is read otherwise, as :attr:`prior`: what other
+        trials told of them they told of the nominal robot.
+        """
+        if getattr(problem.model, "model", self.model) is self.model:
+            return {}
+        own = {p.name: OWN_PRIOR * max(abs(p.start), 0.1 * p.scale) for p in self.parameters}
+        return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
+
     def expected(self, problem: Mixed) -> tuple[Array, Array]:
         """Prior mean and inverse standard deviation of each number; 0 where there is none."""
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
+        known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
             if problem.differs(j):
@@ -329,8 +340,8 @@ class FitContext:
                 mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
             elif owner is not None:
                 weight[j] = 1.0 / (START_PRIOR * p.scale)
-            elif owner is None and p.name in self.prior:
-                m, sd = self.prior[p.name]
+            elif owner is None and p.name in known:
+                m, sd = known[p.name]
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
         return mean, weight
 
@@ -341,11 +352,12 @@ class FitContext:
         A model distorted by what it lacks may hold an effect in a poor local optimum.
         """
         plain, distorted = theta.copy(), False
+        known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
-            if owner is not None or p.name not in self.prior:
+            if owner is not None or p.name not in known:
                 continue
-            mean, sd = self.prior[p.name]
+            mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
                 # the trials themselves told the prior: what lacks has distorted it, too
@@ -552,15 +564,15 @@ class FitContext:
             Values of all the effect's parameters.
         """
         model = self.affected((*base.acting, effect))
-        null = np.array([p.start for p in model.own[-1]])
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
         runs = [
-            (np.concatenate((values, point[: len(null)])), trial)
-            for point in (null, *points)
+            (np.concatenate((values, point[: len(model.own[-1])])), trial)
+            for point in points
             for values, trial in zip(own, self.trials, strict=True)
         ]
+        without = self.affected(base.acting).simulate_many(list(zip(own, self.trials, strict=True)))
         simulated = iter(model.simulate_many(runs))
-        unaffected = [base.problem.stacked(k, next(simulated)) for k in range(len(self.trials))]
+        unaffected = [base.problem.stacked(k, seen) for k, seen in enumerate(without)]
         return [
             [
                 (base.problem.stacked(k, next(simulated)) - unaffected[k]) * base.problem.sample_weights(k)

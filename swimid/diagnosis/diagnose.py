@@ -8,7 +8,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, nominal, power, power_file, search
+from swimid.diagnosis import answer, nominal, power, power_file, readings, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.options import DiagnoseOptions
@@ -106,7 +106,8 @@ def diagnose(
         own_made = [e for path in own for e in effect_catalogue.from_file(path)]
         # the noise is what the best of all leaves, whichever are asked for
         known = [*effect_catalogue.catalogue(), *own_made]
-        asked = {e.name for e in (*effect_catalogue.chosen(list(effects)), *own_made)} if effects else None
+        named, read = readings.asked(effects, experiment)
+        asked = {*read, *(e.name for e in (*effect_catalogue.chosen(named), *own_made))} if effects else None
         begun = nominal.begun(loaded)
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
@@ -136,8 +137,9 @@ def diagnose(
             keep.done()
             could = PowerFile(**about, effects=rows, left_out=dict(left_out))
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
+        others, alike = readings.others(experiment, fitted)
         state = search.run(
-            model, model.parameters, fitted, begun.prior, tried,
+            model, model.parameters, fitted, begun.prior, [*tried, *others],
             asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
@@ -154,7 +156,8 @@ def diagnose(
         else ("folds of settings" if folds.whole else "stretches of trials"),
         "folds": folds.labels if len(folds.labels) <= 30 else [],
     }
-    file = file.model_copy(update={**about, "settings": settings})
+    said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
+    file = file.model_copy(update={**about, "settings": settings, "reasons": [*file.reasons, *said]})
     evidence = diagnose_evidence.evidence(
         file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )

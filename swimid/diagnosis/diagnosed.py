@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from swimid.diagnosis import gap_file, summary
-from swimid.diagnosis.gap_file import GapFile
+from swimid.diagnosis.gap_file import GapFile, Value
 from swimid.results.evidence import Evidence
 from swimid.results.result import FileResult
 
@@ -46,13 +46,15 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def causes(self) -> pd.DataFrame:
-        """A row for each parameter of each cause, the likeliest cause first."""
+        """A row for each parameter of each cause, the likeliest first; of a reading one without."""
         import pandas as pd
+
+        none = {"": Value(value=None, unit="")}
 
         rows = [
             (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
             for c in self.file.causes
-            for name, v in c.parameters.items()
+            for name, v in (c.parameters or none).items()
         ]
         return pd.DataFrame(
             rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]

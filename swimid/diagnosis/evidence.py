@@ -96,7 +96,18 @@ def checks(file: GapFile) -> list[ev.Check]:
         if file.verdict == "none"
         else (_gains, _rivals, _closed, _transfer, _coefficients, _left)
     )
-    return [check for part in (_size, *parts) for check in part(file)]
+    return [check for part in (_at_bounds, _size, *parts) for check in part(file)]
+
+
+def _at_bounds(file: GapFile) -> Iterable[ev.Check]:
+    if file.at_bound:
+        yield ev.Check(
+            name="bounds without effects",
+            value=words.bounds_text(file),
+            limit="inside",
+            verdict="warn",
+            text="a coefficient that the refit without effects takes to its bound may stand in for a cause",
+        )
 
 
 def _size(file: GapFile) -> Iterable[ev.Check]:

@@ -100,6 +100,9 @@ def _part(kind: str, cells: Sequence[Cell]) -> ev.Panel:
 
 def _ranked(file: GapFile) -> list[ev.Figure]:
     shown = words.refitted(file)[:MOST_EFFECTS]
+    best = max((s.gain for s in shown if s.gain is not None), default=0.0)
+    # another reading of the robot may lose millions
+    shown = [s for s in shown if best <= 0 or s.gain is None or s.gain >= -best]
     if not shown:
         return []
     named = {c.effect for c in file.causes}

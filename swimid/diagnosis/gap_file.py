@@ -119,6 +119,7 @@ class Cause(yamlio.Document):
     probability: Number
     #: Effects these trials cannot tell from it.
     equivalent: list[str] = []
+    #: None of another reading of the robot (``reading:NAME=OPTION``): it holds as a whole.
     parameters: dict[str, Value]
     shrinkage: list[Shrinkage] = []
     stage: Stage | None = None
@@ -222,6 +223,8 @@ class GapFile(yamlio.ResultFile):
     scores: list[Score] = []
     #: Held-out gain of generic residual forces and sensor terms, by axis.
     forces: dict[str, Number] = {}
+    #: Coefficients that end at a bound in the refit without effects, and the bound.
+    at_bound: dict[str, float] = {}
     #: What each round did, and why the verdict is what it is, in words.
     rounds: list[str] = []
     reasons: list[str] = []

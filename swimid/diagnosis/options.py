@@ -23,7 +23,8 @@ class DiagnoseOptions(Options):
         (),
         separated=True,
         metavar="A,B",
-        help="Try these effects of the catalogue only. Repeatable. Default: all that apply to the model.",
+        help="Try these effects of the catalogue, or other readings of the robot (reading:NAME=OPTION), only."
+        " Repeatable. Default: all that apply to the model.",
     )
     own_effects: tuple[Path, ...] = option(
         (),

@@ -28,6 +28,7 @@ from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
+from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import mapped
@@ -227,7 +228,9 @@ class Search:
         samples = float(sum(len(r) for r in fit.residuals))
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
-        return posterior.penalty(len(mine) - each, each, samples, len(fit.residuals))
+        # a coefficient of which less is known than of the model's own counts like a number of an effect
+        freed = len(self.context.loosened(fit.problem))
+        return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
         """The model itself, from known coefficients too where it has left them far behind: what a poor
@@ -241,9 +244,17 @@ class Search:
     def screened(self, parent: Hypothesis) -> Screen:
         """Every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
-            rest = [e for e in self.effects if e.name not in {p.name for p in parent.fit.effects}]
-            simulated = candidates.simulate(self.context, parent.fit, rest, jobs=self.jobs)
-            found = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
+            rest = [e for e in self.effects if e.joins(parent.fit.effects)]
+            found = Screen([])
+            for readings in (False, True):
+                # apart: beside more columns the inner products of the others would end in other digits
+                part = [e for e in rest if isinstance(e, OtherReading) == readings]
+                simulated = candidates.simulate(self.context, parent.fit, part, jobs=self.jobs)
+                if simulated:
+                    more = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
+                    found.tried += more.tried
+                    found.left_out |= more.left_out
+            found.tried.sort(key=lambda t: -t.gain)
             self.screens[parent.key] = found
         return self.screens[parent.key]
 
@@ -279,11 +290,8 @@ class Search:
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Under which an optimum is kept: effects, in their forms, and how many random effects."""
-        own = (
-            f"{e.name}/{p.name}"
-            for e in effects
-            for p in e.parameters(self.context.model, self.context.trials)
-        )
+        model, trials = self.context.model, self.context.trials
+        own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
@@ -295,14 +303,14 @@ class Search:
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         problem = context.problem(effects, noise_model.random_effects)
         starts = []
-        for point in (tried.point, *tried.starts):
+        for point in (tried.point, *tried.starts) if names else (tried.point,):
             own = dict(zip(names, point, strict=True))
             starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
         kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
-        if not fit.cost <= parent.fit.cost:
+        if names and not fit.cost <= parent.fit.cost:
             # a model without the effect is the model with it at nought
             null = context.start(effects, noise_model, parent.fit)
             fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
@@ -380,7 +388,8 @@ class Search:
             hopeless = h.names in far
             steps, warm = (FEW, h.fit) if hopeless else (STEPS, None)
             fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps, warm=warm)
-            if not fit.cost <= self.null.fit.cost:
+            sized = any(_belongs(label, effects) for label in h.fit.labels)
+            if sized and not fit.cost <= self.null.fit.cost:
                 # its coefficients were those of a poor optimum: from the model's own, and its own sizes
                 sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
                 starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]

@@ -99,7 +99,9 @@ def _percent(value: float | None, digits: int = 3) -> Cell:
 def _blocks(file: GapFile) -> list[Block]:
     blocks: list[Block] = []
     if file.causes:
-        blocks += [_causes(file), _sizes(file.causes)]
+        blocks.append(_causes(file))
+        if any(c.parameters for c in file.causes):
+            blocks.append(_sizes(file.causes))
         if any(c.shrinkage for c in file.causes[:1]):
             blocks.append(_shrinkage(file.causes[0], file.held_out))
     if file.advice:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChannelGap, GapFile, Score, Shrinkage, Value
+from swimid.effects.reading import PREFIX
 from swimid.results import numbers
 
 #: Extent of the terminal summary.
@@ -155,6 +156,11 @@ def place(cell: Cell) -> str:
     return cell.label if cell.kind in ("time", "change") else f"{cell.kind} {cell.label}"
 
 
+def bounds_text(file: GapFile) -> str:
+    """Coefficients that end at their bounds without effects: ``c_d4 at 6 and c_f0 at 0``."""
+    return listed([f"{name} at {numbers.number(bound, 3)}" for name, bound in file.at_bound.items()])
+
+
 def parts(file: GapFile) -> list[Cell]:
     """The gap in each part of the data: settings, phases, times."""
     return [*file.where.regime, *file.where.phase, *file.where.time]
@@ -189,6 +195,8 @@ def summary(file: GapFile) -> str:
     lines = [*_wrapped("", head, ""), ""]
     lines += [*_wrapped("", f"{file.verdict.upper()}: {verdict_sentence(file)}", ""), ""]
     rows = _gap_rows(file)
+    if file.at_bound:
+        rows.insert(0, ("bounds", f"{bounds_text(file)} in the refit without effects: look there first"))
     if file.verdict != "none":
         rows += _cause_rows(file)
         rows.append(("left", remaining_text(file)))
@@ -249,6 +257,8 @@ def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
         said = ", ".join(part for part in known if part)
         rows.append(("cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"))
         rows += [("", f"{name}  {value_text(v)}") for name, v in cause.parameters.items() if "[" not in name]
+        if cause.effect.startswith(PREFIX):
+            rows.append(("", f"to work with it: --reading {cause.effect.removeprefix(PREFIX)}"))
         if cause.equivalent:
             rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"))
     closing = [s for s in held_out(file) if s.closed is not None]

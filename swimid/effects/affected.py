@@ -20,7 +20,8 @@ class Affected(Model):
     """A model on which effects act.
 
     Its parameters are the model's, then those of each effect as ``effect/parameter``; with all of
-    the latter at their start values it is the model.
+    the latter at their start values it is the model, or what an effect has put in its place
+    (:meth:`Effect.in_place_of`).
 
     Parameters
     ----------
@@ -31,8 +32,10 @@ class Affected(Model):
     """
 
     def __init__(self, model: Model, effects: Sequence[Effect], trials: Sequence[Trial]) -> None:
-        self.model = model
+        self.nominal = self.model = model
         self.effects = tuple(effects)
+        for effect in self.effects:
+            self.model = effect.in_place_of(self.model)
         self.name = model.name
         self.channels = model.channels
         self.abscissa = model.abscissa
@@ -107,5 +110,5 @@ class Affected(Model):
 
     def refined(self) -> Affected | None:
         """The same with half the integration step."""
-        finer = self.model.refined()
+        finer = self.nominal.refined()
         return None if finer is None else Affected(finer, self.effects, self._trials)

@@ -82,6 +82,14 @@ class Effect(ABC):
         """The forms in which it is tried (which joint, which wall); empty where it does not apply."""
         return [self] if self.needs & model.offers else []
 
+    def joins(self, effects: Sequence[Effect]) -> bool:
+        """Whether it may act beside others; no effect acts twice."""
+        return self.name not in {e.name for e in effects}
+
+    def in_place_of(self, model: Model) -> Model:
+        """The model on which it and all others act, in place of the nominal one: that one as a rule."""
+        return model
+
     def tries(self, parameters: Parameters) -> list[Array]:
         """Points at which it is tried before anything is fitted, within the bounds.
 

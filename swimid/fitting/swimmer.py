@@ -39,6 +39,13 @@ class Swimmer(Model):
         """The same model with half the integration step."""
 
     @abstractmethod
+    def read_otherwise(self, robot: Robot) -> Swimmer:
+        """The same model of the same robot, of whose source something was read otherwise.
+
+        Its parameters are this model's where both have the same.
+        """
+
+    @abstractmethod
     def check(self, values: Array) -> None:
         """Refuse coefficients that make masses no body has.
 

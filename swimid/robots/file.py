@@ -174,34 +174,53 @@ def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, s
     UsageError
         For a reading or an option that is not there.
     """
-    path = locate(name, relative_to)
-    data = yamlio.load(path)
-    robot = yamlio.validate(data, Robot, path)
-    chosen = {key: reading.chosen for key, reading in robot.readings.items()}
-    for key, option in (readings or {}).items():
-        if key not in chosen or option not in robot.readings[key].options:
-            known = list(chosen) if key not in chosen else list(robot.readings[key].options)
-            what = f"reading '{key}'" if key not in chosen else f"option '{option}' of the reading '{key}'"
-            raise UsageError(
-                f"the robot '{robot.name}' has no {what}", hint=f"there are: {', '.join(known) or 'none'}"
-            )
-        chosen[key] = option
-    changes = {
-        k: v for key, option in chosen.items() for k, v in robot.readings[key].options[option].set.items()
-    }
-    if not changes:
-        return robot
-    patched = yamlio.plain(data)
-    for place, value in changes.items():
-        try:
-            _put(patched, place, value, path)
-        except InputError as error:
-            key = next(k for k, option in chosen.items() if place in robot.readings[k].options[option].set)
-            where = f"readings.{key}.options.{chosen[key]}"
-            raise located(InputError(error.reason, column=where), path) from error
-    for key, option in chosen.items():
-        patched["readings"][key]["chosen"] = option
-    return yamlio.validate(patched, Robot, path)
+    return RobotFile(locate(name, relative_to)).read(readings or {})
+
+
+class RobotFile:
+    """A robot file, to be read in one way after another.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._data = yamlio.load(path)
+        self._written = yamlio.validate(self._data, Robot, path)
+
+    def read(self, readings: Mapping[str, str]) -> Robot:
+        """The robot with other readings than those the file chooses (see :func:`read`)."""
+        written, path = self._written.readings, self.path
+        chosen = {key: reading.chosen for key, reading in written.items()}
+        for key, option in readings.items():
+            if key not in chosen or option not in written[key].options:
+                known = list(chosen) if key not in chosen else list(written[key].options)
+                what = f"reading '{key}'"
+                if key in chosen:
+                    what = f"option '{option}' of the {what}"
+                raise UsageError(
+                    f"the robot '{self._written.name}' has no {what}",
+                    hint=f"there are: {', '.join(known) or 'none'}",
+                )
+            chosen[key] = option
+        changes = {
+            k: v for key, option in chosen.items() for k, v in written[key].options[option].set.items()
+        }
+        if not changes and all(written[key].chosen == option for key, option in chosen.items()):
+            return self._written
+        patched = yamlio.plain(self._data)
+        for place, value in changes.items():
+            try:
+                _put(patched, place, value, path)
+            except InputError as error:
+                key = next(k for k, option in chosen.items() if place in written[k].options[option].set)
+                where = f"readings.{key}.options.{chosen[key]}"
+                raise located(InputError(error.reason, column=where), path) from error
+        for key, option in chosen.items():
+            patched["readings"][key]["chosen"] = option
+        return yamlio.validate(patched, Robot, path)
 
 
 def _put(data: Any, place: str, value: Any, path: Path) -> None:

@@ -261,6 +261,22 @@ class LinkedModel(Swimmer):
         other.wide, other.wide_side_by_side = self.wide, self.wide_side_by_side
         return other
 
+    def read_otherwise(self, robot: Robot) -> Self:
+        """The same model with the robot read otherwise (see :meth:`Swimmer.read_otherwise`).
+
+        It runs side by side where this one does and the compiled form serves both: where only numbers differ.
+        """
+        other = type(self)(robot, max_step=self.max_step)
+        if [p.name for p in other.parameters] != [p.name for p in self.parameters]:
+            return other
+        other.parameters = self.parameters
+        if self.kernel is not None and self.side_by_side:
+            draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, self._count))
+            if all(self.kernel.fits(other.tree.tables(draw)) for draw in draws):
+                other.kernel, other.side_by_side = self.kernel, True
+                other.wide, other.wide_side_by_side = self.wide, self.wide_side_by_side
+        return other
+
     def _value(self, values: Array, name: str) -> float:
         return float(values[self._at[name]]) if name in self._at else 0.0
 
