@@ -1,0 +1,46 @@
+"""The diagnosis is right on hard cases, whose generators know nothing of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.hard_gaps import CASES, Answer, Truth, outcome
+
+
+def test_the_generators_do_not_know_the_package() -> None:
+    said = "import sys, tests.hard_gaps; print([m for m in sys.modules if m.split('.')[0] == 'swimid'])"
+    ran = subprocess.run([sys.executable, "-c", said], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_case_is_the_same_whenever_it_is_made(tmp_path: Path, name: str) -> None:
+    folders = [tmp_path / "first", tmp_path / "second"]
+    for folder in folders:
+        CASES[name].make(folder)
+    first, second = ({p.name: p.read_bytes() for p in folder.iterdir()} for folder in folders)
+    assert first == second
+    assert "trials.yaml" in first
+    assert ("params.yaml" in first) == (CASES[name].fit is None)
+
+
+def test_what_is_wrong_with_an_answer() -> None:
+    truth = Truth(frozenset({"explained"}), frozenset({"current"}), alone=True, closed=0.9)
+    right = Answer("explained", [(frozenset({"current"}), 0.97, {})], (0.99,), ["current"])
+    assert truth.wrong(right) == []
+    rival = Answer("ambiguous", [(frozenset({"current", "tether"}), 0.9, {})], (0.5,), ["tether"])
+    assert truth.wrong(rival) == ["ambiguous", "equivalent tether", "closed 50%"]
+    other = Answer("explained", [(frozenset({"waves"}), 0.9, {})], (), ["waves"])
+    assert truth.wrong(other) == ["waves", "equivalent waves"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_what_must_be_said_is_said(tmp_path: Path, name: str) -> None:
+    found = outcome(CASES[name], tmp_path)
+    assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"
