@@ -24,6 +24,7 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Extrapolation,
     GapFile,
+    OddTrial,
     Remaining,
     Shrinkage,
     Stage,
@@ -31,10 +32,12 @@ from swimid.diagnosis.gap_file import (
     Where,
     ranked,
 )
+from swimid.diagnosis.odd import contradicting
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.odd_trial import Odd
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
@@ -99,6 +102,7 @@ def answer(
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
     refuted: list[str] = []
+    helped = True
     sound = shrinkage.sound(held)
     if chosen and shrinkage.refute(held, floor):
         refuted = [c.best.tried.effect.name for c in chosen]
@@ -110,6 +114,12 @@ def answer(
             f"{names}: held-out trials, simulated anew, {hides if sound else 'break down with it'}"
         )
         word = "ambiguous" if word == "explained" else word
+        helped = False
+    odd = None
+    if word == "unexplained" or not helped:
+        odd = contradicting(context, nominal, nominal.marginal_residuals(), floor)
+    if odd is not None:
+        chosen, word, state.base = [], "unexplained", nominal
     # what a cause accounts for is none of the random effects of the model without it
     gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
     size = {c: _rms(v) for c, v in by_channel(nominal, gap_left).items()}
@@ -140,7 +150,8 @@ def answer(
         ),
         causes=causes if gap else [],
         remaining=_remaining(state, nominal, gap_left, floor),
-        advice=_advice(state, chosen, word, floor),
+        advice=[*_without(odd), *_advice(state, chosen, word, floor)],
+        odd_trial=None if odd is None else OddTrial(trial=odd.trial, times=odd.times),
         refuted=refuted,
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
@@ -161,6 +172,12 @@ def answer(
         overlays=shrinkage.overlays(held, units),
         sketches=places.sketches(left) if left is not None and left.found else [],
     )
+
+
+def _without(odd: Odd | None) -> list[Advice]:
+    if odd is None:
+        return []
+    return [Advice(text=f"look at what is written of {odd.trial}; diagnose without it (role: validate)")]
 
 
 def _by_coefficients(state: State) -> bool:

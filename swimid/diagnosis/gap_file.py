@@ -174,6 +174,14 @@ class Score(yamlio.Document):
     probability: Number = None
 
 
+class OddTrial(yamlio.Document):
+    """A trial that the others do not predict as they predict one another."""
+
+    trial: str
+    #: Its error of prediction over the others' typical one.
+    times: float
+
+
 class Hypothesis(yamlio.Document):
     """A set of effects that was fitted together with the model; the empty one is the model as it is."""
 
@@ -228,6 +236,8 @@ class GapFile(yamlio.ResultFile):
     #: What each round did, and why the verdict is what it is, in words.
     rounds: list[str] = []
     reasons: list[str] = []
+    #: What is wrong is wrong in this trial alone.
+    odd_trial: OddTrial | None = None
     #: The likeliest causes by the fits, if held-out errors are worse with them by more than the gap.
     refuted: list[str] = []
     settings: dict[str, Any] = {}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from swimid.diagnosis.random_effects import FEWEST, OWN
 from swimid.files.provenance import digests_of
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
@@ -50,7 +51,11 @@ def begun(loaded: Loaded) -> Begun:
     """Where a diagnosis begins; the model gets the parameters that are refitted."""
     model, applied = loaded.experiment.model, loaded.applied
     given = _given(loaded)
-    model.parameters = refitted(model.parameters, given, applied.values(), own=applied.fitted_per_trial())
+    own = applied.fitted_per_trial()
+    if len(loaded.experiment.trials) >= FEWEST:
+        # these are random effects here: free in each trial they would take up any gap
+        own -= OWN.keys()
+    model.parameters = refitted(model.parameters, given, applied.values(), own=own)
     trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
     same = _own_data(loaded)
     return Begun(trials, given, same, prior(model.parameters, given, own_data=same))

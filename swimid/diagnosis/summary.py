@@ -42,6 +42,11 @@ def verdict_sentence(file: GapFile) -> str:
         rivals = [cannot_tell(c) for c in file.causes if c.equivalent]
         likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
         return f"The model has a gap; {'; '.join(rivals) or likeliest}."
+    if file.odd_trial is not None:
+        return (
+            f"The model has a gap, and {file.odd_trial.trial} contradicts the other trials: no effect that all "
+            "share explains it."
+        )
     if names:
         close = "close" if len(names) > 1 else "closes"
         return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
@@ -200,6 +205,11 @@ def summary(file: GapFile) -> str:
     if file.verdict != "none":
         rows += _cause_rows(file)
         rows.append(("left", remaining_text(file)))
+    if file.odd_trial is not None:
+        times = numbers.number(file.odd_trial.times, 2)
+        rows.insert(
+            0, ("odd", f"{file.odd_trial.trial}: the others predict it {times} times worse than one another")
+        )
     if file.refuted:
         names = listed(file.refuted)
         rows.append(
