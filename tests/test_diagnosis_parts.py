@@ -858,6 +858,32 @@ def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bo
     assert shrinkage.helps([piece(before, after)], {"x_m": 0.01}) is helps
 
 
+@pytest.mark.parametrize(("after", "refuted"), [(0.0, False), (6.9, False), (7.2, True), (np.nan, True)])
+def test_a_cause_that_doubles_the_gap_is_refuted(after: float, refuted: bool) -> None:
+    """Errors of 5 leave a squared gap of 25; with one of 7.07, the root of 50, it has grown by as much."""
+    assert shrinkage.refute([piece(5.0, after)], {"x_m": 0.01}) is refuted
+
+
+def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:
+    """A slow error of known size keeps its colour; one three times as large is no rounding."""
+    time = np.arange(400) / 50
+    problem = FitContext(
+        Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(np.random.default_rng(3), 0.0, 0.0), {}
+    ).shape
+    error = [
+        np.sqrt(2.0) * np.sin(2 * np.pi * 0.5 * time[: sum(int(m.sum()) for m in masks)])
+        for masks in problem.masks
+    ]
+    known = NoiseModel(problem.sd, rounding={"y": 1.0})
+    seen = coloured(problem, error, known)
+    assert brief(seen, problem, error, ["y"]).colour["y"] is seen.colour["y"]
+    larger = [3.0 * e for e in error]
+    seen = coloured(problem, larger, known)
+    short = brief(seen, problem, larger, ["y"])
+    assert short.colour["y"] is not seen.colour["y"]
+    assert short.whole["y"] == pytest.approx(1.0)
+
+
 def test_few_samples_need_less_gain_and_never_less_than_noise_may_give() -> None:
     assert [remainder.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
 

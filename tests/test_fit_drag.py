@@ -272,6 +272,14 @@ class TestEncoder:
         x = np.round(0.05 * t**2 + rng.normal(0, 2e-3, len(t)), 3)
         assert encoder.understand(t, x).kind == "continuous"
 
+    def test_a_step_is_as_sure_as_the_samples_around_it_are_near(self) -> None:
+        """A log written at clicks of another counter has long intervals where the body is slow."""
+        t = np.cumsum(np.r_[0.0, np.geomspace(0.4, 0.02, 120)])
+        record = encoder.understand(t, np.floor(0.002 * t**2 / STEP) * STEP)
+        assert record.kind == "sampled"
+        gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
+        np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
+
     @pytest.mark.parametrize("rounding", encoder.ROUNDINGS)
     def test_positions_behind_the_counts(self, rounding: str) -> None:
         t = np.arange(0, 10, 0.001)

@@ -39,8 +39,12 @@ def test_what_is_wrong_with_an_answer() -> None:
     assert truth.wrong(other) == ["waves", "equivalent waves"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
+QUICK = ("rounded-15mm", "drops-odd-one")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CASES]
+)
 def test_what_must_be_said_is_said(tmp_path: Path, name: str) -> None:
     found = outcome(CASES[name], tmp_path)
     assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"

@@ -43,10 +43,8 @@ def verdict_sentence(file: GapFile) -> str:
         likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
         return f"The model has a gap; {'; '.join(rivals) or likeliest}."
     if file.odd_trial is not None:
-        return (
-            f"The model has a gap, and {file.odd_trial.trial} contradicts the other trials: no effect that all "
-            "share explains it."
-        )
+        odd = file.odd_trial.trial
+        return f"The model has a gap, and {odd} contradicts the other trials: no effect of all explains it."
     if names:
         close = "close" if len(names) > 1 else "closes"
         return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
