@@ -68,6 +68,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     bound = ", ".join(optimum.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" if bound else ""
     checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text))
+    checks += trust.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
     change = optimum.quantities.get("speed_change_per_beat_m_s")
     speed = optimum.quantities.get("mean_speed_m_s")
     if change is not None and speed:

@@ -82,6 +82,9 @@ def _checks(file: MapFile) -> list[ev.Check]:
         ),
         _region_check(file),
     ]
+    if "mean_surge_from_start_m_s" in file.quantities:
+        surge = [v for row in file.quantities["mean_surge_from_start_m_s"].values for v in row]
+        checks += trust.forwards_check(surge)
     known = any(q.stderr is not None for q in file.quantities.values())
     checks.append(
         ev.check(

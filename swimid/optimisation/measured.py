@@ -25,20 +25,25 @@ from swimid.swimmer import trials as swimmer
 
 #: Columns of electrical power in a log.
 VOLTAGE, CURRENT = "voltage_V", "current_A"
+#: Share of a window whose samples must have both.
+LOGGED = 0.9
 #: A trial lies on a map where what is not varied differs by no more than this share, and its unit's part.
 SAME, LEAST = 0.02, 1e-3
 
 
 def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
-    """Mean electrical power over a window, W; NaN where nothing was logged (dolphin, section 4.2.2).
+    """Mean electrical power over a window, W (dolphin, section 4.2.2).
+
+    NaN where less than :data:`LOGGED` of it was logged.
 
     >>> time = np.linspace(0.0, 1.0, 5)
     >>> electrical_power(time, np.full(5, 24.0), np.full(5, 2.0), Window(0.0, 1.0, 1, 1.0))
     48.0
     """
     power = voltage_V * current_A
-    there = np.isfinite(power) & (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
-    if there.sum() < 3:
+    within = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
+    there = np.isfinite(power) & within
+    if there.sum() < max(3, LOGGED * within.sum()):
         return math.nan
     return float(np.trapezoid(power[there], time_s[there]) / np.ptp(time_s[there]))
 

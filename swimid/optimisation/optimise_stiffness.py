@@ -232,6 +232,9 @@ def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Sear
     if name not in performance.model.coefficients:
         hint = suggestion(name, performance.model.coefficients)
         raise UsageError(f"--coefficient: there is no '{name}'", hint=hint)
+    if name not in found:
+        known = f"there are {', '.join(found)}" if found else "this robot has none"
+        raise UsageError(f"--coefficient: {name} stands in no passive joint's law", hint=known)
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
     if not (math.isfinite(low) and math.isfinite(high)):

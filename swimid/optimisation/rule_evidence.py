@@ -104,6 +104,9 @@ def _checks(file: RuleFile) -> list[ev.Check]:
         checks.insert(
             0, ev.check("the speed is reached", f"at {reached} of {count} points", False, "all", text)
         )
+    if file.objective == "speed":
+        surge = [-min(row[1] for row in o.front if row[1] is not None) for o in file.optima if o.front]
+        checks += trust.forwards_check(surge)
     settled = sum(one.settling_time_s is not None for one in file.optima if one.stiffness is not None)
     checks.append(
         ev.check(

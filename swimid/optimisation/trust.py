@@ -52,3 +52,28 @@ def region_check(region: Region, points: Sequence[Mapping[str, float]]) -> ev.Ch
         names = ", ".join(name for name in region if any(name in one for one in out))
         text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
     return ev.check(name, f"{inside} of {len(points)}", inside == len(points), "all", text)
+
+
+def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
+    """Whether gaits swim nose first: speed is that along the path, whichever way the robot faces.
+
+    Parameters
+    ----------
+    surge_m_s : sequence of float or None
+        Mean forward speed of each; None where there is none.
+    """
+    known = [surge for surge in surge_m_s if surge is not None]
+    back = sum(surge <= 0 for surge in known)
+    if not known:
+        return []
+    text = "elsewhere the robot is driven tail first: its speed there is none of swimming" if back else ""
+    return [
+        ev.check(
+            "swims nose first",
+            f"{len(known) - back} of {len(known)}",
+            not back,
+            "all",
+            otherwise="fail" if back == len(known) else "warn",
+            text=text,
+        )
+    ]
