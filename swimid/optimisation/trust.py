@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from swimid.notices import Notice
+from swimid.results import blocks
 from swimid.results import evidence as ev
 
 #: Warnings that coefficients are not vouched for: outside their bounds, or by a fit that did not converge or
@@ -68,11 +69,11 @@ def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
         return []
     text = "elsewhere the robot is driven tail first: its speed there is none of swimming" if back else ""
     return [
-        ev.check(
+        blocks.check(
             "swims nose first",
             f"{len(known) - back} of {len(known)}",
-            not back,
             "all",
+            not back,
             otherwise="fail" if back == len(known) else "warn",
             text=text,
         )
