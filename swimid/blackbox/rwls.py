@@ -357,12 +357,20 @@ def _parameter_file(
             rows_left_out=fitted.data.possible - len(fitted.data),  # type: ignore[call-arg]
             condition=fitted.determined.condition,  # type: ignore[call-arg]
             input_excites=fitted.determined.input_rank,  # type: ignore[call-arg]
+            # deviations from the input's level; beyond them the model is extrapolated
+            input_range=_input_range(data, float(settings.get("input_level", 0.0))),  # type: ignore[call-arg]
             stability=m.stability,  # type: ignore[call-arg]
             integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
             recursion_end=dict(zip(orders.names, fitted.recursion.theta.tolist(), strict=True)),  # type: ignore[call-arg]
         ),
         provenance=block,
     )
+
+
+def _input_range(data: Data, level: float) -> list[float]:
+    """Least and largest deviation of the input from its level in the fitted logs."""
+    values = np.concatenate([record.source for record in data.fit]) - level
+    return [float(np.nanmin(values)), float(np.nanmax(values))]
 
 
 def _summary(m: Identified, file: parameters.ParameterFile) -> str:

@@ -21,7 +21,7 @@ from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.parameters import ParameterFile
+from swimid.results.parameters import Fit, ParameterFile
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ FORMAT: Literal["swimid-controller/1"] = "swimid-controller/1"
 SENSITIVITY = 1.4
 #: Margins a controller is to have: phase (deg) and gain; a sensitivity of 1.4 promises 41 deg and 3.5.
 PHASE_DEG, GAIN = 40.0, 3.0
+#: The steady gain is known where half of its 95 % interval is no more than this share of it.
+GAIN_KNOWN = 0.5
 #: Steps of the table; frequencies of the responses; gains that are tried.
 STEPS, FREQUENCIES, TRIED = 5, 4000, 160
 #: Samples of a step response at most; the last are its end within this share.
@@ -50,6 +52,8 @@ class StepRow(yamlio.Document):
 
     input: float
     output: float
+    #: 95 % interval of the output, by the steady gain's.
+    output_ci95: Pair = (None, None)
     rise_time_s: Number = None
     settling_time_s: Number = None
     overshoot: Number = None
@@ -150,6 +154,10 @@ def design(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
         closed = control.feedback(plant * pi, 1)
         closing = control.step_info(closed)
         share, interval = _drawn(file, pi, options)
+        for row in steps:
+            if interval[0] is not None and interval[1] is not None:
+                first, last = sorted(row.input * end for end in interval if end is not None)
+                row.output_ci95 = (first, last)
     origin = provenance.collect([parameters_format.origin(options.params)], settings=options.settings())
     result = ControllerFile(
         verdict="caution",
@@ -176,7 +184,7 @@ def design(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
         steady_gain_ci95=interval,
         provenance={key: origin[key] for key in ("version", "inputs", "settings")},
     )
-    evidence = _evidence(result, plant, closed, notices, origin)
+    evidence = _evidence(result, file.fit, plant, closed, notices, origin)
     result.verdict = evidence.verdict.level
     return SpeedController.of(result, evidence).saved(output)
 
@@ -295,8 +303,48 @@ def _drawn(
 # ------------------------------------------------------------ telling
 
 
+def _model_checks(file: ControllerFile, fit: Fit | None) -> list[ev.Check]:
+    """What the fit that the model comes from says of it; nothing of a model that was not fitted here."""
+    if fit is None:
+        return []
+    checks = []
+    if (white := fit.noise.get("white")) is not None:
+        text = (
+            ""
+            if white
+            else "coefficients are biased beyond their errors: raise the orders, or model the noise"
+        )
+        checks.append(
+            ev.check(
+                "residuals of the model are white", numbers.number(bool(white)), bool(white), "yes", text=text
+            )
+        )
+    tried = bool(fit.validation)
+    checks.append(
+        ev.check(
+            "model tried on data that were held out", numbers.number(tried), tried, "yes",
+            text="" if tried else "hold some out: swimid rwls --validate",
+        )
+    )  # fmt: skip
+    if told := (fit.model_extra or {}).get("input_range"):
+        low, high = (float(end) for end in told)
+        asked = [row.input for row in file.steps]
+        slack = 1e-9 * max(abs(low), abs(high))
+        inside = low - slack <= min(asked) and max(asked) <= high + slack
+        checks.append(
+            ev.check(
+                "input within what was logged",
+                numbers.interval(min(asked), max(asked), None, file.input_unit), inside,
+                numbers.interval(low, high),
+                text="" if inside else "beyond it is extrapolation: the robot need not be linear there",
+            )
+        )  # fmt: skip
+    return checks
+
+
 def _evidence(
     file: ControllerFile,
+    fit: Fit | None,
     plant: control.TransferFunction,
     closed: control.TransferFunction,
     notices: Sequence[Notice],
@@ -304,6 +352,7 @@ def _evidence(
 ) -> ev.Evidence:
     phase, gain = file.phase_margin_deg, file.gain_margin
     checks = [
+        *_model_checks(file, fit),
         ev.check(
             "phase margin", numbers.number(phase, 3, "deg"), phase is None or phase >= PHASE_DEG,
             f"≥ {PHASE_DEG:g} deg",
@@ -323,15 +372,20 @@ def _evidence(
         )
     low, high = file.steady_gain_ci95
     if low is not None and high is not None:
-        told = low > 0 or high < 0
+        told = 0.5 * (high - low) <= GAIN_KNOWN * abs(file.steady_gain)
         text = "" if told else "the input of the log hardly changed slowly: log steps of it, and fit again"
         checks.append(
-            ev.check("sign of the steady gain", numbers.interval(low, high), told, "95 % on one side", text)
-        )
+            ev.check(
+                "steady gain", numbers.interval(low, high), told,
+                f"half of it ≤ {numbers.percent(GAIN_KNOWN)} of {numbers.number(file.steady_gain, 3)}",
+                text=text,
+            )
+        )  # fmt: skip
     rows: list[dict[str, blocks.Cell]] = [
         {
             file.input: numbers.number(row.input, 3, file.input_unit),
             file.output: numbers.number(row.output, 4, file.output_unit),
+            f"{file.output}, 95 %": numbers.interval(*row.output_ci95),
             "rises in": numbers.number(row.rise_time_s, 3, "s"),
             "settles in": numbers.number(row.settling_time_s, 3, "s"),
             "overshoot": numbers.percent(row.overshoot, 2),
@@ -378,8 +432,10 @@ def _steps(
         _, y = control.step_response(system, T=time)
         x, thin = ev.thinned(time, np.asarray(y) / over, 600)
         traces.append(ev.Trace(x=x, y=thin, label=label))
-    caption = "Each over its end. The closed loop reaches the set point without what it overshoots by."
-    return blocks.figure("steps", "Step responses", caption, "time (s)", "output over its end", traces)
+    caption = (
+        "Output over its steady value: open loop to a step of the input, closed loop to one of the set point."
+    )
+    return blocks.figure("steps", "Step responses", caption, "time (s)", "output over steady value", traces)
 
 
 def _bode(file: ControllerFile, plant: control.TransferFunction) -> ev.Figure:
@@ -414,11 +470,17 @@ def _answer(file: ControllerFile) -> str:
 
 
 def _summary(file: ControllerFile, evidence: ev.Evidence) -> str:
-    lines = [f"{file.params}: {file.output} by {file.input}", ""]
+    lines = [
+        f"{file.params}: {file.output} by {file.input}, deviations from "
+        f"{numbers.number(file.output_level, 3, file.output_unit)} and "
+        f"{numbers.number(file.input_level, 3, file.input_unit)}",
+        "",
+    ]
     for row in file.steps:
+        ends = "" if row.output_ci95[0] is None else f" (95 %: {numbers.interval(*row.output_ci95)})"
         lines.append(
             f"  {numbers.number(row.input, 3, file.input_unit)} leads to "
-            f"{numbers.number(row.output, 3, file.output_unit)} in "
+            f"{numbers.number(row.output, 3, file.output_unit)}{ends} in "
             f"{numbers.number(row.settling_time_s, 3, 's')}"
         )
     low, high = file.steady_gain_ci95

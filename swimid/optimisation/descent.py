@@ -17,6 +17,11 @@ from swimid.fitting.model import Array
 FIRST, LAST = 0.1, 1e-3
 #: Steps at most.
 STEPS = 24
+#: A limit passed by its own size costs as much as so many times the goal's typical size; one passed by no
+#: more than this share is kept to.
+PENALTY, KEPT_TO = 10.0, 1e-3
+#: Share of draws of the coefficients that count as the worst.
+WORST = 0.1
 #: A value that is no number counts as this.
 BROKEN = 1e9
 #: Points at which a model of the function is looked at, and how often that is repeated in a smaller box.

@@ -16,6 +16,7 @@ from swimid.files import atomic, provenance, yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.fitting.model import Array
 from swimid.notices import Notice, recorded
+from swimid.optimisation import trust
 from swimid.optimisation.draws import drawn
 from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.propulsion import trials as propulsion
@@ -68,6 +69,8 @@ class FinFile(yamlio.ResultFile):
     frequency_hz: tuple[float, float]
     #: Where the ranges come from.
     ranges: Literal["given", "runs of the fit"]
+    #: Range of the runs that the law was fitted to; outside it is extrapolation.
+    identified: dict[str, tuple[float, float]] = {}
     limits: dict[str, float] = {}
     #: Power of propulsion at this speed over the recoil efficiency, W: what any fin needs at the least.
     least_power_W: float
@@ -174,7 +177,8 @@ def choose(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
         inputs = [parameters_format.origin(options.params), parameters_format.origin(drag_path), place]
         if output is not None:
             atomic.check_writable(output, inputs=inputs)
-        ranges = _ranges(file, options)
+        runs = _runs(file)
+        ranges = _ranges(runs, options)
         law = _law(applied, applied.values(), area)
         vectors = drawn(applied, options.draws, options.seed).vectors if applied.uncertain()[0] else []
         laws = [_law(applied, values, area) for values in vectors]
@@ -197,6 +201,7 @@ def choose(file: ParameterFile, options: OptimiseGaitOptions, output: Path | Non
         amplitude_deg=ranges["amplitude_deg"],
         frequency_hz=ranges["frequency_hz"],
         ranges="given" if options.vary else "runs of the fit",
+        identified=runs,
         limits=dict(options.limits),
         least_power_W=area * options.reach_speed_m_s**3 / law.efficiency,
         best=best.fin,
@@ -216,10 +221,29 @@ def _law(applied: Applied, values: Array, area: float) -> Law:
     return Law(area, value["recoil_efficiency"], math.radians(value["amplitude_offset_deg"]))
 
 
-def _ranges(file: ParameterFile, options: OptimiseGaitOptions) -> dict[str, tuple[float, float]]:
-    """What may be set: as given, or what the runs of the fit were driven with."""
+def _runs(file: ParameterFile) -> dict[str, tuple[float, float]]:
+    """What the runs that the law was fitted to were driven with; empty where the file does not tell.
+
+    Frequencies that depart from the law (SWM030) are none of it.
+    """
     extra = (file.fit.model_extra or {}) if file.fit is not None else {}
-    runs = extra.get("operating_points", [])
+    out = [float(one["frequency_hz"]) for one in extra.get("departures", [])]
+    runs = [
+        run for run in extra.get("operating_points", []) if not np.isclose(run["frequency_hz"], out).any()
+    ]
+    if not runs:
+        return {}
+    found = {}
+    for name in ("frequency_hz", "amplitude_deg"):
+        values = [float(run[name]) for run in runs]
+        found[name] = (min(values), max(values))
+    return found
+
+
+def _ranges(
+    runs: dict[str, tuple[float, float]], options: OptimiseGaitOptions
+) -> dict[str, tuple[float, float]]:
+    """What may be set: as given, or what the runs of the fit were driven with."""
     found = {}
     for name in ("frequency_hz", "amplitude_deg"):
         if name in options.vary:
@@ -227,9 +251,8 @@ def _ranges(file: ParameterFile, options: OptimiseGaitOptions) -> dict[str, tupl
             if not 0 < low < high:
                 raise UsageError(f"--vary {name}: {low:g} is not above zero and below {high:g}")
             found[name] = (low, high)
-        elif runs:
-            values = [float(run[name]) for run in runs]
-            found[name] = (min(values), max(values))
+        elif name in runs:
+            found[name] = runs[name]
         else:
             raise UsageError(f"the parameter file tells no runs: give --vary {name}=LOW,HIGH")
     return found
@@ -292,18 +315,29 @@ def _evidence(
             "inside",
             "a larger amplitude at a lower frequency would need less power" if best.at_bound else "",
         ),
-        ev.check(
-            "ranges", file.ranges, None,
-            text="" if file.ranges != "given" else "beyond the runs of the fit it is extrapolation",
+        trust.region_check(
+            file.identified,
+            [{"frequency_hz": best.frequency_hz or 0.0, "amplitude_deg": best.amplitude_deg or 0.0}],
         ),
-    ]  # fmt: skip
+        *trust.coefficients_check(notices),
+    ]
+    if best.frequency_ci95[0] is None:
+        text = "the parameter file has no standard errors"
+        checks.append(ev.check("uncertainty of the frequency", "not known", None, text=text))
     traces = []
     for group, (name, inertia) in enumerate(fins.items()):
         amplitude = np.linspace(*file.amplitude_deg, 60)
         frequency = law.frequency(file.speed_m_s, inertia, np.radians(amplitude))
         traces.append(ev.Trace(x=amplitude, y=frequency, label=name, group=group))
+    reached = [one for one in file.fins if one.power_W is not None]
+    traces.append(
+        blocks.points(
+            reached, lambda one: one.amplitude_deg, lambda one: one.frequency_hz, label="least power",
+            group=len(fins),
+        )
+    )  # fmt: skip
     marks = [ev.Mark(at=f, label="range of the frequency") for f in file.frequency_hz]
-    caption = f"Each fin reaches {file.speed_m_s:g} m/s along its curve."
+    caption = f"Each fin reaches {file.speed_m_s:g} m/s along its curve; within the marks it is allowed to."
     figure = blocks.figure(
         "fins", "What reaches the speed", caption, "amplitude (deg)", "frequency (Hz)", traces, marks=marks
     )

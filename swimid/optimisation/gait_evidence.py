@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from swimid.notices import Notice
+from swimid.optimisation import trust
 from swimid.optimisation.gait_file import Gait, GaitFile
+from swimid.optimisation.performance import BEAT, STROKE
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
@@ -16,6 +18,8 @@ from swimid.results import evidence as ev
 METHODS = {"gradient": "gradient search", "nsga2": "NSGA-II"}
 #: Both searches agree where their values differ by no more than this share.
 AGREE = 0.005
+#: Share of draws of the coefficients in which the limits are to be kept to.
+SURE = 0.9
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
     "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
@@ -29,7 +33,7 @@ REFERENCES = [
 
 def evidence(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """What a gait rests on."""
-    checks = _checks(file)
+    checks = [*_checks(file), *trust.coefficients_check(notices)]
     return ev.Evidence(
         verb="optimise gait",
         title=f"Gait of {file.robot}",
@@ -64,6 +68,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     bound = ", ".join(optimum.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" if bound else ""
     checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text))
+    checks += trust.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
     change = optimum.quantities.get("speed_change_per_beat_m_s")
     speed = optimum.quantities.get("mean_speed_m_s")
     if change is not None and speed:
@@ -77,6 +82,8 @@ def _checks(file: GaitFile) -> list[ev.Check]:
                 "" if share <= 0.005 else "the best gait for a run of this length: see --duration-s",
             )
         )
+    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
+    checks.append(trust.region_check(file.identified, [{**drive, **optimum.at}]))
     if file.draws:
         inside = file.draws if file.inside is None else file.inside
         known = file.refused <= inside
@@ -89,10 +96,30 @@ def _checks(file: GaitFile) -> list[ev.Check]:
                 "" if known else "the coefficients are hardly known: fit them better",
             )
         )
-    elif len(file.goals) == 1:
+        checks += _kept_check(file)
+    else:
         text = "give a parameter file with standard errors: --params"
         checks.append(ev.check("uncertainty of the gait", "not known", None, text=text))
     return checks
+
+
+def _kept_check(file: GaitFile) -> list[ev.Check]:
+    """Whether a gait that is told keeps to its limits whatever the coefficients are."""
+    best = file.optimum.kept_in_draws
+    if best is None:
+        return []
+    robust = None if file.robust is None else file.robust.kept_in_draws
+    sound = max(best, robust or 0.0) >= SURE
+    value = f"best gait {numbers.percent(best, 2)}"
+    value += "" if robust is None else f", robust gait {numbers.percent(robust, 2)}"
+    text = ""
+    if best < SURE:
+        text = "take the robust gait" if sound else "leave more room to the limits, or fit better"
+    return [
+        ev.check(
+            "draws in which the limits are kept to", value, sound, f"≥ {numbers.percent(SURE)}", text=text
+        )
+    ]
 
 
 # ------------------------------------------------------------ in words
@@ -112,12 +139,26 @@ def _where(file: GaitFile, gait: Gait) -> str:
     parts = []
     for name, value in gait.at.items():
         text = f"{name} {_amount(file, name, value)}"
-        if name in gait.at_ci95:
-            low, high = (numbers.number(end) for end in gait.at_ci95[name])
-            alike = "the end of its range" if name in gait.at_bound else low
-            text += f" (95 %: {low} … {high})" if low != high else f" (in all draws: {alike})"
+        if ends := _ends(gait, name):
+            text += f" (95 %: {ends})" if "…" in ends else f" ({ends})"
         parts.append(text)
     return ", ".join(parts)
+
+
+def _ends(gait: Gait, name: str) -> str:
+    """The 95 % interval of what is varied; nothing where none is known."""
+    if name not in gait.at_ci95:
+        return ""
+    low, high = (numbers.number(end) for end in gait.at_ci95[name])
+    if low != high:
+        return f"{low} … {high}"
+    return f"in all draws: {'the end of its range' if name in gait.at_bound else low}"
+
+
+def _goal_ends(file: GaitFile, gait: Gait, goal: str) -> str:
+    """The 95 % interval of a goal; nothing where none is known."""
+    ends = [_goal(file, goal, end) for end in gait.goals_ci95.get(goal, ())]
+    return " … ".join(dict.fromkeys(ends))
 
 
 def answer(file: GaitFile) -> str:
@@ -136,9 +177,8 @@ def summary(file: GaitFile, evidence: ev.Evidence) -> str:
         lines.append(f"  {word:<12} {_where(file, gait)}")
         for goal, value in gait.goals.items():
             text = f"  {'':<12} {goal} {_goal(file, goal, value)}"
-            if goal in gait.goals_ci95:
-                ends = [_goal(file, goal, end) for end in gait.goals_ci95[goal]]
-                text += f" (95 %: {ends[0]} … {ends[1]})"
+            if ends := _goal_ends(file, gait, goal):
+                text += f" (95 %: {ends})"
             lines.append(text)
         if gait.loss_worst_tenth is not None:
             goal = next(iter(file.goals))
@@ -176,19 +216,27 @@ def _gaits(file: GaitFile) -> ev.Table:
         row: dict[str, blocks.Cell] = {"gait": word}
         for name, value in gait.at.items():
             row[name] = _amount(file, name, value)
-            row[f"{name}, 95 %"] = numbers.interval(*gait.at_ci95.get(name, (None, None)))
+            row[f"{name}, 95 %"] = _ends(gait, name) or numbers.NOTHING
         for goal, reached in gait.goals.items():
             row[goal] = _goal(file, goal, reached)
-            told = [_goal(file, goal, end) for end in gait.goals_ci95.get(goal, ())]
-            row[f"{goal}, 95 %"] = " … ".join(told) or numbers.NOTHING
-        goal = next(iter(file.goals))
-        row["loss in 90 % of draws, at most"] = _goal(file, goal, gait.loss_90)
-        row["loss, worst tenth"] = _goal(file, goal, gait.loss_worst_tenth)
+            row[f"{goal}, 95 %"] = _goal_ends(file, gait, goal) or numbers.NOTHING
+        if len(file.goals) == 1:
+            goal = next(iter(file.goals))
+            row["loss in 90 % of draws, at most"] = _goal(file, goal, gait.loss_90)
+            row["loss, worst tenth"] = _goal(file, goal, gait.loss_worst_tenth)
+        if file.limits and file.draws:
+            row["limits kept to in draws"] = numbers.percent(gait.kept_in_draws, 2)
         rows.append(row)
     caption = (
         "Intervals of the gait: where it lies in draws of the coefficients. Losses against the best gait of "
         "each draw, over draws that the robust gait was not chosen with."
     )
+    if len(file.goals) == 2:
+        caption = (
+            "Intervals of the goals: what this gait comes to in draws of the coefficients; of the gait: "
+            "which gait of the front is nearest to the best of both there. The front itself is that of the "
+            "estimates."
+        )
     return blocks.table("gaits", "Gaits", rows, caption if file.draws else "")
 
 
@@ -241,8 +289,13 @@ def _front(file: GaitFile) -> ev.Figure:
         labels.append(f"{goal} ({numbers.unit_text(shown)})")
         columns.append(factor * table[:, width + k])
         best.append(factor * (file.optimum.goals[goal] or np.nan))
+    error = None
+    if file.front_ci95:
+        factor, _ = numbers.in_degrees(list(file.goals.values())[1][1])
+        ends = factor * np.array(file.front_ci95, dtype=float)[:, 2:]
+        error = 0.5 * np.ptp(ends, axis=1)
     traces = [
-        ev.Trace(x=columns[0], y=columns[1], style="points", label="front"),
+        ev.Trace(x=columns[0], y=columns[1], style="points", label="front", y_error=error),  # type: ignore[arg-type]
         ev.Trace(x=[best[0]], y=[best[1]], style="points", label="told"),
     ]
     panels = [blocks.panel(labels[0], labels[1], traces)]
@@ -253,6 +306,8 @@ def _front(file: GaitFile) -> ev.Figure:
             )
         )
     caption = "No gait is better in both goals than one of these; below, what is set along the front."
+    if error is not None:
+        caption += " Bars: 95 % of the goal by the coefficients' covariance."
     return blocks.panels("front", "Pareto front of two goals", caption, panels, columns=2)
 
 
@@ -262,6 +317,9 @@ def _drawn(file: GaitFile) -> ev.Figure:
     caption = (
         "Each point is the best gait with one draw of the coefficients from their covariance: how sure the "
         "best gait is. At an edge of the picture it is held by its range."
+        if len(file.goals) == 1
+        else "Each point is the gait of the front that is nearest to the best of both goals with one draw of "
+        "the coefficients from their covariance; points may lie on each other."
     )
     panels = []
     if len(names) == 1:
@@ -299,7 +357,12 @@ def _methods(file: GaitFile) -> list[str]:
             f"generations) were tried; the {METHODS[file.kept]} needed fewer runs to come within 0.1 % of "
             "the best and was kept."
         )
-    if file.draws:
+    if file.draws and len(file.goals) == 2:
+        sentences.append(
+            f"The gaits of the front were simulated with {file.draws} draws of the coefficients from their "
+            "covariance; intervals are percentiles."
+        )
+    elif file.draws:
         sentences.append(
             f"The search was repeated in {file.draws} draws of the coefficients from their covariance; "
             "intervals are their percentiles. The robust gait minimises the average of the worst tenth of "

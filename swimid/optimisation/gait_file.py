@@ -57,6 +57,8 @@ class Gait(yamlio.Document):
     #: and on the average of the worst tenth; over draws that were not used to find it.
     loss_90: Number = None
     loss_worst_tenth: Number = None
+    #: Share of these draws in which it keeps to its limits; missing where it has none.
+    kept_in_draws: Number = None
 
 
 class GaitFile(yamlio.ResultFile):
@@ -70,6 +72,8 @@ class GaitFile(yamlio.ResultFile):
     params: str | None = None
     drive: dict[str, Any]
     duration_s: float
+    #: Range of the drives that the coefficients were identified from; outside it is extrapolation.
+    identified: dict[str, tuple[float, float]] = {}
     vary: dict[str, Varied]
     #: In the words of the options, and the quantity and unit of each.
     goals: dict[str, tuple[str, str]]
@@ -84,8 +88,10 @@ class GaitFile(yamlio.ResultFile):
     #: were fewer than ``draws``: these a Gibbs sampler drew within the bounds.
     refused: int = 0
     inside: int | None = None
-    #: Best gait of each draw, in the order of ``vary``.
+    #: Best gait of each draw, in the order of ``vary``; of two goals, which gait of the front it is.
     drawn: Rows = []
-    #: Of two goals: the front, what is varied and then the goals.
+    #: Of two goals: the front, what is varied and then the goals; and the 95 % interval of each goal of each
+    #: of these gaits, low and high.
     front: Rows = []
+    front_ci95: Rows = []
     provenance: dict[str, Any] = Field(default_factory=dict)

@@ -9,6 +9,7 @@ import numpy as np
 
 from swimid.fitting.model import Array
 from swimid.notices import Notice
+from swimid.optimisation import grid, trust
 from swimid.optimisation.map_file import Axis, MapFile, Mapped
 from swimid.optimisation.performance import BEAT, STROKE
 from swimid.results import blocks, numbers
@@ -44,7 +45,7 @@ REFERENCES = [
 
 def evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """What a map rests on."""
-    checks = _checks(file)
+    checks = [*_checks(file), *trust.coefficients_check(notices)]
     return ev.Evidence(
         verb="map",
         title=f"Map of {file.robot}",
@@ -79,8 +80,11 @@ def _checks(file: MapFile) -> list[ev.Check]:
             "speed changes by 0.5 % a beat or less",
             "" if not file.unsettled else "speeds are those after --duration-s from rest, not steady ones",
         ),
-        _region_check(file, points),
+        _region_check(file),
     ]
+    if "mean_surge_from_start_m_s" in file.quantities:
+        surge = [v for row in file.quantities["mean_surge_from_start_m_s"].values for v in row]
+        checks += trust.forwards_check(surge)
     known = any(q.stderr is not None for q in file.quantities.values())
     checks.append(
         ev.check(
@@ -105,19 +109,13 @@ def _checks(file: MapFile) -> list[ev.Check]:
     return checks
 
 
-def _region_check(file: MapFile, points: int) -> ev.Check:
-    name = "inside the range of the identification trials"
-    if not file.identified:
-        text = "give the trials the coefficients were identified from: --trials"
-        return ev.check(name, "not known", None, text=text)
-    inside = np.ones(1, dtype=bool)
-    for axis in file.axes:
-        low, high = file.identified[axis.name]
-        values, slack = np.array(axis.values), 1e-9 * (1 + abs(high))
-        inside = np.outer(inside, (values >= low - slack) & (values <= high + slack)).ravel()
-    count = int(inside.sum())
-    text = "" if count == points else "the rest is extrapolation: the coefficients were not identified there"
-    return ev.check(name, f"{count} of {points} points", count == points, "all", text)
+def _region_check(file: MapFile) -> ev.Check:
+    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
+    axes = {axis.name: axis.values for axis in file.axes}
+    return trust.region_check(
+        {name: ends for name, ends in file.identified.items() if name in axes or name in BEAT | STROKE},
+        [{**drive, **point} for point in grid.points_of(axes)],
+    )
 
 
 def _residuals(file: MapFile) -> Array:
@@ -280,7 +278,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
             "Contours",
             "Lines of equal value. Points: recorded trials. The frame is the range of the trials that the "
             "coefficients were identified from; outside it the map is extrapolation."
-            if file.identified
+            if _region(file)
             else "Lines of equal value.",
             contours,
             columns=1,
@@ -365,7 +363,7 @@ def _levels(values: Array) -> Array:
 
 
 def _region(file: MapFile) -> list[ev.Trace]:
-    if not file.identified:
+    if not all(axis.name in file.identified for axis in file.axes):
         return []
     (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in reversed(file.axes))
     label = "identified inside"
@@ -393,7 +391,7 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
         traces = [ev.Trace(x=x, y=y, label="model")]
     traces += _measured_speeds(file, name)
     spans = []
-    if file.identified:
+    if axis.name in file.identified:
         low, high = file.identified[axis.name]
         spans = [ev.Span(start=low, end=high, label="range of the identification trials")]
     return blocks.panel(_axis_title(axis), title, traces, spans=spans)

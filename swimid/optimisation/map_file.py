@@ -70,7 +70,7 @@ class MapFile(yamlio.ResultFile):
     #: Runs that broke down, and runs whose speed still changes.
     broken: int
     unsettled: int
-    #: Range of each axis in the trials the coefficients were identified from; outside it is extrapolation.
+    #: Range of drive and axes in the trials the coefficients were identified from; beyond is extrapolation.
     identified: dict[str, tuple[float, float]] = {}
     measured: list[MeasuredPoint] = []
     efficiency: Efficiency | None = None

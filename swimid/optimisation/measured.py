@@ -25,40 +25,25 @@ from swimid.swimmer import trials as swimmer
 
 #: Columns of electrical power in a log.
 VOLTAGE, CURRENT = "voltage_V", "current_A"
+#: Share of a window whose samples must have both.
+LOGGED = 0.9
 #: A trial lies on a map where what is not varied differs by no more than this share, and its unit's part.
 SAME, LEAST = 0.02, 1e-3
 
 
-def drive_of(trial: Trial) -> dict[str, float]:
-    """The numbers of a trial's drive; empty where measured joints drive it."""
-    beat, stroke = trial.swim.beat, trial.swim.stroke
-    if stroke is not None:
-        return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
-    if beat is None:
-        return {}
-    return {
-        "frequency_hz": beat.frequency_hz,
-        "amplitude_deg": _round(math.degrees(beat.amplitude_rad)),
-        "bias_deg": _round(math.degrees(beat.bias_rad)),
-        "asymmetry": beat.asymmetry,
-        "lag_deg": _round(math.degrees(beat.lag_rad)),
-    }
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.12g}")
-
-
 def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
-    """Mean electrical power over a window, W; NaN where nothing was logged (dolphin, section 4.2.2).
+    """Mean electrical power over a window, W (dolphin, section 4.2.2).
+
+    NaN where less than :data:`LOGGED` of it was logged.
 
     >>> time = np.linspace(0.0, 1.0, 5)
     >>> electrical_power(time, np.full(5, 24.0), np.full(5, 2.0), Window(0.0, 1.0, 1, 1.0))
     48.0
     """
     power = voltage_V * current_A
-    there = np.isfinite(power) & (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
-    if there.sum() < 3:
+    within = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
+    there = np.isfinite(power) & within
+    if there.sum() < max(3, LOGGED * within.sum()):
         return math.nan
     return float(np.trapezoid(power[there], time_s[there]) / np.ptp(time_s[there]))
 
@@ -129,7 +114,7 @@ class Recorded:
 
     def place(self, trial: Trial, names: Sequence[str]) -> dict[str, float]:
         """Where a trial lies on axes of these names; empty where it does not say."""
-        known = drive_of(trial)
+        known = swimmer.drive_of(trial)
         if not known:
             return {}
         values = dict(
@@ -162,7 +147,7 @@ class Recorded:
 
     def _alike(self, trial: Trial, axes: Mapping[str, Sequence[float]]) -> bool:
         """Whether a trial's drive is that of the map where that is not varied."""
-        known, own = drive_of(trial), self._performance.drive
+        known, own = swimmer.drive_of(trial), self._performance.drive
         names = [name for name in BEAT | STROKE if name in known and name not in axes]
         return all(
             abs(known[name] - own.get(name, 0.0)) <= max(SAME * abs(known[name]), LEAST) for name in names

@@ -21,7 +21,7 @@ from swimid.fitting.model import Array
 from swimid.notices import recorded
 from swimid.optimisation import controller, fins, gait_evidence
 from swimid.optimisation.controller import SpeedController
-from swimid.optimisation.descent import STEPS, descend, merit
+from swimid.optimisation.descent import KEPT_TO, PENALTY, STEPS, WORST, descend, merit
 from swimid.optimisation.draws import drawn
 from swimid.optimisation.fins import FinChoice
 from swimid.optimisation.gait_file import FORMAT, Gait, GaitFile, Limit, Search, Varied
@@ -35,15 +35,11 @@ from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue
 
-#: A limit passed by its own size costs as much as so many times the goal's typical size.
-PENALTY = 10.0
 #: A search has reached the best of all within this share of it.
 REACHED = 1e-3
 #: A gait this near to an end of its range, as a share of it, lies there; a quantity this near to its limit
-#: is held back by it; a limit passed by no more than this is kept to.
-AT_BOUND, HELD, KEPT_TO = 0.005, 0.01, 1e-3
-#: Share of the draws that count as the worst.
-WORST = 0.1
+#: is held back by it.
+AT_BOUND, HELD = 0.005, 0.01
 #: Radius from which searches in draws begin: near the optimum of the estimates.
 NEAR = 0.05
 #: Steps of the searches in draws, and of the robust one.
@@ -234,13 +230,14 @@ def optimise_gait(
             atomic.check_writable(output, inputs=study.inputs)
         keep = Checkpoint.beside(output, study.key)
         problem = _problem(performance, options, keep)
-        known = bool(performance.applied.uncertain()[0]) and len(options.goals) == 1
+        known = bool(performance.applied.uncertain()[0])
         performance.model.prepare(progress, simulated_s=_simulated_s(options, known), checkpoint=keep)
-        file = _one(problem, options, study, progress) if len(options.goals) == 1 else None
-        file = file or _front(problem, options, study, progress)
+        found = _one if len(options.goals) == 1 else _front
+        file = found(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")
-            _uncertain(problem, file, options, progress)
+            sure = _uncertain if len(options.goals) == 1 else _front_in_draws
+            sure(problem, file, options, progress)
     origin = provenance.collect(study.inputs, settings=study.settings)
     evidence = gait_evidence.evidence(file, notices, origin)
     file.verdict = evidence.verdict.level
@@ -254,7 +251,9 @@ def optimise_gait(
 
 def _simulated_s(options: OptimiseGaitOptions, uncertain: bool) -> float:
     runs = options.population * options.generations + options.starts * STEPS * 2 * len(options.vary)
-    if uncertain:
+    if uncertain and len(options.goals) == 2:
+        runs += options.draws * options.population
+    elif uncertain:
         runs += options.draws * (DRAW_STEPS + ROBUST_STEPS) * (2 * len(options.vary) + 1)
     return runs * options.duration_s
 
@@ -452,12 +451,57 @@ def _gait(problem: Problem, x: Array) -> Gait:
 # ------------------------------------------------------------ how sure it is
 
 
+def _draw(problem: Problem, file: GaitFile, options: OptimiseGaitOptions) -> list[Array]:
+    """Draws of the coefficients; the file says how many."""
+    draws = drawn(problem.performance.applied, options.draws, options.seed)
+    file.draws, file.refused = len(draws.vectors), draws.refused
+    file.inside = draws.inside if draws.inside < file.draws else None
+    return draws.vectors
+
+
+def _front_in_draws(
+    problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
+) -> None:
+    """What the gaits of a front come to in draws of the coefficients, and which of them is told there.
+
+    The front itself is that of the estimates.
+    """
+    vectors = _draw(problem, file, options)
+    low, high = problem.ends
+    width = len(problem.vary)
+    gaits = np.array(file.front, dtype=float)[:, :width]
+    signs = np.array([sign for _, _, sign in problem.goals])
+    values = np.empty((len(gaits), len(vectors), len(signs)))
+    keeps = np.empty(values.shape[:2], dtype=bool)
+    with progress("front in draws", total=len(gaits)) as step:
+        for k, x in enumerate((gaits - low) / (high - low)):
+            table = problem.table(np.tile(x, (len(vectors), 1)), vectors)
+            values[k], keeps[k] = problem.wanted(table), problem.keeps(table)
+            step()
+    ends = np.nanquantile(values * signs, [0.025, 0.975], axis=1, method="weibull")
+    file.front_ci95 = np.moveaxis(ends, 0, -1).reshape(len(gaits), -1).tolist()
+    told = int(np.argmin(np.abs(gaits - np.array(list(file.optimum.at.values()))).sum(axis=1)))
+    file.optimum.goals_ci95 = {
+        goal: (float(a), float(b)) for (goal, _, _), a, b in zip(problem.goals, *ends[:, told], strict=True)
+    }
+    if problem.limits:
+        file.optimum.kept_in_draws = float(keeps[told].mean())
+    nearest = []
+    for k in range(len(vectors)):
+        sound = np.flatnonzero(keeps[:, k] & np.isfinite(values[:, k]).all(axis=1))
+        if len(sound):
+            nearest.append(gaits[sound[genetic.knee(values[sound, k])]])
+    if nearest:
+        file.drawn = np.array(nearest).tolist()
+        ends = np.quantile(nearest, [0.025, 0.975], axis=0, method="weibull")
+        file.optimum.at_ci95 = {
+            name: (float(a), float(b)) for name, a, b in zip(problem.vary, *ends, strict=True)
+        }
+
+
 def _uncertain(problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress) -> None:
     """Intervals from draws of the coefficients, and the robust gait."""
-    draws = drawn(problem.performance.applied, options.draws, options.seed)
-    vectors, file.refused = draws.vectors, draws.refused
-    file.draws = len(vectors)
-    file.inside = draws.inside if draws.inside < file.draws else None
+    vectors = _draw(problem, file, options)
     low, high = problem.ends
     nominal = (np.array(list(file.optimum.at.values())) - low) / (high - low)
     with progress("gaits of draws", total=DRAW_STEPS) as step:
@@ -492,6 +536,8 @@ def _uncertain(problem: Problem, file: GaitFile, options: OptimiseGaitOptions, p
             gait.goals_ci95 = {goal: (float(ci95[0]), float(ci95[1]))}
             gait.loss_90 = float(np.quantile(lost, 1.0 - WORST))
             gait.loss_worst_tenth = worst_tenth(lost)
+            if problem.limits:
+                gait.kept_in_draws = float(problem.keeps(table[1::2]).mean())
     file.robust = gaits[1]
 
 

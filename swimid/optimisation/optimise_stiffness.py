@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,24 +18,27 @@ from swimid.fitting import genetic
 from swimid.fitting.model import Array
 from swimid.fitting.threads import in_threads
 from swimid.notices import recorded
-from swimid.optimisation import rule_evidence, sweep
+from swimid.optimisation import rule_draws, rule_evidence, sweep
 from swimid.optimisation.grid import points_of
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.performance import TOGETHER, Performance, Point
-from swimid.optimisation.rule import FORMAT, Curve, Optimum, RuleFile, Swept
+from swimid.optimisation.performance import Performance, Point
+from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, RuleFile, Swept, fitted
+from swimid.optimisation.search import Search, value_of
 from swimid.optimisation.study import study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation.applied import Quantity
 
-#: A stiffness this near to an end of its range, as a share of it, lies at the end.
-AT_BOUND = 0.005
+#: A stiffness this near to an end of its range, as a share of it, lies at the end: by NSGA-II, and where it
+#: was looked at closely.
+AT_BOUND, CLOSELY = 0.005, 1e-3
+#: Draws by which an interval can be told.
+LEAST_DRAWS = 20
+#: Runs for each draw and point.
+RUNS = 12
 #: Fixed stiffnesses a sweep with the rule is compared with.
 FIXED = 9
-#: Coefficients of a curve.
-DEGREE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,80 +65,19 @@ class StiffnessRule(FileResult[RuleFile]):
         """The stiffness at a frequency and an amplitude (see :meth:`RuleFile.stiffness_for`)."""
         return self.file.stiffness_for(frequency_hz, amplitude_deg, outside=outside)
 
+    def interval_for(
+        self,
+        frequency_hz: float,
+        amplitude_deg: float | None = None,
+        *,
+        outside: Literal["refuse", "hold"] = "refuse",
+    ) -> tuple[float, float] | None:
+        """The 95 % interval of that (see :meth:`RuleFile.interval_for`)."""
+        return self.file.interval_for(frequency_hz, amplitude_deg, outside=outside)
+
     @classmethod
     def _told(cls, document: RuleFile, evidence: ev.Evidence | None) -> str:
         return rule_evidence.summary(document, evidence) if evidence else super()._told(document, evidence)
-
-
-@dataclass(frozen=True)
-class Search:
-    """What is searched at every point of the grid."""
-
-    performance: Performance
-    coefficient: str
-    between: tuple[float, float]
-    options: OptimiseStiffnessOptions
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """The quantities behind the two objectives."""
-        if self.options.objective == "speed":
-            return "mean_surge_from_start_m_s", f"{self.turn}_rate_range_rad_s"
-        first = (
-            "cost_of_transport_J_m"
-            if self.options.objective == "cost-of-transport"
-            else "mean_positive_power_W"
-        )
-        return first, "mean_speed_m_s"
-
-    @property
-    def turn(self) -> str:
-        """What turning is called in the robot's plane."""
-        return self.performance.model.pose[2].removesuffix("_rad")
-
-    def objectives(self, point: Point, stiffness: Array) -> Array:
-        """Both objectives, to be minimised, shape (n, 2); NaN where a run breaks down."""
-        found = self.quantities([{**point, self.coefficient: float(k)} for k in stiffness])
-        signs = (-1.0, 1.0) if self.options.objective == "speed" else (1.0, -1.0)
-        return np.array([[s * _value(q, n) for s, n in zip(signs, self.names, strict=True)] for q in found])
-
-    def quantities(self, points: Sequence[Point]) -> list[dict[str, Quantity]]:
-        """What runs come to."""
-        parts = [points[k : k + TOGETHER] for k in range(0, len(points), TOGETHER)]
-        return [q for part in parts for q in self.performance.quantities(part)]
-
-    def front(self, number: int, point: Point) -> Array:
-        """Stiffness and objectives of the Pareto front at a point of the grid, shape (n, 3)."""
-        low, high = self.between
-        found = genetic.nsga2(
-            lambda points: self.objectives(point, points[:, 0]),
-            np.array([low]),
-            np.array([high]),
-            objectives=2,
-            population=self.options.population,
-            generations=self.options.generations,
-            seed=self.options.seed + number,
-            first=np.array([self.reference]),
-        )
-        sound = (found.objectives < genetic.BROKEN_OBJECTIVE).all(axis=1)
-        return np.column_stack([found.points, found.objectives])[sound]
-
-    @property
-    def reference(self) -> float:
-        """The stiffness gains are told against."""
-        if self.options.reference is not None:
-            return self.options.reference
-        return float(self.performance.values[self.performance.model.index(self.coefficient)])
-
-    def chosen(self, front: Array) -> float:
-        """The stiffness chosen on a front; NaN where none reaches the speed asked for."""
-        goal = self.options.reach_speed_m_s
-        if goal is not None:
-            front = front[-front[:, 2] >= goal]
-        if not len(front):
-            return math.nan
-        at = genetic.knee(front[:, 1:]) if self.options.pick == "knee" else int(np.argmin(front[:, 1]))
-        return float(front[at, 0])
 
 
 @takes(OptimiseStiffnessOptions)
@@ -201,19 +143,21 @@ def optimise_stiffness(
                 allow(place)
         keep = Checkpoint.beside(output, study.key)
         points = [dict(p) for p in points_of({n: axes[n] for n in ("amplitude_deg", "frequency_hz")})]
-        runs = len(points) * options.population * options.generations
+        known = bool(options.draws and options.pick == "best" and performance.applied.uncertain()[0])
+        runs = len(points) * (options.population * options.generations + known * options.draws * RUNS)
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
         fronts = _fronts(search, points, keep, progress)
         chosen = np.array([search.chosen(front) for front in fronts])
         _insist(chosen, fronts, options)
         curves = _curves(points, chosen)
         low, high = search.between
+        near = (CLOSELY if options.pick == "best" else AT_BOUND) * (high - low)
         optima = [
             Optimum(
                 frequency_hz=point["frequency_hz"],
                 amplitude_deg=point["amplitude_deg"],
                 stiffness=k,
-                at_bound=bool(min(k - low, high - k) < AT_BOUND * (high - low)),
+                at_bound=bool(min(k - low, high - k) < near),
                 knee=float(front[genetic.knee(front[:, 1:]), 0]) if len(front) else None,
                 front=front,  # type: ignore[arg-type]
             )
@@ -242,6 +186,9 @@ def optimise_stiffness(
         _assess(search, file)
         performance.insist_motion(np.array(rule_evidence.largest_speeds(file)))
         file.least_effort = _least_effort(file)
+        if known:
+            performance.applied.warn_without_error("the intervals")
+            rule_draws.carry(search, file, keep, progress)
         if options.objective == "speed":
             file.sweeps = [_swept(performance, file, frequencies, a) for a in amplitudes]
     origin = provenance.collect(study.inputs, settings=study.settings)
@@ -257,10 +204,6 @@ def optimise_stiffness(
     return replace(saved, outputs=[*saved.outputs, *written])
 
 
-def _value(quantities: Mapping[str, Quantity], name: str) -> float:
-    return quantities[name].value if name in quantities else math.nan
-
-
 def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Search:
     """What is searched, as far as the options go together."""
     if options.stroke is not None or performance.model.in_space:
@@ -273,6 +216,8 @@ def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Sear
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"
         )
+    if 0 < options.draws < LEAST_DRAWS:
+        raise UsageError(f"--draws: {LEAST_DRAWS} or more, or 0 for none")
     if (options.reach_speed_m_s is not None) != (options.objective == "effort"):
         raise UsageError("--objective effort and --reach-speed-m-s belong together")
     found = performance.model.yielding()
@@ -287,6 +232,9 @@ def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Sear
     if name not in performance.model.coefficients:
         hint = suggestion(name, performance.model.coefficients)
         raise UsageError(f"--coefficient: there is no '{name}'", hint=hint)
+    if name not in found:
+        known = f"there are {', '.join(found)}" if found else "this robot has none"
+        raise UsageError(f"--coefficient: {name} stands in no passive joint's law", hint=known)
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
     if not (math.isfinite(low) and math.isfinite(high)):
@@ -330,25 +278,15 @@ def _curves(points: Sequence[Point], chosen: Array) -> list[Curve]:
     curves = []
     for amplitude in np.unique(places[:, 0]):
         at = (places[:, 0] == amplitude) & np.isfinite(chosen)
-        f, k = places[at, 1], chosen[at]
-        degree = min(DEGREE, len(f) - 1)
-        if degree < 0:
+        if not at.any():
             continue  # nothing reaches the speed at this amplitude
-        design = np.vander(f, degree + 1, increasing=True)
-        found, *_ = np.linalg.lstsq(design, k)
-        left = k - design @ found
-        spare = len(f) - degree - 1
-        errors = None
-        if spare > 0:
-            inverse = np.linalg.inv(design.T @ design)
-            errors = tuple(np.sqrt(np.diag(inverse) * float(left @ left) / spare).tolist())
-        padded = (*found.tolist(), *[0.0] * (DEGREE - degree))
+        found = fitted(places[at, 1], chosen[at])
         curves.append(
             Curve(
                 amplitude_deg=float(amplitude),
-                coefficients=padded,
-                stderr=errors if degree == DEGREE else None,
-                rms=float(np.sqrt(np.mean(left**2))),
+                coefficients=found.coefficients,
+                stderr=found.stderr,
+                rms=found.rms,
             )
         )
     return curves
@@ -366,14 +304,14 @@ def _assess(search: Search, file: RuleFile) -> None:
     told = search.quantities([point for _, _, point in runs])
     for (one, prefix, _), q in zip(runs, told, strict=True):
         seen: dict[str, Any] = {
-            f"{prefix}speed_m_s": _value(q, "mean_speed_m_s"),
-            f"{prefix}cost_of_transport_J_m": _value(q, "cost_of_transport_J_m"),
+            f"{prefix}speed_m_s": value_of(q, "mean_speed_m_s"),
+            f"{prefix}cost_of_transport_J_m": value_of(q, "cost_of_transport_J_m"),
         }
         if prefix != "rule_":
-            seen[f"{prefix}turn_rate_range_rad_s"] = _value(q, f"{search.turn}_rate_range_rad_s")
+            seen[f"{prefix}turn_rate_range_rad_s"] = value_of(q, f"{search.turn}_rate_range_rad_s")
         if not prefix:
-            seen["settling_time_s"] = _value(q, "settling_time_s")
-            seen["power_W"] = _value(q, "mean_positive_power_W")
+            seen["settling_time_s"] = value_of(q, "settling_time_s")
+            seen["power_W"] = value_of(q, "mean_positive_power_W")
         for name, value in seen.items():
             setattr(one, name, value if math.isfinite(value) else None)
 

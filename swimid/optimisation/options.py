@@ -83,7 +83,10 @@ class OptimiseStiffnessOptions(GaitOptions):
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
-    seed: int = option(0, ge=0, help="Of the search: the same seed gives the same file.")
+    draws: int = option(
+        40, ge=0, help="Draws of the coefficients from their covariance, for the rule's intervals; 0: none."
+    )
+    seed: int = option(0, ge=0, help="Of search and draws: the same seed gives the same file.")
     header: Path | None = option(
         None, written=True, recorded=False, help="C header of the rule to write (.h)."
     )

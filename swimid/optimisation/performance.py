@@ -120,6 +120,13 @@ class Performance:
         shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
         return {**drive, **shared}
 
+    @property
+    def identified(self) -> dict[str, tuple[float, float]]:
+        """The range of the drives that the coefficients were identified from; empty where it is not told."""
+        fit = self.applied.file.fit if self.applied.file is not None else None
+        told = (fit.model_extra or {}).get("drives", {}) if fit is not None else {}
+        return {name: (float(low), float(high)) for name, (low, high) in told.items()}
+
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
         """Refuse what cannot be varied over these ranges.
 

@@ -145,14 +145,16 @@ def performance_map(
         }
         measured = [] if beside is None else beside.points(axes)
         units = performance.axes
+        said = study.said
+        if beside is not None:
+            said["identified"] = {**said["identified"], **beside.region(list(axes))}
         file = MapFile(
             verdict="caution",
-            **study.said,
+            **said,
             axes=[Axis(name=name, unit=units[name], values=values) for name, values in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(found[..., 0])).all(axis=1).sum()),
             unsettled=_unsettled(quantities),
-            identified={} if beside is None else beside.region(list(axes)),
             measured=measured,
             efficiency=efficiency(
                 [math.nan if m.mechanical_W is None else m.mechanical_W for m in measured],

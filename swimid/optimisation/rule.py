@@ -4,17 +4,61 @@ from __future__ import annotations
 
 import bisect
 import math
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from swimid.errors import UsageError
 from swimid.files import yamlio
-from swimid.files.yamlio import Number, Rows
+from swimid.files.yamlio import Number, Pair, Rows
+from swimid.fitting.model import Array
 
 FORMAT: Literal["swimid-rule/1"] = "swimid-rule/1"
 #: Steps of the frequency in an exported table.
 TABLE_STEPS = 40
+#: Highest power of the frequency in a curve.
+DEGREE = 2
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A quadratic function of the frequency.
+
+    Attributes
+    ----------
+    coefficients : tuple of float
+        c0, c1, c2; of two frequencies a straight line, of one a constant.
+    stderr : tuple of float or None
+        By the scatter about it.
+    rms : float
+        Root-mean-square of what it leaves.
+    """
+
+    coefficients: tuple[float, float, float]
+    stderr: tuple[float, float, float] | None
+    rms: float
+
+
+def fitted(frequency_hz: Array, stiffness: Array) -> Fitted:
+    """The quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
+
+    >>> made = fitted(np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
+    >>> [round(c, 6) for c in made.coefficients]
+    [1.0, 0.0, 2.0]
+    """
+    degree = min(DEGREE, len(frequency_hz) - 1)
+    design = np.vander(frequency_hz, degree + 1, increasing=True)
+    found, *_ = np.linalg.lstsq(design, stiffness)
+    left = stiffness - design @ found
+    spare = len(frequency_hz) - degree - 1
+    errors = None
+    if spare > 0 and degree == DEGREE:
+        inverse = np.linalg.inv(design.T @ design)
+        errors = tuple(np.sqrt(np.diag(inverse) * float(left @ left) / spare).tolist())
+    padded = (*found.tolist(), *[0.0] * (DEGREE - degree))
+    return Fitted(padded, errors, float(np.sqrt(np.mean(left**2))))  # type: ignore[arg-type]
 
 
 class Curve(yamlio.Document):
@@ -27,6 +71,8 @@ class Curve(yamlio.Document):
     stderr: tuple[float, float, float] | None = None
     #: Root-mean-square of what the curve leaves of the optima.
     rms: float
+    #: c0, c1, c2 in draws of the robot's coefficients, a row each; none where these have no errors.
+    drawn: Rows = []
 
 
 class Optimum(yamlio.Document):
@@ -36,6 +82,12 @@ class Optimum(yamlio.Document):
     amplitude_deg: float
     #: Missing where no stiffness reaches the speed that was asked for.
     stiffness: Number = None
+    #: 95 % interval: where it lies in draws of the robot's coefficients.
+    stiffness_ci95: Pair = (None, None)
+    #: What the rule loses of the objective in nine of ten draws at most, as a share; where a speed is asked
+    #: for, the share of draws in which the rule reaches it.
+    loss_90: Number = None
+    reached_in_draws: Number = None
     #: It lies at an end of the range that was searched: the optimum may lie beyond.
     at_bound: bool = False
     #: The point nearest to the best of both objectives.
@@ -82,6 +134,8 @@ class RuleFile(yamlio.ResultFile):
     params: str | None = None
     drive: dict[str, Any]
     duration_s: float
+    #: Range of the drives that the coefficients were identified from; outside it is extrapolation.
+    identified: dict[str, tuple[float, float]] = {}
     #: The coefficient that is set, its unit, and between which values.
     coefficient: str
     unit: str
@@ -99,6 +153,11 @@ class RuleFile(yamlio.ResultFile):
     #: The frequency and stiffness of least power that reach the speed asked for.
     least_effort: Optimum | None = None
     sweeps: list[Swept] = []
+    #: Draws of the coefficients from their covariance; independent ones outside the coefficients' bounds,
+    #: replaced by others; and those within, where they were fewer than ``draws``: these a Gibbs sampler drew.
+    draws: int = 0
+    refused: int = 0
+    inside: int | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -134,6 +193,47 @@ class RuleFile(yamlio.ResultFile):
         UsageError
             Outside the range of the rule, unless it is to be held there.
         """
+        f, after, share = self._place(frequency_hz, amplitude_deg, outside)
+        value = self._curve(after, f)
+        return (1.0 - share) * self._curve(after - 1, f) + share * value if after else value
+
+    def interval_for(
+        self,
+        frequency_hz: float,
+        amplitude_deg: float | None = None,
+        *,
+        outside: Literal["refuse", "hold"] = "refuse",
+    ) -> tuple[float, float] | None:
+        """The 95 % interval of what the rule says, from the covariance of the robot's coefficients.
+
+        It is where the rule would lie with other draws of these. It says nothing about what the model lacks.
+
+        Parameters
+        ----------
+        frequency_hz, amplitude_deg, outside
+            As for :meth:`stiffness_for`.
+
+        Returns
+        -------
+        tuple of float, or None
+            In :attr:`unit`; None where the coefficients had no errors, or were not drawn.
+        """
+        f, after, share = self._place(frequency_hz, amplitude_deg, outside)
+        if not self.draws:
+            return None
+        values = self._drawn(after, f)
+        if after:
+            values = (1.0 - share) * self._drawn(after - 1, f) + share * values
+        values = values[np.isfinite(values)]
+        if not len(values):
+            return None
+        low, high = np.quantile(values, [0.025, 0.975], method="weibull")
+        return float(low), float(high)
+
+    def _place(
+        self, frequency_hz: float, amplitude_deg: float | None, outside: Literal["refuse", "hold"]
+    ) -> tuple[float, int, float]:
+        """The frequency, the curve at or above the amplitude, and how far it is from the one below."""
         if amplitude_deg is None:
             if len(self.curves) > 1:
                 raise UsageError("this rule depends on the amplitude: give amplitude_deg")
@@ -141,12 +241,15 @@ class RuleFile(yamlio.ResultFile):
         f = _within(frequency_hz, self.frequency_hz, "frequency_hz", outside)
         a = _within(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
         places = [curve.amplitude_deg for curve in self.curves]
-        after = min(max(bisect.bisect_left(places, a), 1), len(places) - 1) if len(places) > 1 else 0
-        value = self._curve(after, f)
-        if after:
-            share = (a - places[after - 1]) / (places[after] - places[after - 1])
-            value = (1.0 - share) * self._curve(after - 1, f) + share * value
-        return value
+        if len(places) == 1:
+            return f, 0, 1.0
+        after = min(max(bisect.bisect_left(places, a), 1), len(places) - 1)
+        return f, after, (a - places[after - 1]) / (places[after] - places[after - 1])
+
+    def _drawn(self, k: int, f: float) -> Array:
+        """What a curve says in every draw, shape (draws,)."""
+        c0, c1, c2 = np.array(self.curves[k].drawn, dtype=float).T
+        return np.clip(c0 + f * (c1 + f * c2), *self.between)
 
     def _curve(self, k: int, f: float) -> float:
         c0, c1, c2 = self.curves[k].coefficients

@@ -9,12 +9,16 @@ import numpy as np
 
 from swimid.fitting.model import Array
 from swimid.notices import Notice
+from swimid.optimisation import trust
+from swimid.optimisation.performance import BEAT
 from swimid.optimisation.rule import Optimum, RuleFile
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
 #: The rule may lose so much of the speed (or so much more cost) that its own optima have.
 LOSS = 0.02
+#: Share of draws in which a rule is to reach the speed asked for.
+SURE = 0.9
 #: Points of a curve; fronts drawn.
 POINTS, FRONTS = 60, 6
 REFERENCES = [
@@ -30,7 +34,7 @@ REFERENCES = [
 
 def evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """What a rule rests on."""
-    checks = _checks(file)
+    checks = [*_checks(file), *trust.coefficients_check(notices)]
     return ev.Evidence(
         verb="optimise stiffness",
         title=f"Stiffness rule of {file.robot}",
@@ -100,6 +104,24 @@ def _checks(file: RuleFile) -> list[ev.Check]:
         checks.insert(
             0, ev.check("the speed is reached", f"at {reached} of {count} points", False, "all", text)
         )
+    if file.objective == "speed":
+        surge = [-min(row[1] for row in o.front if row[1] is not None) for o in file.optima if o.front]
+        checks += trust.forwards_check(surge)
+    settled = sum(one.settling_time_s is not None for one in file.optima if one.stiffness is not None)
+    checks.append(
+        ev.check(
+            "steady at the end of the run",
+            f"{settled} of {reached}",
+            settled == reached,
+            "all",
+            ""
+            if settled == reached
+            else "the rest still gain speed: a rule for runs of this length, --duration-s",
+        )
+    )
+    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT}
+    grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
+    checks += [trust.region_check(file.identified, grid), *_sure(file)]
     beaten = [s for s in file.sweeps if s.rule_m < max(s.fixed_m)]
     if file.objective == "speed":
         checks.append(
@@ -110,6 +132,55 @@ def _checks(file: RuleFile) -> list[ev.Check]:
                 "all",
             )
         )
+    return checks
+
+
+def _sure(file: RuleFile) -> list[ev.Check]:
+    """Checks of the coefficients' uncertainty in the rule."""
+    if not file.draws:
+        text = (
+            "it is told for --pick best only"
+            if file.pick == "knee"
+            else "give a parameter file with standard errors (--params), and --draws"
+        )
+        return [ev.check("uncertainty of the rule", "not known", None, text=text)]
+    inside = file.draws if file.inside is None else file.inside
+    known = file.refused <= inside
+    checks = [
+        ev.check(
+            "draws within the coefficients' bounds",
+            f"{inside} of {inside + file.refused}",
+            known,
+            "half or more",
+            "" if known else "the coefficients are hardly known: fit them better",
+        )
+    ]
+    optima = [o for o in file.optima if o.stiffness is not None]
+    if file.reach_speed_m_s is not None:
+        least = min(o.reached_in_draws or 0.0 for o in optima)
+        text = "the rule just reaches it with the estimates: ask for a somewhat higher speed"
+        checks.append(
+            ev.check(
+                "draws in which the rule reaches the speed",
+                f"{numbers.percent(least, 2)} or more",
+                least >= SURE,
+                f"≥ {numbers.percent(SURE)}",
+                "" if least >= SURE else text,
+            )
+        )
+        return checks
+    lost = [o.loss_90 for o in optima]
+    worst = max((v for v in lost if v is not None), default=None)
+    sound = worst is not None and None not in lost and worst <= LOSS
+    checks.append(
+        ev.check(
+            "what the rule loses in nine of ten draws of the coefficients",
+            "runs break down" if worst is None or None in lost else f"at most {numbers.percent(worst, 2)}",
+            sound,
+            f"≤ {numbers.percent(LOSS)}",
+            "" if sound else "the best stiffness depends on what the fit left open: see its intervals",
+        )
+    )
     return checks
 
 
@@ -143,14 +214,35 @@ def answer(file: RuleFile) -> str:
     return f"{text}."
 
 
+def _widest(file: RuleFile) -> tuple[Optimum, tuple[float, float]] | None:
+    """The point of the grid where the rule is least sure, and its interval there."""
+    told = []
+    for o in file.optima:
+        ends = file.interval_for(o.frequency_hz, o.amplitude_deg, outside="hold")
+        if ends is not None:
+            told.append((o, ends))
+    return max(told, key=lambda one: one[1][1] - one[1][0], default=None)
+
+
+def _signed(value: float) -> str:
+    return f"{'−' if value < 0 else '+'} {numbers.number(abs(value), 4)}"
+
+
 def summary(file: RuleFile, evidence: ev.Evidence) -> str:
     """Plain text for the terminal."""
     lines = [f"{file.robot}, {file.params or 'the robot file'}: {file.coefficient} for {file.objective}", ""]
     for c in file.curves:
-        c0, c1, c2 = (numbers.number(v, 4) for v in c.coefficients)
+        c0, c1, c2 = c.coefficients
         lines.append(
-            f"  {numbers.number(c.amplitude_deg, 3)} deg: {file.coefficient} = {c0} + {c1} f + {c2} f²  "
+            f"  {numbers.number(c.amplitude_deg, 3)} deg: {file.coefficient} = {numbers.number(c0, 4)} "
+            f"{_signed(c1)} f {_signed(c2)} f²  "
             f"(rms {numbers.number(c.rms, 2, file.unit)})"
+        )
+    if (wide := _widest(file)) is not None:
+        o, (low, high) = wide
+        lines.append(
+            f"  95 % by the coefficients, widest at {o.frequency_hz:g} Hz and {o.amplitude_deg:g} deg: "
+            f"{numbers.interval(low, high, None, file.unit)}"
         )
     over = gain(file)
     if np.isfinite(over).any():
@@ -159,8 +251,8 @@ def summary(file: RuleFile, evidence: ev.Evidence) -> str:
         lines += [
             "",
             f"  speed with the rule against {numbers.number(file.reference, 3, file.unit)}: "
-            f"{100 * np.nanmin(over):+.1f} to {100 * over[k]:+.1f} %, most at {one.frequency_hz:g} Hz and "
-            f"{one.amplitude_deg:g} deg",
+            f"{100 * np.nanmin(over):+.1f} to {100 * over[k]:+.1f} %".replace("-", "−")
+            + f", most at {one.frequency_hz:g} Hz and {one.amplitude_deg:g} deg",
         ]
     for s in file.sweeps:
         best = int(np.argmax(s.fixed_m))
@@ -185,6 +277,13 @@ def _curves(file: RuleFile) -> ev.Table:
         named = zip(("c0", "c1", "c2"), c.coefficients, errors, strict=True)
         row: dict[str, blocks.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
         row |= {name: numbers.measured(value, error) for name, value, error in named}
+        if c.drawn:
+            row |= {
+                f"{name}, sd in draws": numbers.number(float(sd), 2)
+                for name, sd in zip(
+                    ("c0", "c1", "c2"), np.nanstd(np.array(c.drawn, dtype=float), axis=0, ddof=1), strict=True
+                )
+            }
         row["rms left"] = numbers.number(c.rms, 2, file.unit)
         rows.append(row)
     caption = (
@@ -204,6 +303,7 @@ def _optima(file: RuleFile) -> ev.Table:
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
             file.coefficient: numbers.number(o.stiffness, 3, file.unit)
             + (" (at bound)" if o.at_bound else ""),
+            "95 %": numbers.interval(*o.stiffness_ci95),
             "knee": numbers.number(o.knee, 3, file.unit),
             "speed": numbers.number(o.speed_m_s, 3, "m/s"),
             "with the rule": numbers.number(o.rule_speed_m_s, 3, "m/s"),
@@ -220,6 +320,7 @@ def _optima(file: RuleFile) -> ev.Table:
         f"Of the Pareto front of {' against '.join(n.replace('_', ' ') for n in file.objectives)} the "
         f"{'knee' if file.pick == 'knee' else 'best of the first'}; gain against "
         f"{numbers.number(file.reference, 3, file.unit)}. No settling time: still faster at the end."
+        + (" 95 %: where the optimum lies in draws of the coefficients." if file.draws else "")
     )
     return blocks.table("optima", "Optima over the grid", rows, caption)
 
@@ -256,9 +357,21 @@ def _rule(file: RuleFile) -> ev.Figure:
             blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group)
         )
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
-        traces.append(ev.Trace(x=x, y=y, group=group))
+        traces.append(_curve(file, c.amplitude_deg, x, y, group))
     caption = "Points: the stiffness found at each frequency. Curves: the rule, a quadratic function each."
+    if file.draws:
+        caption += " Bands: 95 % of the rules in draws of the coefficients."
     return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", _unit(file), traces)
+
+
+def _curve(file: RuleFile, amplitude: float, x: Array, y: Sequence[float], group: int) -> ev.Trace:
+    """The rule at an amplitude, with its band where that is known."""
+    ends = [file.interval_for(float(f), amplitude, outside="hold") for f in x]
+    known = [end for end in ends if end is not None]
+    if len(known) < len(x):
+        return ev.Trace(x=x, y=y, group=group)
+    low, high = np.array(known).T
+    return ev.Trace(x=x, y=y, lower=low, upper=high, group=group)
 
 
 def _fronts(file: RuleFile) -> ev.Figure:
@@ -339,5 +452,13 @@ def _methods(file: RuleFile) -> list[str]:
         f"over {file.coefficient} was searched by NSGA-II (Deb et al. 2002, as implemented in pymoo; "
         f"population {settings.get('population')}, {settings.get('generations')} generations, seed "
         f"{settings.get('seed')}); each run of {file.duration_s:g} s began at rest. The chosen values were "
-        "fitted by a quadratic function of the frequency for each amplitude."
+        "fitted by a quadratic function of the frequency for each amplitude.",
+        *(
+            [
+                f"Optima were looked for anew, and the functions fitted anew, in {file.draws} draws of the "
+                "coefficients from their covariance; intervals are percentiles of these."
+            ]
+            if file.draws
+            else []
+        ),
     ]

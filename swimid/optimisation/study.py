@@ -67,6 +67,7 @@ def study_of(performance: Performance, options: Options, more: Sequence[Input] =
             **({"ramp_s": performance.ramp_s} if performance.stroke is None else {}),
         },
         "duration_s": performance.duration_s,
+        "identified": performance.identified,
     }
     repeatable = {key: block[key] for key in ("version", "inputs", "settings")}
     return Study(inputs, settings, said, repeatable)

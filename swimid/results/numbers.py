@@ -162,11 +162,17 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
-    """``low … high``, both to the digits ``stderr`` supports (four digits without one)."""
+    """``low … high``, both to the digits ``stderr`` supports (four digits without one).
+
+    Without one, two ends that look the same are one number.
+
+    >>> interval(27.0, 27.0, None, "deg"), interval(15.0, 35.0)
+    ('27°', '15 … 35')
+    """
     if not (_is_number(low) and _is_number(high)):
         return NOTHING
     if not _is_error(stderr):
-        return _joined(f"{number(low)} … {number(high)}", unit)
+        return _joined(" … ".join(dict.fromkeys([number(low), number(high)])), unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
     text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
     return _joined(f"({text}) × {power_of_ten(scale)}" if scale else text, unit)

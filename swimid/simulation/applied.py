@@ -212,11 +212,15 @@ class Applied:
         centre: Mapping[str, Quantity],
         sides: Sequence[tuple[Mapping[str, Quantity], ...]],
     ) -> dict[str, Quantity]:
-        """Quantities with standard errors from those at the :meth:`neighbours`."""
+        """Quantities with standard errors from those at the :meth:`neighbours`.
+
+        There is none where a neighbour lacks the quantity: its run breaks down, or never settles.
+        """
         names, covariance = self.uncertain()
         if not names:
             return dict(centre)
         slopes = np.zeros((len(centre), len(names)))
+        lost = {key for pair in sides for end in pair for key in centre if key not in end}
         ends = self.neighbours(values)
         for k, ((before, after), (low, high)) in enumerate(zip(sides, ends, strict=True)):
             index = self.model.index(names[k])
@@ -227,7 +231,8 @@ class Applied:
         result = {}
         for (key, quantity), slope in zip(centre.items(), slopes, strict=True):
             variance = float(slope @ covariance @ slope)
-            result[key] = replace(quantity, stderr=math.sqrt(variance) if variance > 0 else 0.0)
+            known = key not in lost and math.isfinite(variance)
+            result[key] = replace(quantity, stderr=math.sqrt(max(variance, 0.0)) if known else None)
         return result
 
 

@@ -367,6 +367,10 @@ def _file(
         else f"output error, {result.loss} loss",
         unfinished=True,
     )
+    # what lies beyond is extrapolation to whoever uses the coefficients
+    drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
+    if file.fit is not None and file.fit.model_extra is not None and drives:
+        file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
     return file.model_copy(update={"parameters": model.expanded(file.parameters)})
 
 

@@ -428,3 +428,33 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
     squares = float(left @ left)
     spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
     return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
+
+
+def drive_of(trial: Trial) -> dict[str, float]:
+    """The numbers of a trial's drive; empty where measured joints drive it."""
+    beat, stroke = trial.swim.beat, trial.swim.stroke
+    if stroke is not None:
+        return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
+    if beat is None:
+        return {}
+    return {
+        "frequency_hz": beat.frequency_hz,
+        "amplitude_deg": _round(math.degrees(beat.amplitude_rad)),
+        "bias_deg": _round(math.degrees(beat.bias_rad)),
+        "asymmetry": beat.asymmetry,
+        "lag_deg": _round(math.degrees(beat.lag_rad)),
+    }
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.12g}")
+
+
+def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
+    """The range of each number of the drives of trials; of those that every driven trial has.
+
+    Empty where measured joints drive them.
+    """
+    found = [known for trial in trials if (known := drive_of(trial))]
+    names = [name for name in (found[0] if found else {}) if all(name in known for known in found)]
+    return {n: (min(known[n] for known in found), max(known[n] for known in found)) for n in names}

@@ -1,0 +1,203 @@
+"""Maps, rules and gaits: what their coefficients leave open, and when they are not to be called good."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import swimid as package
+from swimid.errors import UsageError
+from swimid.optimisation import gait_evidence, trust
+from swimid.optimisation.draws import drawn
+from swimid.optimisation.measured import electrical_power
+from swimid.optimisation.options import OptimiseStiffnessOptions
+from swimid.optimisation.performance import Performance
+from swimid.results.parameters import ParameterFile
+from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.swim_quantities import Window
+
+VALUES = {
+    "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
+    "c_d0": 2.55, "c_d1": 4.0, "c_d2": 5.8,
+}  # fmt: skip
+BEAT = {"amplitude_deg": 27.0, "duration_s": 6.0}
+RULE = {
+    **BEAT, "over": {"frequency_hz": (2.5, 3.5, 3)}, "between": (0.1, 0.8), "population": 8, "generations": 4
+}  # fmt: skip
+
+
+def parameters(folder: Path, errors: dict[str, float], *, converged: bool = True, drives: str = "") -> Path:
+    """A parameter file of the dolphin with these standard errors."""
+    lines = ["format: swimid-parameters/1", "model: multilink", "robot: dolphin", "parameters:"]
+    lines += [
+        f"  {name}: {{value: {value}, stderr: {errors.get(name, 'null')}, unit: '1', status: estimated}}"
+        for name, value in VALUES.items()
+    ]
+    lines += [
+        "fit:",
+        "  trials: [run]",
+        f"  converged: {str(converged).lower()}",
+        *([drives] if drives else []),
+    ]
+    path = folder / "p.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def checks(result: object) -> dict[str, str]:
+    table = result.checks()  # type: ignore[attr-defined]
+    return dict(zip(table["name"], table["verdict"], strict=True))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, package.StiffnessRule]:
+    path = parameters(
+        tmp_path_factory.mktemp("rule"),
+        {"c_d2": 0.8},
+        drives="  drives: {frequency_hz: [1.0, 3.0], amplitude_deg: [20.0, 30.0]}",
+    )
+    return path, package.optimise_stiffness(params=path, draws=20, **RULE)
+
+
+class TestRule:
+    def test_its_interval_is_that_of_the_coefficient(self, made: tuple[Path, package.StiffnessRule]) -> None:
+        """One uncertain coefficient: the ends are the rules at its percentiles, by searches of their own."""
+        path, rule = made
+        options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
+        applied = Performance.of_options(options).applied
+        index = applied.model.index("c_d2")
+        values = [vector[index] for vector in drawn(applied, 20, 0).vectors]
+        ends = np.quantile(values, [0.025, 0.975], method="weibull")
+        rules = [
+            package.optimise_stiffness(params=path, draws=0, chosen={"c_d2": float(end)}, **RULE)
+            for end in ends
+        ]
+        for f in (2.5, 3.0, 3.5):
+            low, high = rule.interval_for(f)
+            expected = sorted(one.stiffness_for(f) for one in rules)
+            # a search ends within 0.15 % of the range searched, 0.7 N m/rad
+            assert (low, high) == pytest.approx(tuple(expected), abs=0.0015 * 0.7)
+            assert low < rule.stiffness_for(f) < high
+            # far more than what the search leaves open
+            assert high - low > 2 * 0.0015 * 0.7
+
+    def test_it_says_where_it_extrapolates(self, made: tuple[Path, package.StiffnessRule]) -> None:
+        """3.5 Hz is beyond the drives of the fit."""
+        _, rule = made
+        found = checks(rule)
+        assert found["inside the range of the identification trials"] == "warn"
+        assert found["what the rule loses in nine of ten draws of the coefficients"] == "pass"
+        assert rule.verdict == "caution"
+        assert rule.file.draws == 20
+        assert all(len(curve.drawn) == 20 for curve in rule.file.curves)
+
+    def test_without_errors_it_has_no_interval(self) -> None:
+        rule = package.optimise_stiffness(robot="dolphin", **RULE)
+        assert rule.interval_for(3.0) is None
+        assert checks(rule)["uncertainty of the rule"] == "info"
+
+    @pytest.mark.parametrize(
+        ("changed", "says"),
+        [({"draws": 5}, "20 or more"), ({"coefficient": "c_d2"}, "no passive joint's law")],
+    )
+    def test_what_is_refused(self, changed: dict[str, object], says: str) -> None:
+        with pytest.raises(UsageError, match=says):
+            package.optimise_stiffness(robot="dolphin", **{**RULE, **changed})
+
+
+def test_a_front_has_intervals(tmp_path: Path) -> None:
+    """At a gait of the front they are the percentiles of single runs with the same draws."""
+    path = parameters(tmp_path, {"c_d2": 0.8})
+    found = package.optimise_gait(
+        params=path, goal=["speed", "cost-of-transport"], frequency_hz=3.0, vary={"K_s": (0.1, 2.0)},
+        population=8, generations=3, draws=20, **BEAT,
+    )  # fmt: skip
+    file = found.file
+    assert len(file.front_ci95) == len(file.front)
+    for (_, speed, cost), (low, high, least, most) in zip(file.front, file.front_ci95, strict=True):
+        assert low < speed < high
+        assert least < cost < most
+    options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
+    applied = Performance.of_options(options).applied
+    index = applied.model.index("c_d2")
+    speeds = [
+        package.simulate(
+            params=path, frequency_hz=3.0, chosen={**found.at, "c_d2": float(vector[index])}, **BEAT
+        ).quantities["mean_speed_m_s"].value
+        for vector in drawn(applied, 20, 0).vectors
+    ]  # fmt: skip
+    ends = np.quantile(speeds, [0.025, 0.975], method="weibull")
+    # the windows' samples differ by part of an integration step
+    assert file.optimum.goals_ci95["speed"] == pytest.approx(tuple(ends), rel=2e-3)
+    assert set(file.optimum.at_ci95) == {"K_s"}
+
+
+def test_coefficients_of_a_fit_that_did_not_converge(tmp_path: Path) -> None:
+    path = parameters(tmp_path, {}, converged=False)
+    with pytest.warns(package.SwimidWarning, match="did not converge"):
+        made = package.performance_map(params=path, over={"frequency_hz": (2.5, 3.0, 2)}, **BEAT)
+    assert made.verdict != "good"
+    assert checks(made)["coefficients are those of a sound fit"] == "warn"
+
+
+def test_a_fit_tells_its_drives_and_a_map_heeds_them(tmp_path: Path, samples: Path) -> None:
+    fitted = package.fit_graybox(samples / "tfish" / "trials.yaml", share=["c_f"])
+    drives = fitted.file.fit.model_extra["drives"]
+    assert drives["frequency_hz"] == [1.0, 1.8]
+    assert drives["amplitude_deg"] == [20.0, 30.0]
+    inside, outside = (
+        package.performance_map(
+            params=fitted, amplitude_deg=degrees, duration_s=6.0, over={"frequency_hz": (1.0, 1.5, 2)}
+        )
+        for degrees in (25.0, 40.0)
+    )
+    name = "inside the range of the identification trials"
+    assert checks(inside)[name] == "pass"
+    assert checks(outside)[name] == "warn"
+
+
+def test_a_gait_that_swims_tail_first_is_bad() -> None:
+    """Speed is that along the path: it does not tell which way."""
+    found = package.optimise_gait(
+        robot="dolphin",
+        frequency_hz=3.0,
+        vary={"K_s": (0.1, 2.0)},
+        starts=1,
+        population=4,
+        generations=1,
+        **BEAT,
+    )
+    found.file.optimum.quantities["mean_surge_from_start_m_s"] = -0.1
+    assert gait_evidence.evidence(found.file, [], {}).verdict.level == "bad"
+    assert trust.forwards_check([0.1, None])[0].verdict == "pass"
+    assert trust.forwards_check([None]) == []
+
+
+def test_electrical_power_of_a_log_with_gaps() -> None:
+    """A current that was hardly logged is none; a few samples that are missing do not matter."""
+    time = np.linspace(0.0, 4.0, 401)
+    window = Window(0.0, 4.0, 4, 1.0)
+    volts, amperes = np.full(401, 12.0), np.full(401, 0.5)
+    few, most = amperes.copy(), amperes.copy()
+    few[::10] = np.nan
+    few[1::2] = np.nan
+    most[::20] = np.nan
+    assert electrical_power(time, volts, most, window) == pytest.approx(6.0)
+    assert math.isnan(electrical_power(time, volts, few, window))
+    assert math.isnan(electrical_power(time, np.full(401, np.nan), amperes, window))
+
+
+def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
+    """Where a run beside the estimates breaks down a quantity has no standard error, none too small."""
+    path = parameters(tmp_path, {"c_d2": 0.8, "c_d1": 0.6})
+    options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
+    applied: Applied = Performance.of_options(options).applied
+    assert isinstance(applied.file, ParameterFile)
+    centre, other = {"v": Quantity(1.0, "1")}, {"v": Quantity(1.1, "1")}
+    whole = applied.carried(applied.values(), centre, [(centre, other), (centre, other)])
+    parted = applied.carried(applied.values(), centre, [(centre, other), (centre, {})])
+    assert whole["v"].stderr is not None
+    assert parted["v"].stderr is None
