@@ -288,9 +288,10 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
 
 
 def refute(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether with the causes held-out errors grow by more than all of the gap."""
+    """Whether with the causes squared held-out errors grow by more than the gap, and than the noise."""
     gained, gap = _gained(found, floors)
-    return gained < -max(gap, 0.0) and bool(found)
+    noise = float(sum(len(p.seen(p.measured)) for p in found))
+    return gained < -max(gap, noise)
 
 
 def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
