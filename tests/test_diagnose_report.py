@@ -116,6 +116,20 @@ def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:
     assert row["value"] is None
 
 
+def test_an_odd_trial_and_a_refuted_cause_are_told() -> None:
+    odd = {"trial": "f10a15", "times": 91.0}
+    file = ranked(replace(cases.UNEXPLAINED, odd_trial=odd, refuted=["waves"]))
+    text = flat(diagnose_summary.summary(file))
+    assert "f10a15 contradicts the other trials: no effect of all explains it." in text
+    assert "odd f10a15: the others predict it 91 times worse than one another" in text
+    assert "refuted waves: likeliest by the fits" in text
+    failed = {c.name: c.value for c in diagnose_evidence.checks(file) if c.verdict == "fail"}
+    assert failed == {
+        "no trial contradicts the others": "f10a15: 91 times the others' error",
+        "held-out trials bear the likeliest cause out": "waves",
+    }
+
+
 def test_bounds_that_are_hit_are_said_first() -> None:
     file = ranked(cases.ALL["reread"])
     body = diagnose_summary.summary(file).split("\n\n")[2]

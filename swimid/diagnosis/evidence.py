@@ -96,7 +96,7 @@ def checks(file: GapFile) -> list[ev.Check]:
         if file.verdict == "none"
         else (_gains, _rivals, _closed, _transfer, _coefficients, _left)
     )
-    return [check for part in (_at_bounds, _size, *parts) for check in part(file)]
+    return [check for part in (_at_bounds, _contradicted, _size, *parts) for check in part(file)]
 
 
 def _at_bounds(file: GapFile) -> Iterable[ev.Check]:
@@ -107,6 +107,26 @@ def _at_bounds(file: GapFile) -> Iterable[ev.Check]:
             limit="inside",
             verdict="warn",
             text="a coefficient that the refit without effects takes to its bound may stand in for a cause",
+        )
+
+
+def _contradicted(file: GapFile) -> Iterable[ev.Check]:
+    if file.odd_trial is not None:
+        times = numbers.number(file.odd_trial.times, 2)
+        yield ev.Check(
+            name="no trial contradicts the others",
+            value=f"{file.odd_trial.trial}: {times} times the others' error",
+            limit="as the others",
+            verdict="fail",
+            text="error of a trial predicted from all others; look at what is written of it",
+        )
+    if file.refuted:
+        yield ev.Check(
+            name="held-out trials bear the likeliest cause out",
+            value=words.listed(file.refuted),
+            limit="no worse with it",
+            verdict="fail",
+            text="squared held-out errors grow with it by more than the gap and the noise",
         )
 
 
