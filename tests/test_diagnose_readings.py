@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import readings, search
 from swimid.diagnosis.context import FitContext
+from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
@@ -301,7 +301,7 @@ def test_trials_of_a_robot_read_otherwise(tmp_path: Path, option: str) -> None:
     swimmer.write_trials(tmp_path, "tfish", runs, noise, 7, columns=list(noise))
     out = tmp_path / "gap.yaml"
     assert command("diagnose", tmp_path / "trials.yaml", "-o", out).status == 0
-    file = gap_format.read(out)
+    file = GapFile.read(out)
     assert file.verdict == "explained"
     assert f"reading:{option}" in held_responsible(file)[0]
     assert [c.effect for c in file.causes] == [f"reading:{option}"]
