@@ -124,6 +124,21 @@ def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
 
 
 @pytest.mark.kernels
+@pytest.mark.kernels
+def test_runs_of_one_batch_share_nothing_of_an_effect(fish: MultilinkModel) -> None:
+    """Coefficients that an effect reads off the tables differ from run to run, as in derivatives to them."""
+    own = swims(fish, 0.6)
+    for effect in widened(fish, own).values():
+        affected = Affected(fish, [effect], own)
+        values = [np.concatenate([share * given(fish), acting(affected)]) for share in (0.8, 1.0, 1.2)]
+        alone = [Affected(fish, [effect], own).simulate_many([(one, own[0])])[0] for one in values]
+        fish.forget(own)
+        together = affected.simulate_many([(one, own[0]) for one in values])
+        for first, second in zip(alone, together, strict=True):
+            for name, column in first.items():
+                np.testing.assert_array_equal(second[name], column, err_msg=effect.name)
+
+
 def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 1.0)
     walls = [e for e in widened(fish, own).values() if e.name == "wall"][:2]

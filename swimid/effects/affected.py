@@ -12,9 +12,6 @@ from swimid.fitting import hooks as hook_places
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Trial, unless_broken
 
-#: What acts at so many values is kept.
-KEPT = 512
-
 
 class Affected(Model):
     """A model on which effects act.
@@ -41,8 +38,6 @@ class Affected(Model):
         self.abscissa = model.abscissa
         self.offers = model.offers
         self._trials = tuple(trials)
-        #: With the trial, so that no other takes its identity.
-        self._hooks: dict[tuple[int, int, bytes], tuple[Hooks, Trial]] = {}
         self.own = [effect.parameters(model, trials) for effect in self.effects]
         self._contents = [effect.content() for effect in self.effects]
         self._null = [np.array([p.start for p in parameters]) for parameters in self.own]
@@ -64,21 +59,11 @@ class Affected(Model):
             at += len(null)
             if np.array_equal(own, null):
                 continue
-            hooks = hooks + self._acting(effect, content, own, trial)
-        return hooks
-
-    def _acting(self, effect: Effect, content: bytes, own: Array, trial: Trial) -> Hooks:
-        """What one effect does in a trial; derivatives to all else ask for the same again."""
-        asked = (id(effect), id(trial), own.tobytes())
-        known = self._hooks.get(asked)
-        if known is None:
+            # made for each run: an effect may keep in them what it reads off the run's tables
             acting = effect.hooks(own, trial, self.model)
             key = content + own.tobytes() if acting.moves else b""
-            known = replace(acting, key=key, command_key=key if acting.command else b""), trial
-            if len(self._hooks) >= KEPT:
-                self._hooks.clear()
-            self._hooks[asked] = known
-        return known[0]
+            hooks = hooks + replace(acting, key=key, command_key=key if acting.command else b"")
+        return hooks
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate one trial (see :meth:`Model.simulate`)."""
