@@ -85,17 +85,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
     checks.append(trust.region_check(file.identified, [{**drive, **optimum.at}]))
     if file.draws:
-        inside = file.draws if file.inside is None else file.inside
-        known = file.refused <= inside
-        checks.append(
-            ev.check(
-                "draws within the coefficients' bounds",
-                f"{inside} of {inside + file.refused}",
-                known,
-                "half or more",
-                "" if known else "the coefficients are hardly known: fit them better",
-            )
-        )
+        checks.append(trust.draws_check(file.draws, file.inside, file.refused))
         checks += _kept_check(file)
     else:
         text = "give a parameter file with standard errors: --params"

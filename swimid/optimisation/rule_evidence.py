@@ -144,17 +144,7 @@ def _sure(file: RuleFile) -> list[ev.Check]:
             else "give a parameter file with standard errors (--params), and --draws"
         )
         return [ev.check("uncertainty of the rule", "not known", None, text=text)]
-    inside = file.draws if file.inside is None else file.inside
-    known = file.refused <= inside
-    checks = [
-        ev.check(
-            "draws within the coefficients' bounds",
-            f"{inside} of {inside + file.refused}",
-            known,
-            "half or more",
-            "" if known else "the coefficients are hardly known: fit them better",
-        )
-    ]
+    checks = [trust.draws_check(file.draws, file.inside, file.refused)]
     optima = [o for o in file.optima if o.stiffness is not None]
     if file.reach_speed_m_s is not None:
         least = min(o.reached_in_draws or 0.0 for o in optima)

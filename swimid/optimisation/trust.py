@@ -26,6 +26,25 @@ def coefficients_check(notices: Sequence[Notice]) -> list[ev.Check]:
     return [ev.check(name, "no", False, "converged, identified, within bounds", "; ".join(doubts))]
 
 
+def draws_check(draws: int, inside: int | None, refused: int) -> ev.Check:
+    """Whether most draws of the coefficients lie within their bounds.
+
+    Parameters
+    ----------
+    draws, inside, refused : int
+        That were used, and of those made, inside and outside; an older file does not tell ``inside``.
+    """
+    within = draws if inside is None else inside
+    known = refused <= within
+    return ev.check(
+        "draws within the coefficients' bounds",
+        f"{within} of {within + refused}",
+        known,
+        "half or more",
+        "" if known else "the coefficients are hardly known: fit them better",
+    )
+
+
 def beyond(region: Region, at: Mapping[str, float]) -> list[str]:
     """What of a gait lies outside the range of the identification trials; what it does not name is neutral.
 
