@@ -184,7 +184,7 @@ def told(case: Truth, known: Calibration) -> tuple[str, frozenset[str]]:
     """The answer in short: whether there is a gap, whether from outside, and the effects named."""
     found = posterior.posterior(case.null, case.candidates, record=case.record, calibration=known)
     if found.none > posterior.UNSURE:
-        return ("unexplained" if found.outside > 0.5 else "none"), frozenset()
+        return ("unexplained" if found.outside > found.none else "none"), frozenset()
     outside = found.outside > sum(found.sets.values())
     named = frozenset() if outside and found.having(*found.best) <= 0.5 else found.best
     return ("unexplained" if outside else "explained"), named

@@ -136,7 +136,7 @@ def verdict(state: State, chosen: Sequence[Named], *, dropout: bool) -> Verdict:
     if not chosen or posterior.none > UNSURE:
         if dropout:
             return "explained"
-        return "unexplained" if posterior.outside > max(posterior.none, 0.5) else "none"
+        return "unexplained" if posterior.outside > posterior.none else "none"
     first = chosen[0]
     if posterior.outside > sum(posterior.sets.values()):
         return "unexplained"
