@@ -164,13 +164,12 @@ class Fit:
         }
 
     def scatter(self) -> dict[str, float]:
-        """How far trials are from where what differs by chance is none, by the name of its number.
+        """How far trials are from one another in what differs by chance, by the name of its number.
 
-        Root mean square over trials, in its unit.
+        Standard deviation over trials, in its unit. What all trials share is no chance but an effect.
         """
-        null = {p.name: p.start for p in self.problem.parameters}
         return {
-            name: float(np.sqrt(np.mean((np.array(values) - null[name]) ** 2)))
+            name: float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
             for name, values in self._differing().items()
         }
 
