@@ -262,7 +262,8 @@ def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Ge
         fit, [fit.fixed_effects_residual(k) for k in range(count)], [time[:, None]] * count
     )
     assert np.std(np.concatenate(left)) == pytest.approx(1.0, rel=0.05)
-    floor, _ = floors(context, fit, left, 0.0)
+    alike = context.fit((), NoiseModel(noise_model.sd), [context.problem(()).start])
+    floor, _ = floors(context, fit, left, 0.0, alike)
     # 30 trims tell their size to 13 %
     between = size**2 * np.mean(time**2)
     assert floor["y"] == pytest.approx(np.sqrt(between + 0.01), rel=0.3)
@@ -615,7 +616,7 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
     context = FitContext(model, (), trials, {})
     fit = context.at((), NoiseModel(context.shape.sd), np.empty(0))
-    floor, how = floors(context, fit, fit.residuals, 0.0)
+    floor, how = floors(context, fit, fit.residuals, 0.0, fit)
     assert floor["y"] == pytest.approx(0.1, rel=0.1)
     assert how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
@@ -849,13 +850,16 @@ def piece(before: float, after: float) -> shrinkage.Piece:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "helps"),
-    [(5.0, 0.0, True), (5.0, 4.9, True), (5.0, 4.98, False), (5.0, 6.0, False), (5.0, np.nan, False)],
-)
-def test_a_cause_closes_more_than_a_trace(before: float, after: float, helps: bool) -> None:
-    """Of a squared gap of 25 a closed 1 counts, a closed 0.2 (less than 2 %) does not."""
-    assert shrinkage.helps([piece(before, after)], {"x_m": 0.01}) is helps
+@pytest.mark.parametrize(("after", "closed"), [(1.0, 0.96), (3.0, 0.64), (6.0, -0.44), (5.0, 0.0)])
+def test_share_of_the_squared_gap_that_is_closed(after: float, closed: float) -> None:
+    """An error of 5 beside noise of 1 is a squared gap of 25."""
+    # 200 samples tell the size of noise to 5 %, the product of the two to 0.14 of 25
+    found = shrinkage.share([piece(5.0, after)], {"x_m": 0.01})
+    assert found == pytest.approx(closed, abs=0.06)
+
+
+def test_nothing_is_closed_where_there_is_no_gap() -> None:
+    assert np.isnan(shrinkage.share([piece(5.0, 0.0)], {"x_m": 0.1}))
 
 
 @pytest.mark.parametrize(("after", "refuted"), [(0.0, False), (6.9, False), (7.2, True), (np.nan, True)])

@@ -14,7 +14,7 @@ from swimid.effects.environment.current import Current
 from swimid.effects.environment.surface_breach import SurfaceBreach, sink
 from swimid.effects.environment.tether import Tether, pull_back
 from swimid.effects.environment.wall import Wall, push_off
-from swimid.effects.environment.waves import Waves, lines
+from swimid.effects.environment.waves import Waves, _Travelling, lines
 from swimid.effects.rig.initial_speed import InitialSpeed
 from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
@@ -98,6 +98,35 @@ def test_a_body_on_a_rig_drifts_with_current_and_waves() -> None:
     w = 2 * np.pi * f
     expected = 0.1 * TIME + (a * (np.sin(w * TIME) + np.exp(-w * TIME) - 1) + b * (1 - np.cos(w * TIME))) / w
     np.testing.assert_allclose(seen["x_m"], expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("robot", ["tfish", "dolphin"])
+def test_a_wave_may_differ_from_place_to_place(robot: str) -> None:
+    """A standing wave with its node where the body is first seen, which swims through it at 0.4 m/s."""
+    model = swimmer(robot)
+    time = np.arange(0.0, 8.0, 0.04)
+    across = model.axes[1]
+    measured = {"x_m": 0.7 + 0.4 * time, f"{across}_m": 0.2 * time}
+    trial = replace(swim(model), time_s=time, measured=measured)
+    wave = _Travelling("x", 0.5)
+    assert any(isinstance(e, _Travelling) for e in Waves().variants(model, [trial]))
+    toward = 0.3 if across == "y" else 0.0
+    values = {
+        "frequency_hz": 0.5,
+        "wavenumber_rad_m": 1.1,
+        "direction_rad": toward,
+        "cos_x_quarter_m_s": 0.03,
+    }
+    names = [p.name for p in wave.parameters(model, [trial])]
+    (flow,) = wave.hooks(np.array([values.get(n, 0.0) for n in names]), trial, model).flow
+    fine = np.linspace(0.0, 7.9, 4001)
+    moved, speed = flow(fine)
+    place = (0.7 + 0.4 * fine) * np.cos(toward) + 0.2 * fine * np.sin(toward)
+    phase = np.pi * fine
+    expected = 0.03 * np.sin(1.1 * place) * (np.cos(phase) - np.exp(-phase))
+    np.testing.assert_allclose(speed[:, 0], expected * np.cos(toward), atol=2e-5)
+    np.testing.assert_allclose(speed[:, 1], expected * np.sin(toward), atol=2e-5)
+    np.testing.assert_allclose(np.gradient(moved, fine, axis=0)[2:-2], speed[2:-2], atol=1e-6)
 
 
 def test_current_carries_a_cruise() -> None:

@@ -65,7 +65,7 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
 
 
 def floors(
-    context: FitContext, last: Fit, residuals: Sequence[Array], share: float
+    context: FitContext, last: Fit, residuals: Sequence[Array], share: float, alike: Fit
 ) -> tuple[dict[str, float], str]:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
@@ -77,13 +77,16 @@ def floors(
         What it leaves, weighted, without what differs from trial to trial.
     share : float
         Of its squared whitened residuals, what a generic description still finds.
+    alike : Fit
+        The same model refitted as if trials did not differ.
 
     Returns
     -------
     floor : dict of channel to float
         What two repeats of one setting do not share, where there are repeats and they differ by less than
         the model leaves; else the noise within trials that the model leaves, less the share that has
-        structure, and the random effects of trials.
+        structure, and the random effects of trials. Never more than what the model leaves as if trials did
+        not differ.
     how : str
     """
     rest = max(1.0 - share, 0.05)
@@ -92,7 +95,11 @@ def floors(
         {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()}
         for r in (residuals, last.residuals, marginal_residuals)
     )
-    floor = {c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c]))) for c in noise}
+    reached = {c: float(np.mean(v**2)) for c, v in by_channel(alike, alike.residuals).items()}
+    floor = {
+        c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c])))
+        for c in noise
+    }
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
     groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):

@@ -384,9 +384,11 @@ class Search:
 
         def one(h: Hypothesis) -> Optimum:
             effects, problem = h.fit.effects, context.problem(h.fit.effects, noise_model.random_effects)
-            starts = context.begins(problem, context.start(effects, noise_model, h.fit))
+            starts = [context.start(effects, noise_model, h.fit)]
             hopeless = h.names in far
             steps, warm = (FEW, h.fit) if hopeless else (STEPS, None)
+            if not hopeless:
+                starts = context.begins(problem, starts[0])
             fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps, warm=warm)
             sized = any(_belongs(label, effects) for label in h.fit.labels)
             if sized and not fit.cost <= self.null.fit.cost:

@@ -22,8 +22,8 @@ TOLERANCE = 1e-4
 #: Resamples of trials for the interval.
 RESAMPLES = 1000
 
-#: Of the squared errors on held-out data, beyond their noise, a cause closes at least this share.
-TRACE = 0.02
+#: Of the squared errors on held-out data, beyond their noise, causes close the greater part.
+MOST = 0.5
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
 #: Trials whose traces are kept.
@@ -281,10 +281,26 @@ def sound(found: Sequence[Piece]) -> bool:
     return True
 
 
-def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether the causes close more than a trace of the gap on held-out data, in units of the noise."""
+def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
+    """Of several predictions of the same samples that before which errs least, and that after.
+
+    Parameters
+    ----------
+    floors : mapping of channel to float
+        Noise, by which channels are weighed.
+    """
+
+    def least(which: str) -> Sequence[Piece]:
+        return min(found, key=lambda one: sum(float(_errors(p, which, floors).sum()) for p in one))
+
+    before, after = least("before"), least("after")
+    return [replace(b, after=a.after) for b, a in zip(before, after, strict=True)]
+
+
+def share(found: Sequence[Piece], floors: Mapping[str, float]) -> float:
+    """Of the squared errors on held-out data, beyond their noise, what the causes close; NaN of none."""
     gained, gap = _gained(found, floors)
-    return gained > TRACE * max(gap, 0.0) or not found
+    return gained / gap if gap > 0 else math.nan
 
 
 def refute(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
@@ -298,10 +314,15 @@ def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float,
     """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
     gained, gap = 0.0, 0.0
     for p in found:
-        before, after = (p.squares(y, max(floors.get(p.channel, 1.0), 1e-300)) for y in (p.before, p.after))
+        before, after = (_errors(p, which, floors) for which in ("before", "after"))
         gained += float(np.sum(before - after))
         gap += float(np.sum(before - 1.0))
     return gained, gap
+
+
+def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
+    """Squared errors of a prediction, in units of the noise."""
+    return piece.squares(getattr(piece, which), max(floors.get(piece.channel, 1.0), 1e-300))
 
 
 def closed(before: float, after: float, floor: float) -> float:

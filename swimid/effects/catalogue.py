@@ -118,11 +118,14 @@ def from_file(path: str | Path) -> list[Effect]:
 
 
 def _kinds(module: ModuleType) -> list[type[Effect]]:
-    """Subclasses of Effect that a module itself defines, in its order."""
+    """Subclasses of Effect that a module itself defines, in its order; a private one is a form of another."""
     return [
         kind
-        for kind in vars(module).values()
-        if inspect.isclass(kind) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+        for name, kind in vars(module).items()
+        if inspect.isclass(kind)
+        and issubclass(kind, Effect)
+        and kind.__module__ == module.__name__
+        and not name.startswith("_")
     ]
 
 

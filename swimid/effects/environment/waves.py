@@ -1,8 +1,11 @@
 """Oscillatory (orbital) flow: waves, and their reflections in a pool."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.constants import g
+from scipy.interpolate import CubicSpline
 from scipy.signal import lombscargle
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
@@ -14,6 +17,10 @@ LOWEST, HIGHEST = 0.15, 3.0
 LINES, ORDER = 4, 5
 #: Most frequencies looked at.
 FINEST = 120
+#: Lines that are tried with an amplitude that differs from place to place.
+TRAVELLED = 2
+#: A shallow pool, m.
+DEPTH = 0.5
 #: An oscillation makes more than this share of the variance of a track.
 MOST = 0.5
 
@@ -46,7 +53,15 @@ class Waves(Effect):
         """One per axis and line of the track, for a body that moves in time from place to place."""
         if "force" not in model.offers:
             return []  # an average over beats or runs has no motion within a wave's period
-        return [Waves(axis, line) for axis in model.axes for line in lines(model, trials, axis)]
+        found: list[Waves] = []
+        along = f"{model.axes[0]}_m" if len(model.axes) == 2 else ""
+        tracked = all(along in t.measured and np.isfinite(t.measured[along]).sum() > ORDER for t in trials)
+        for axis in model.axes:
+            strongest = lines(model, trials, axis)
+            found += [Waves(axis, line) for line in strongest]
+            if tracked:
+                found += [_Travelling(axis, line) for line in strongest[:TRAVELLED]]
+        return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
@@ -85,6 +100,97 @@ class Waves(Effect):
             return moved, velocity
 
         return Hooks(flow=(flow,))
+
+
+class _Travelling(Waves):
+    """The same with another amplitude and phase in each place: a travelling, standing or reflected wave.
+
+    Orbital velocity ``(a cos(k s) + c sin(k s)) cos(2 pi f t) + (b cos(k s) + d sin(k s)) sin(2 pi f t)``,
+    *s* the place along the wave where the log has the body. The wave runs in a direction of its own where the
+    body moves in a horizontal plane, along x where that is vertical.
+    """
+
+    def variants(self, model: Model, trials: Trials) -> Effects:
+        """None but those of the effect itself."""
+        return []
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Frequency (Hz), wavenumber (rad/m), of a horizontal plane direction (rad); amplitudes, m/s."""
+        frequency, cosine, sine = super().parameters(model, trials)
+        deep, shallow = wavenumbers(self.frequency_hz)
+        track = [t.measured[f"{model.axes[0]}_m"] for t in trials]
+        long = max(float(np.nanmax(x) - np.nanmin(x)) for x in track)
+        size = min(0.5 / max(long, 1e-3), deep)
+        shared = [
+            frequency,
+            parameter(
+                "wavenumber_rad_m", "rad/m", size, "wavenumber", lower=0.0, upper=4.0 * shallow, start=deep
+            ),
+        ]
+        if model.axes[1] == "y":
+            toward = 0.0 if self.axis == "x" else 0.5 * math.pi
+            shared.append(parameter("direction_rad", "rad", 0.2, "direction of the waves", start=toward))
+        where = ("", "_quarter")
+        return (
+            *shared,
+            *(replace(p, name=p.name.replace("_m_s", f"{at}_m_s")) for at in where for p in (cosine, sine)),
+        )
+
+    def tries(self, parameters: Parameters) -> list[Array]:
+        """The scale of each amplitude, in deep water and in shallow."""
+        found = []
+        for wavenumber in wavenumbers(self.frequency_hz):
+            for j, p in enumerate(parameters):
+                if p.per_trial:
+                    point = np.array([q.start for q in parameters])
+                    point[1], point[j] = wavenumber, p.scale
+                    found.append(point)
+        return found
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Water that moves, each place in its own way."""
+        frequency, wavenumber, *direction = (float(v) for v in values[:-4])
+        omega = 2.0 * math.pi * frequency
+        first, second = (trial.measured.get(f"{axis}_m") for axis in model.axes)
+        time = np.linspace(trial.time_s[0], trial.time_s[-1], max(len(trial.time_s), 2))
+        place = _along(trial, first, time) * (math.cos(direction[0]) if direction else 1.0)
+        unit = np.array([1.0, 0.0] if self.axis == "x" else [0.0, 1.0])
+        if direction:
+            unit = np.array([math.cos(direction[0]), math.sin(direction[0])])
+            place = place + _along(trial, second, time) * unit[1]
+        phase = omega * (time - time[0])
+        c, s, onset = np.cos(phase), np.sin(phase), np.exp(-phase)
+        a, b, quarter_a, quarter_b = values[-4:]
+        here, there = np.cos(wavenumber * place), np.sin(wavenumber * place)
+        speed = (a * here + quarter_a * there) * (c - onset) + (b * here + quarter_b * there) * s
+        course = CubicSpline(time, speed)
+        way = course.antiderivative()
+
+        def flow(time_s: Array) -> tuple[Array, Array]:
+            inside = np.clip(time_s, time[0], time[-1])
+            return way(inside)[:, None] * unit, course(inside)[:, None] * unit
+
+        return Hooks(flow=(flow,))
+
+
+def wavenumbers(frequency_hz: float) -> tuple[float, float]:
+    """Of surface waves in deep water and in water of `DEPTH`, rad/m, the latter to some 5 % (Eckart [1]_).
+
+    References
+    ----------
+    .. [1] R. G. Dean, R. A. Dalrymple, *Water Wave Mechanics for Engineers and Scientists*, World Scientific,
+       1991, chapter 3 (dispersion).
+    """
+    deep = (2.0 * math.pi * frequency_hz) ** 2 / g
+    return deep, deep / math.sqrt(math.tanh(deep * DEPTH))
+
+
+def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
+    """Where the log has the body, from where it was first seen; zero where it does not say."""
+    if series is None or not np.isfinite(series).any():
+        return np.zeros(len(time_s))
+    there = np.isfinite(series)
+    return np.asarray(np.interp(time_s, trial.time_s[there], series[there]))
 
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
