@@ -3,7 +3,8 @@
 python docs/reproduction.py
 
 Every figure of a model is computed here, from the robot files, with the package's own functions.
-Published figures are those of the tables and the text, named where they stand.
+Published figures are those of the tables and the text, named where they stand. The pictures of the page are
+written to docs/figures.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,9 +26,11 @@ from scipy.optimize import minimize_scalar
 from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
-from swimid.optimisation.optimise_stiffness import optimise_stiffness
+from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
 from swimid.optimisation.rule import RuleFile
+from swimid.results import blocks, sheet
+from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.swimmer.planar.model import MultilinkModel
@@ -333,6 +337,8 @@ range of the yaw within one beat.
 
 {table(columns, rows)}
 
+![Published and modelled turns](figures/steering.svg)
+
 With an amplitude of 30° the first row becomes R {other[0]:.2f} m, ξ {other[1]:.0f}°, ω max {other[2]:.0f}
 deg/s, ω mean {other[3]:.1f} deg/s.
 
@@ -410,12 +416,16 @@ PUBLISHED_GAIN = (0.32, 0.45)
 
 
 @cache
-def rule() -> RuleFile:
+def stiffness_rule() -> StiffnessRule:
     """The rule of Algorithm 1, as ``swimid optimise stiffness`` gives it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = optimise_stiffness(robot="tfish", over={"frequency_hz": RULE_HZ, "amplitude_deg": RULE_DEG})
-    return found.file
+        return optimise_stiffness(robot="tfish", over={"frequency_hz": RULE_HZ, "amplitude_deg": RULE_DEG})
+
+
+def rule() -> RuleFile:
+    """The rule itself."""
+    return stiffness_rule().file
 
 
 def tfish_rule() -> str:
@@ -458,6 +468,8 @@ def tfish_rule() -> str:
 speed from rest ({file.duration_s:g} s), and the rule c0 + c1 f + c2 f² in mm.
 
 {optima_table}
+
+![The rule for each amplitude](figures/stiffness-rule.svg)
 
 As in Fig 9: a quadratic function of the frequency for each amplitude, rising with both. (The figure has no
 numbers to compare with.) Gain in speed of the rule over a fixed {1e3 * file.reference:.0f} mm; and the
@@ -635,6 +647,8 @@ def dolphin_map() -> str:
 Steady speed, m/s, over the stiffness in N m/rad; K* is the stiffness of the highest speed.
 
 {table(columns, rows)}
+
+![Speed over frequency and stiffness](figures/speed-map.svg)
 
 As in the paper: every frequency has its best stiffness, which rises with the frequency; with a stiff joint
 speed rises with frequency, with a soft one it rises and falls; and a yielding joint beats a locked one.
@@ -820,5 +834,69 @@ def page() -> str:
     )
 
 
+def table_v() -> Figure:
+    """The rows of Table V, published and of the model."""
+    rows = [f"{bias:g} {mode}" for bias, mode, *_ in TABLE_V]
+    published = np.array([values for _, _, *values in TABLE_V])
+    found = np.array(
+        [
+            turning(bias, TURN_ASYMMETRY if mode == "A-CPG" else 0.0, TURN_AMPLITUDE_DEG)
+            for bias, mode, *_ in TABLE_V
+        ]
+    )
+    names = (
+        "radius (m)",
+        "range of yaw in a beat (deg)",
+        "largest yaw rate (deg/s)",
+        "mean yaw rate (deg/s)",
+    )
+    panels = [
+        Panel(
+            x_label="bias (deg), mode",
+            y_label=name,
+            traces=[
+                Trace(x=np.arange(len(rows)), y=values[:, k], label=label, style="points")
+                for label, values in (("published", published), ("model", found))
+            ],
+            x_categories=rows,
+        )
+        for k, name in enumerate(names)
+    ]
+    caption = "Good: the model on the published values."
+    return blocks.panels("table-v", "Turning: Table V", caption, panels, columns=2)
+
+
+def speed_map() -> list[Figure]:
+    """Speed against frequency and stiffness, as ``swimid map`` draws it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = performance_map(
+            robot="dolphin",
+            over={"frequency_hz": (1.0, 5.0, 9), "K_s": (0.2, 3.0, 15)},
+            amplitude_deg=WAIST_DEG,
+        )
+    assert found.evidence is not None
+    return [
+        f.model_copy(update={"panels": [p for p in f.panels if p.title.startswith("mean speed")]})
+        for f in found.evidence.figures
+        if f.id in ("map", "contours")
+    ]
+
+
+def pictures(folder: Path) -> None:
+    """Write the pictures of the page."""
+    folder.mkdir(exist_ok=True)
+    evidence = stiffness_rule().evidence
+    assert evidence is not None
+    drawn = {f.id: f for f in evidence.figures}
+    for name, title, figures_of in (
+        ("stiffness-rule", "Tendon fish: stiffness rule (Fig 9)", [drawn["rule"]]),
+        ("steering", "Tendon fish: turning (Table V)", [table_v()]),
+        ("speed-map", "Dolphin: speed (Fig 11a)", speed_map()),
+    ):
+        sheet.write(folder / f"{name}.svg", figures_of, title=title)
+
+
 if __name__ == "__main__":
     print(page())
+    pictures(Path(__file__).parent / "figures")

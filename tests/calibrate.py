@@ -7,7 +7,6 @@ constants are those under which the truth is likeliest.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -20,6 +19,7 @@ from scipy.optimize import minimize
 
 from swimid.diagnosis import posterior
 from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record
+from tests.blind import runner
 
 #: What an effect must lower the score by for its case to tell anything of it.
 SEEN = 20.0
@@ -80,7 +80,7 @@ def read(folders: Iterable[Path]) -> list[Truth]:
     for folder in folders:
         for place in sorted((folder / "results").glob("*/gap.yaml")):
             gap = YAML(typ="safe").load(place.read_text())
-            label = json.loads((folder / "labels" / f"{place.parent.name}.json").read_text())
+            label = runner.label_of(folder / "labels" / f"{place.parent.name}.json")
             rows = [
                 Candidate(
                     frozenset(h["effects"]),

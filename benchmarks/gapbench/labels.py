@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from tests.blind import runner
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def read(folder: Path) -> dict[str, Label]:
     """The labels of a benchmark, by case."""
     found = {}
     for path in sorted((folder / "labels").glob("*.json")):
-        raw = json.loads(path.read_text())
+        raw = runner.label_of(path)
         floor = raw.get("floor") or raw.get("noise_sd") or {}
         effects = tuple(raw["effects"])
         found[path.stem] = Label(path.stem, raw["kind"], raw["robot"], effects, raw["gap"], floor)

@@ -38,6 +38,8 @@ FITS = {
     "free-swim": "fit-graybox",
     "multibody": "fit-graybox",
 }
+#: Effects outside the catalogue of which a robot file asks: there the answer is another reading of it.
+READINGS = {"spread-drag": "reading:drag_point=strips"}
 KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
 #: Exit status of a command that has written a result and does not trust it.
 UNTRUSTED = 4
@@ -125,6 +127,15 @@ def separated(label: dict[str, Any], place: str = "") -> tuple[dict[str, Any], d
             if _plain(value):
                 rest[key] = value
     return rest, arrays
+
+
+def label_of(path: Path) -> dict[str, Any]:
+    """A case's label, with the reading that would be the answer as its effect."""
+    label: dict[str, Any] = json.loads(path.read_text())
+    if set(label["effects"]) & READINGS.keys():
+        label["effects"] = [READINGS.get(name, name) for name in label["effects"]]
+        label["kind"] = "single" if len(label["effects"]) == 1 else "pair"
+    return label
 
 
 def _plain(value: Any) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
+from tests.blind import runner
 from tests.blind.common import STAGE_OF
 
 LARGEST_SET = 3
@@ -34,7 +35,7 @@ def read(out: Path) -> list[Row]:
     rows = []
     for place in sorted((out / "results").glob("*/result.json")):
         record = json.loads(place.read_text())
-        label = json.loads((out / "labels" / f"{place.parent.name}.json").read_text())
+        label = runner.label_of(out / "labels" / f"{place.parent.name}.json")
         path = place.parent / "gap.yaml"
         # a gap file that a failed command left is no answer
         gap = YAML(typ="safe").load(path.read_text()) if record["ended"] and path.exists() else None

@@ -18,7 +18,7 @@ LINES, ORDER = 4, 5
 #: Most frequencies looked at.
 FINEST = 120
 #: Lines that are tried with an amplitude that differs from place to place.
-TRAVELLED = 2
+TRAVELLED = 1
 #: A shallow pool, m.
 DEPTH = 0.5
 #: An oscillation makes more than this share of the variance of a track.
