@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
@@ -172,6 +173,28 @@ class TestCamera:
         np.testing.assert_allclose(found["u_m_s"], 1.1 * plain["u_m_s"], rtol=1e-12)
         for name in ("yaw_rad", "yaw_rate_rad_s", "joint4_rad"):
             np.testing.assert_array_equal(found[name], plain[name])
+
+    def test_scale_that_changes_towards_the_edge(self, fish):
+        """Places seen through a lens: two bodies at known places, one of them where the trial begins."""
+        model, trial = fish
+        lens = next(v for v in SCALE.variants(model, [trial]) if v is not SCALE)
+        centre, error, bent = complex(0.2, -0.3), 0.07, -0.02
+        plain, found = seen(fish, lens, error, bent, centre.real, centre.imag)
+
+        def through(place):
+            off = place - centre
+            return centre + (1 + error) * off * (1 + bent * abs(off) ** 2)
+
+        begin = complex(*POSE[:2])
+
+        def missed(place):
+            off = through(complex(*place)) - begin
+            return off.real, off.imag
+
+        there = complex(*fsolve(missed, POSE[:2], xtol=1e-11))
+        places = there - begin + plain["x_m"] + 1j * plain["y_m"]
+        np.testing.assert_allclose(found["x_m"] + 1j * found["y_m"], through(places), atol=1e-10)
+        np.testing.assert_allclose(found["u_m_s"], (1 + error) * plain["u_m_s"], rtol=1e-12)
 
     def test_scale_in_the_vertical_plane(self, dolphin):
         plain, found = seen(dolphin, SCALE, -0.05)
