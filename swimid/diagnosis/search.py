@@ -207,6 +207,8 @@ class Search:
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
         self._cosines: dict[frozenset[int], float] = {}
+        #: Fitted in a few steps only.
+        self.hopeless: set[Key] = set()
         self.out_of_time = False
 
     # ------------------------------------------------------------ fits
@@ -403,12 +405,36 @@ class Search:
 
         # parents before those judged beside them
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
+        self.hopeless = {h.key for h in old if h.names in far}
         for h, optimum in zip(old, mapped(one, old, self.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             fit = context.fitted(h.fit.effects, noise_model, optimum)
             parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
             self.pool[h.key] = self.judged(fit, h.tried, parent)
+
+    def finish(self) -> None:
+        """Fit to its end what was hopeless beside others and is not beside those that are left."""
+        context, noise_model = self.context, self.noise_model
+
+        def one(h: Hypothesis) -> Optimum:
+            problem = context.problem(h.fit.effects, noise_model.random_effects)
+            starts = [h.fit.theta, *context.begins(problem, h.fit.theta)[1:]]
+            return context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS).optimum
+
+        while True:
+            found = self.weighed().sets
+            least = HOPELESS * max(found.values(), default=0.0)
+            wanted = [
+                h for key, h in self.pool.items() if key in self.hopeless and found.get(h.names, 0.0) > least
+            ]
+            if not wanted:
+                return
+            for h, optimum in zip(wanted, mapped(one, wanted, self.jobs), strict=True):
+                fit = context.fitted(h.fit.effects, noise_model, optimum)
+                parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
+                self.pool[h.key] = self.judged(fit, h.tried, parent)
+                self.hopeless.discard(h.key)
 
     def weighed(self) -> Posterior:
         """How likely each set of effects fitted so far is."""
@@ -431,7 +457,9 @@ class Search:
         return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        kinds = {n.split("[")[0] for n in h.fit.labels if _belongs(n, h.fit.effects)}
+        # what each trial has for itself is one kind: cosine and sine are one amplitude
+        mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
+        kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
         if self.noise_model.long_memory is not None:
             inner = crossval.normal_equations(self.context, h.fit, self.noise_model.long_memory)
@@ -593,6 +621,7 @@ def chosen(
     """The likeliest set of causes: larger ones are tried as long as what is left could make one likelier."""
     search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
     told: list[str] = []
+    search.finish()
     found = search.weighed()
     best = search.likeliest(found)
     count = search.count
@@ -615,6 +644,7 @@ def chosen(
         keep |= {larger.key - {k} for k in larger.key} | {larger.key, best.key, frozenset()}
         search.pool = {key: h for key, h in search.pool.items() if key in keep}
         search.learn(larger)
+        search.finish()
         found = search.weighed()
         told.append(_told(best.names, larger.names, found))
         best = search.likeliest(found)
