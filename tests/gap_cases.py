@@ -247,11 +247,11 @@ EXPLAINED = GapFile(
 _SKETCHES = [
     Sketch(
         "surge force", "N", "speed", "m/s",
-        np.linspace(0, 0.3, 10), 0.1 * np.linspace(0, 0.3, 10), np.full(10, 0.003), 40.0,
+        np.linspace(0, 0.3, 10), 0.1 * np.linspace(0, 0.3, 10), 40.0,
     ),
     Sketch(
         "yaw moment", "N m", "phase", "rad",
-        np.linspace(0, 6.3, 12), np.zeros(12), np.full(12, _NAN), 2.0,
+        np.linspace(0, 6.3, 12), np.zeros(12), 2.0,
     ),
 ]  # fmt: skip
 

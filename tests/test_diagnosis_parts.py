@@ -269,6 +269,26 @@ def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Ge
     assert floor["y"] == pytest.approx(np.sqrt(between + 0.01), rel=0.3)
 
 
+@pytest.mark.parametrize("common, apart, widens", [(0.4, 0.0, False), (0.0, 0.4, True)])
+def test_what_all_trials_share_is_no_spread_between_them(
+    rng: np.random.Generator, common: float, apart: float, widens: bool
+) -> None:
+    """A tilt of all trials alike, and one of each its own: only the latter widens a spread of 0.05."""
+    time = np.linspace(0.0, 1.0, 200)
+    tilts = common + apart * np.resize([-1.0, 1.0], 8)
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": tilt * time + 0.01 * rng.normal(size=200)})
+        for k, tilt in enumerate(tilts)
+    ]
+    model = Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    context = FitContext(model, (), trials, {})
+    (kind,) = kinds(model, (), trials, [Tilt()], {})
+    noise_model = NoiseModel([[np.full(200, 0.01)] for _ in trials], random_effects=(replace(kind, sd=0.05),))
+    fit = context.fit((), noise_model, [context.problem((), noise_model.random_effects).start])
+    (found,) = weighting.settled(context, fit, noise_model).random_effects
+    assert (found.sd > 0.1) == widens
+
+
 @pytest.mark.parametrize("factor, allowed", [(0.5, 0.5), (3.0, 2.0), (-1.0, 0.0)])
 def test_a_size_out_of_bounds_ends_there(factor: float, allowed: float) -> None:
     null, step = np.array([0.0, 1.0]), np.array([0.5, 0.0])
@@ -856,6 +876,13 @@ def test_share_of_the_squared_gap_that_is_closed(after: float, closed: float) ->
     # 200 samples tell the size of noise to 5 %, the product of the two to 0.14 of 25
     found = shrinkage.share([piece(5.0, after)], {"x_m": 0.01})
     assert found == pytest.approx(closed, abs=0.06)
+
+
+def test_each_model_predicts_by_the_way_of_fitting_it_that_errs_less() -> None:
+    first, second = [piece(5.0, 3.0)], [piece(4.0, 6.0)]
+    (found,) = shrinkage.better([first, second], {"x_m": 0.01})
+    np.testing.assert_array_equal(found.before, second[0].before)
+    np.testing.assert_array_equal(found.after, first[0].after)
 
 
 def test_nothing_is_closed_where_there_is_no_gap() -> None:

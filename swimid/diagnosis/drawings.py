@@ -19,7 +19,7 @@ class Sketch:
         ``surge force``, N.
     against, against_unit : str
         ``speed``, ``phase``, ``time``, ...
-    x, y, stderr : ndarray, shape (bins,)
+    x, y : ndarray, shape (bins,)
     """
 
     name: str
@@ -28,7 +28,6 @@ class Sketch:
     against_unit: str
     x: Array
     y: Array
-    stderr: Array
     gain: float = 0.0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal
 
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import gap_file as gap_format
@@ -72,18 +71,12 @@ def evidence(
 
 def verdict(file: GapFile) -> ev.Verdict:
     """The verdict as the report grades it."""
-    level: Literal["good", "caution", "bad"] = "good"
-    if file.verdict in ("ambiguous", "unexplained"):
-        level = "caution"
-    left = file.remaining.share
-    if file.verdict == "unexplained" and (left is None or left > 0.5):
-        level = "bad"
     said = words.verdict_sentence(file)
     closed = next((s for s in words.held_out(file) if s.closed is not None), None)
     if closed is not None:
         said += f" Of the gap in {closed.channel} {words.closed_text(closed)} is closed."
     text = blocks.verdict(checks(file), said).text
-    return ev.Verdict(level=level, word=gap_format.WORDS[file.verdict], text=text)
+    return ev.Verdict(level=file.level, word=gap_format.WORDS[file.verdict], text=text)
 
 
 # ---------------------------------------------------------------- checks

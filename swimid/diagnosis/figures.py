@@ -221,7 +221,7 @@ def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
         blocks.panel(
             _label(s.against, s.against_unit),
             _label(s.name, s.unit),
-            [blocks.band(s.x, s.y, 2 * np.nan_to_num(s.stderr))],
+            [ev.Trace(x=s.x, y=s.y)],
             marks=[ev.Mark(at=0.0)],
         )
         for s in sketches[:MOST_SKETCHES]
@@ -230,7 +230,7 @@ def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
         "sketches",
         "The shape of what the model lacks",
         "The force, moment or sensor term that would have to be added to the refitted model, "
-        "over what may drive it, with twice its standard error. Its shape hints at the physics: "
+        "over what may drive it. Its shape hints at the physics: "
         "straight through zero over speed is linear drag, a constant is a trim or a current. Good: "
         "flat about zero.",
         panels,

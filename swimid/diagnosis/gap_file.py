@@ -243,6 +243,14 @@ class GapFile(yamlio.ResultFile):
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
+    @property
+    def level(self) -> Literal["good", "caution", "bad"]:
+        """How the report grades the verdict: worst where most of a gap stays unexplained."""
+        if self.verdict in ("none", "explained"):
+            return "good"
+        left = self.remaining.share
+        return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
+
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""
         yamlio.write(path, self.model_dump(mode="python"))

@@ -225,7 +225,7 @@ def sketches(left: Left) -> list[Sketch]:
         if gain <= 0:
             continue
         for against, against_unit, x, value in _curves(terms):
-            found.append(Sketch(place, unit, against, against_unit, x, value, np.zeros_like(value), gain))
+            found.append(Sketch(place, unit, against, against_unit, x, value, gain))
     return sorted(found, key=lambda s: -s.gain)
 
 

@@ -13,8 +13,6 @@ from swimid.results.evidence import Evidence, Verdict
 from swimid.results.reader import reader, status_cell
 from swimid.results.sections import Block, Cell, Grid, Note, Section
 
-_LEVELS = {"none": "good", "explained": "good", "ambiguous": "caution", "unexplained": "caution"}
-
 
 @reader(format=gap.FORMAT, read=GapFile.read)
 def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
@@ -24,7 +22,7 @@ def section(path: Path, file: GapFile, evidence: Evidence | None) -> Section:
         kind="Gap",
         title=f"Gap between trials and model: {file.robot or file.model}",
         verdict=Verdict(
-            level=_LEVELS[file.verdict],  # type: ignore[arg-type]
+            level=file.level,
             word=gap.WORDS[file.verdict],
             text=f"{file.verdict}. No evidence file, so its checks and figures cannot be shown.",
         ),
