@@ -83,6 +83,21 @@ def test_one_odd_friction_beside_a_linear_drag(
     assert size["value"] == pytest.approx(expected, rel=0.3)
 
 
+def test_a_log_written_twice_as_fast_as_it_is_measured(swimid: Run, tmp_path: Path) -> None:
+    """Every sample stands for the next one, too: half of them say nothing, and say so late."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(3))
+    for path in tmp_path.glob("w*.csv"):
+        lines = path.read_text().splitlines()
+        first = next(k for k, line in enumerate(lines) if line.startswith("t_s")) + 1
+        rows = [line.split(",", 1) for line in lines[first:]]
+        twice = [f"{t},{rows[k - k % 2][1]}" for k, (t, _) in enumerate(rows)]
+        path.write_text("\n".join([*lines[:first], *twice]) + "\n")
+    ran = swimid("fit-drag", trials, "--json")
+    assert ran.status == 0, ran.err
+    assert "repeat the position before" in ran.err
+    _inside(ran, ("drag_coefficient", "added_mass", "pulley_friction"))
+
+
 def test_held_out_trials_are_predicted_despite_an_odd_one(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(
         tmp_path,

@@ -160,3 +160,33 @@ def test_harmonics_and_surge_at_twice_the_stroke(rng: np.random.Generator) -> No
 
 def test_noise_has_no_stroke(rng: np.random.Generator) -> None:
     assert rhythm.find(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
+
+
+# ---------------------------------------------------------------- written faster than measured
+
+
+def track(rng: np.random.Generator, count: int = 80) -> np.ndarray:
+    return np.cumsum(0.01 + 0.002 * rng.normal(size=count))
+
+
+@pytest.mark.parametrize("each", [2, 3])
+def test_pictures_written_several_times(rng: np.random.Generator, each: int) -> None:
+    found = track_cleaning.stale([np.repeat(track(rng), each), np.repeat(track(rng), each)])
+    assert found.sum() == 80 * (each - 1)
+    assert not found[::each].any()
+
+
+def test_three_rows_for_two_pictures(rng: np.random.Generator) -> None:
+    x = track(rng)[np.arange(120) * 2 // 3]
+    assert track_cleaning.stale([x]).sum() == np.sum(np.diff(x) == 0)
+
+
+def test_what_repeats_itself_for_another_reason_stays(rng: np.random.Generator) -> None:
+    x = track(rng, 200)
+    at_rest = np.concatenate((np.zeros(120), x))
+    counted = np.floor(x / 0.02) * 0.02
+    straight = np.zeros(200)
+    slow = np.round(x / 50, 4)
+    for columns in ([at_rest], [counted], [x, straight], [straight], [slow]):
+        assert not track_cleaning.stale(columns).any()
+    assert not track_cleaning.stale([np.repeat(x, 2)[:18]]).any()

@@ -11,13 +11,18 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.files.provenance import Input
-from swimid.fitting.model import Model, Trial
+from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.scales import POSITIONS
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
+from swimid.logs.track_cleaning import stale
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
 from swimid.notices import warn
 from swimid.robots.file import Robot, locate
+
+#: What a camera may show beside a position.
+ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
 
 @dataclass(frozen=True)
@@ -49,11 +54,12 @@ def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """A trial's log, cut to the stretch its entry asks for."""
+    """A trial's log, cut to the stretch its entry asks for, without pictures that repeat the one before."""
     if entry._held is not None:
         log = entry._held.chosen(required, optional)
     else:
         log = log_format.read(folder / entry.log, required=required, optional=optional)
+    log = _measured_anew(log)
     if entry.start_s is None and entry.end_s is None:
         return log
     low = -np.inf if entry.start_s is None else entry.start_s
@@ -66,6 +72,28 @@ def read_log(
             file=log.path,
         )
     return replace(log, columns={k: v[keep] for k, v in log.columns.items()})
+
+
+def _measured_anew(log: Log) -> Log:
+    """The log with empty cells where positions only repeat the picture before."""
+    places = [name for name in POSITIONS if name in log]
+    repeats = stale([log[name] for name in places]) if places else np.zeros(len(log), dtype=bool)
+    if not repeats.any():
+        return log
+    at = np.flatnonzero(repeats)
+
+    def repeated(values: Array) -> bool:
+        return bool((values[at] == values[at - 1]).all())
+
+    # a heading of the same picture repeats with it
+    shown = [*places, *(n for n in ANGLES if n in log and repeated(log[n]))]
+    warn(
+        "SWM058",
+        f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
+        "log is written faster than it is measured",
+    )
+    masked = {n: np.where(repeats, np.nan, v) if n in shown else v for n, v in log.columns.items()}
+    return replace(log, columns=masked)
 
 
 def warn_mass(name: str, value: float, against: float, file: Path) -> None:

@@ -29,6 +29,10 @@ FASTER, ALIKE = 2.0, 5
 FEW, FEW_SHARE = 12, 0.05
 #: Pieces between jumps that are looked back upon for where the track goes on.
 LOOK_BACK = 100
+#: A log that is written faster than it is measured repeats at least this share of each of so many parts.
+REPEATED, PARTS = 0.1, 4
+#: A body that moves by fewer of its last places from sample to sample is counted.
+COARSE = 5.0
 #: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
 #: after a frozen one the track goes on more than so many usual steps away.
 LONG_HOLD, NEAR = 5.0, 3.0
@@ -119,6 +123,42 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
     """Pauses between good samples (:func:`swimid.logs.sampling.pauses`), s."""
     times = time_s[good]
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
+
+
+def stale(positions: list[Array]) -> Flags:
+    """Samples that only repeat the picture before, of a log that is written faster than pictures come.
+
+    Such a log repeats itself from its first quarter to its last. A body at rest does not; nor a displacement
+    that a counter rounds, which moves by steps of its last place.
+
+    Parameters
+    ----------
+    positions : list of ndarray, each shape (n,)
+        What one picture shows; NaN where missing.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+
+    Examples
+    --------
+    >>> stale([np.repeat(np.sin(0.37 * np.arange(40.0)), 2)]).sum()
+    np.int64(40)
+    """
+    place = np.column_stack(positions)
+    found = np.zeros(len(place), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(place).all(axis=1))
+    if len(rows) < PARTS * 5:
+        return found
+    same = (place[rows[1:]] == place[rows[:-1]]).all(axis=1)
+    if same.all():
+        return found
+    moves = np.abs(np.diff(place[rows], axis=0)[~same])
+    counted = all(np.median(m) < COARSE * quantum(column) for m, column in zip(moves.T, place.T, strict=True))
+    shares = [part.mean() for part in np.array_split(same, PARTS)]
+    if not counted and min(shares) > REPEATED and max(shares) < 1.0:
+        found[rows[1:]] = same
+    return found
 
 
 def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
