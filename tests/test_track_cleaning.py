@@ -184,7 +184,7 @@ def test_three_rows_for_two_pictures(rng: np.random.Generator) -> None:
 def test_what_repeats_itself_for_another_reason_stays(rng: np.random.Generator) -> None:
     x = track(rng, 200)
     at_rest = np.concatenate((np.zeros(120), x))
-    counted = np.floor(x / 0.02) * 0.02
+    counted = np.floor(x / 0.015) * 0.015
     straight = np.zeros(200)
     slow = np.round(x / 50, 4)
     for columns in ([at_rest], [counted], [x, straight], [straight], [slow]):

@@ -126,6 +126,12 @@ def answer(
         chosen, word, state.base = [], "unexplained", nominal
     # what a cause accounts for is none of the random effects of the model without it
     gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
+    remaining = _remaining(state, nominal, gap_left, floor)
+    if chosen and word != "none" and (remaining.share or 0.0) > shrinkage.MOST:
+        names = ", ".join(c.best.tried.effect.name for c in chosen)
+        reasons.append(f"{remaining.share:.0%} of the squared gap remains with {names}: {remaining.where}")
+        word = "unexplained"
+        chosen = [c for c in chosen if c.probability > 0.5]
     size = {c: _rms(v) for c, v in by_channel(nominal, gap_left).items()}
     if word == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
@@ -153,7 +159,7 @@ def answer(
             time=time,
         ),
         causes=causes if gap else [],
-        remaining=_remaining(state, nominal, gap_left, floor),
+        remaining=remaining,
         advice=[*_without(odd), *_advice(state, chosen, word, floor)],
         odd_trial=None if odd is None else OddTrial(trial=odd.trial, times=odd.times),
         refuted=refuted,

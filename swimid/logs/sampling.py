@@ -229,6 +229,23 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
     return step if many or step <= FINE * np.ptp(x) else 0.0
 
 
+def step_of(values: np.ndarray) -> float | None:
+    """The step all values are multiples of (up to 0.1 % of it), or None.
+
+    >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
+    0.5
+    """
+    values = np.unique(values[np.isfinite(values)])
+    if len(values) < 4:
+        return None
+    gaps = np.diff(values)
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    count = np.round((values - values[0]) / step)
+    # the step itself to more digits, from the whole range
+    step = float((values[-1] - values[0]) / count[-1]) if count[-1] > 0 else step
+    return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
+
+
 def quantum(values: Sequence[float] | np.ndarray) -> float:
     """Step of the last decimal place the values were written with, 0 when there is none.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import PAUSE, pauses, quantum
+from swimid.logs.sampling import PAUSE, pauses, quantum, step_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -31,7 +31,7 @@ FEW, FEW_SHARE = 12, 0.05
 LOOK_BACK = 100
 #: A log that is written faster than it is measured repeats at least this share of each of so many parts.
 REPEATED, PARTS = 0.1, 4
-#: A body that moves by fewer of its last places from sample to sample is counted.
+#: A body that moves by fewer steps of a counter from sample to sample stands still between them.
 COARSE = 5.0
 #: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
 #: after a frozen one the track goes on more than so many usual steps away.
@@ -129,7 +129,7 @@ def stale(positions: list[Array]) -> Flags:
     """Samples that only repeat the picture before, of a log that is written faster than pictures come.
 
     Such a log repeats itself from its first quarter to its last. A body at rest does not; nor a displacement
-    that a counter rounds, which moves by steps of its last place.
+    that a counter rounds.
 
     Parameters
     ----------
@@ -154,7 +154,8 @@ def stale(positions: list[Array]) -> Flags:
     if same.all():
         return found
     moves = np.abs(np.diff(place[rows], axis=0)[~same])
-    counted = all(np.median(m) < COARSE * quantum(column) for m, column in zip(moves.T, place.T, strict=True))
+    steps = [step_of(column) for column in place[rows].T]
+    counted = all(s is not None and np.median(m) < COARSE * s for s, m in zip(steps, moves.T, strict=True))
     shares = [part.mean() for part in np.array_split(same, PARTS)]
     if not counted and min(shares) > REPEATED and max(shares) < 1.0:
         found[rows[1:]] = same

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from swimid.fitting.model import Array
+from swimid.logs.sampling import step_of
 
 Kind = Literal["continuous", "clicks", "sampled"]
 
@@ -50,23 +51,6 @@ class Displacement:
 #: How a count may be rounded (``floor`` shows a step once it is passed), and the true position minus the
 #: count, in steps: at the instant the count changes, rising and falling, and averaged over the time it shows.
 ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
-
-
-def step_of(position: Array) -> float | None:
-    """The step all displacements are multiples of (up to 0.1 % of it), or None.
-
-    >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
-    0.5
-    """
-    values = np.unique(position[np.isfinite(position)])
-    if len(values) < 4:
-        return None
-    gaps = np.diff(values)
-    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    count = np.round((values - values[0]) / step)
-    # the step itself to more digits, from the whole range
-    step = float((values[-1] - values[0]) / count[-1]) if count[-1] > 0 else step
-    return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def understand(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
