@@ -793,11 +793,11 @@ class TestPosterior:
         assert _posterior(20000.0, ("a", 1400.0), ("a+b", 1250.0)).best == frozenset("a")
         assert _posterior(20000.0, ("a", 3000.0), ("a+b", 1000.0)).best == frozenset("ab")
 
-    @pytest.mark.parametrize("alike, left, named", [(0.0, 0.0, "ab"), (0.95, 0.0, "a"), (0.0, 250.0, "a")])
+    @pytest.mark.parametrize("alike, left, named", [(0.0, 0.0, "ab"), (0.95, 0.0, "a"), (0.0, 500.0, "a")])
     def test_a_second_cause_is_no_error_of_form_of_the_first(
         self, alike: float, left: float, named: str
     ) -> None:
-        """It closes all that the first leaves, half a hundredth of the gap, in a way that is not like it."""
+        """It closes all that the first leaves, a hundredth of the gap, in a way that is not like it."""
 
         def made(names: str, score: float) -> posterior.Candidate:
             shares = dict.fromkeys(names, alike if len(names) > 1 else 0.0)
@@ -805,7 +805,7 @@ class TestPosterior:
                 frozenset(names), score, np.full(5, score / 5), len(names), alike=shares
             )
 
-        null, *found = (made("", 101e3), made("a", 1500.0), made("b", 95e3), made("ab", 1000.0 + left))
+        null, *found = (made("", 101e3), made("a", 2000.0), made("b", 95e3), made("ab", 1000.0 + left))
         record = posterior.Record(1000.0, 5, 20)
         assert posterior.posterior(null, found, record=record).best == frozenset(named)
 
