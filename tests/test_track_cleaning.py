@@ -169,24 +169,33 @@ def track(rng: np.random.Generator, count: int = 80) -> np.ndarray:
     return np.cumsum(0.01 + 0.002 * rng.normal(size=count))
 
 
-@pytest.mark.parametrize("each", [2, 3])
+def stale(*columns: np.ndarray) -> np.ndarray:
+    return track_cleaning.stale(np.arange(len(columns[0])) / 50, list(columns))
+
+
+@pytest.mark.parametrize("each", [2, 3, 8])
 def test_pictures_written_several_times(rng: np.random.Generator, each: int) -> None:
-    found = track_cleaning.stale([np.repeat(track(rng), each), np.repeat(track(rng), each)])
+    found = stale(np.repeat(track(rng), each), np.repeat(track(rng), each))
     assert found.sum() == 80 * (each - 1)
     assert not found[::each].any()
 
 
 def test_three_rows_for_two_pictures(rng: np.random.Generator) -> None:
     x = track(rng)[np.arange(120) * 2 // 3]
-    assert track_cleaning.stale([x]).sum() == np.sum(np.diff(x) == 0)
+    assert stale(x).sum() == np.sum(np.diff(x) == 0)
 
 
 def test_what_repeats_itself_for_another_reason_stays(rng: np.random.Generator) -> None:
     x = track(rng, 200)
     at_rest = np.concatenate((np.zeros(120), x))
+    stops = np.concatenate([np.concatenate((part, np.full(40, part[-1]))) for part in np.split(x, 8)])
     counted = np.floor(x / 0.015) * 0.015
+    to_and_fro = np.round(0.1 * np.sin(0.05 * np.arange(2000)), 4)
     straight = np.zeros(200)
     slow = np.round(x / 50, 4)
-    for columns in ([at_rest], [counted], [x, straight], [straight], [slow]):
-        assert not track_cleaning.stale(columns).any()
-    assert not track_cleaning.stale([np.repeat(x, 2)[:18]]).any()
+    rounded = np.round(stops, 4)
+    for columns in (
+        [at_rest], [stops], [rounded], [counted], [to_and_fro], [x, straight], [straight], [slow]
+    ):  # fmt: skip
+        assert not stale(*columns).any()
+    assert not stale(np.repeat(x, 2)[:6]).any()

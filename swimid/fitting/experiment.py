@@ -77,10 +77,10 @@ def read_log(
 def _measured_anew(log: Log) -> Log:
     """The log with empty cells where positions only repeat the picture before."""
     places = [name for name in POSITIONS if name in log]
-    repeats = stale([log[name] for name in places]) if places else np.zeros(len(log), dtype=bool)
-    if not repeats.any():
-        return log
+    repeats = stale(log.time_s, [log[name] for name in places]) if places else np.zeros(len(log), dtype=bool)
     at = np.flatnonzero(repeats)
+    if not len(at):
+        return log
 
     def repeated(values: Array) -> bool:
         return bool((values[at] == values[at - 1]).all())

@@ -29,11 +29,11 @@ FASTER, ALIKE = 2.0, 5
 FEW, FEW_SHARE = 12, 0.05
 #: Pieces between jumps that are looked back upon for where the track goes on.
 LOOK_BACK = 100
-#: A log that is written faster than it is measured repeats at least this share of each of so many parts.
-REPEATED, PARTS = 0.1, 4
-#: A body that moves by fewer steps of a counter from sample to sample stands still between them.
-COARSE = 5.0
-#: Samples that stay the same for longer than this many sample times are a rest or a frozen picture;
+#: A log that is written faster than it is measured repeats more than this share of each of so many parts.
+#: What moves to and fro by `COARSE` steps of a counter from sample to sample, in the median, is slower than a
+#: step for a share of asin(1 / (sqrt(2) COARSE)) 2 / pi, 0.09, of its samples.
+REPEATED, PARTS, COARSE = 0.1, 4, 5.0
+#: Samples that stay the same for longer than this many times of a picture are a rest or a frozen picture;
 #: after a frozen one the track goes on more than so many usual steps away.
 LONG_HOLD, NEAR = 5.0, 3.0
 
@@ -125,14 +125,16 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
-def stale(positions: list[Array]) -> Flags:
+def stale(time_s: Array, positions: list[Array]) -> Flags:
     """Samples that only repeat the picture before, of a log that is written faster than pictures come.
 
-    Such a log repeats itself from its first quarter to its last. A body at rest does not; nor a displacement
-    that a counter rounds.
+    Such a log repeats itself from its first quarter to its last. A robot at rest does not; nor a displacement
+    that a counter rounds, which stands still between its steps.
 
     Parameters
     ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, s.
     positions : list of ndarray, each shape (n,)
         What one picture shows; NaN where missing.
 
@@ -142,24 +144,20 @@ def stale(positions: list[Array]) -> Flags:
 
     Examples
     --------
-    >>> stale([np.repeat(np.sin(0.37 * np.arange(40.0)), 2)]).sum()
+    >>> stale(np.arange(80.0), [np.repeat(np.sin(0.37 * np.arange(40.0)), 2)]).sum()
     np.int64(40)
     """
     place = np.column_stack(positions)
-    found = np.zeros(len(place), dtype=bool)
-    rows = np.flatnonzero(np.isfinite(place).all(axis=1))
-    if len(rows) < PARTS * 5:
-        return found
-    same = (place[rows[1:]] == place[rows[:-1]]).all(axis=1)
-    if same.all():
-        return found
-    moves = np.abs(np.diff(place[rows], axis=0)[~same])
-    steps = [step_of(column) for column in place[rows].T]
-    counted = all(s is not None and np.median(m) < COARSE * s for s, m in zip(steps, moves.T, strict=True))
-    shares = [part.mean() for part in np.array_split(same, PARTS)]
-    if not counted and min(shares) > REPEATED and max(shares) < 1.0:
-        found[rows[1:]] = same
-    return found
+    known: Flags = np.asarray(np.isfinite(place).all(axis=1))
+    repeated = _repeats(time_s, place, place, known)
+    fresh = place[known & ~repeated]
+    shares = [float(part.mean()) if len(part) else 0.0 for part in np.array_split(repeated[known], PARTS)]
+    if len(fresh) < PARTS or min(shares) <= REPEATED:
+        return np.zeros(len(time_s), dtype=bool)
+    steps = [step_of(column) for column in fresh.T]
+    moves = np.median(np.abs(np.diff(fresh, axis=0)), axis=0)
+    counted = all(step is not None and move < COARSE * step for step, move in zip(steps, moves, strict=True))
+    return np.zeros(len(time_s), dtype=bool) if counted else repeated
 
 
 def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
@@ -175,7 +173,7 @@ def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
     if len(distinct) < 3 or not same.any():
         return repeated
     # A robot at rest repeats itself as well; it goes on from where it was.
-    usual_s = float(np.median(np.diff(time_s[rows])))
+    usual_s = float(np.median(np.diff(time_s[distinct])))
     usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
     for first, end in runs(same):
         held_s = time_s[rows[end]] - time_s[rows[first]]
