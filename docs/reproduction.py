@@ -308,10 +308,15 @@ def turning(bias_deg: float, asymmetry: float, amplitude_deg: float) -> tuple[fl
     )
 
 
+def table_v_row(bias_deg: float, mode: str) -> tuple[float, float, float, float]:
+    """What the model has for a row of Table V."""
+    return turning(bias_deg, TURN_ASYMMETRY if mode == "A-CPG" else 0.0, TURN_AMPLITUDE_DEG)
+
+
 def tfish_turning() -> str:
     rows, slower = [], []
     for bias, mode, *published in TABLE_V:
-        found = turning(bias, TURN_ASYMMETRY if mode == "A-CPG" else 0.0, TURN_AMPLITUDE_DEG)
+        found = table_v_row(bias, mode)
         slower.append(100 * (1 - found[2] / published[2]))
         cells = [f"{bias:g}°, {mode}"]
         for value, known, digits in zip(found, published, (2, 0, 0, 1), strict=True):
@@ -838,12 +843,7 @@ def table_v() -> Figure:
     """The rows of Table V, published and of the model."""
     rows = [f"{bias:g} {mode}" for bias, mode, *_ in TABLE_V]
     published = np.array([values for _, _, *values in TABLE_V])
-    found = np.array(
-        [
-            turning(bias, TURN_ASYMMETRY if mode == "A-CPG" else 0.0, TURN_AMPLITUDE_DEG)
-            for bias, mode, *_ in TABLE_V
-        ]
-    )
+    found = np.array([table_v_row(bias, mode) for bias, mode, *_ in TABLE_V])
     names = (
         "radius (m)",
         "range of yaw in a beat (deg)",

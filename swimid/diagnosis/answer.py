@@ -74,7 +74,7 @@ def answer(
     rng = np.random.default_rng(seed)
     context = state.context
     nominal = state.nominal
-    alike = [_alone(state, fit) for fit in (nominal, state.base)]
+    alike = _alone(state, nominal), _alone(state, state.base)
     floor, how = noise_floors(
         context, state.base, state.nuisance_residuals, conclusion.structured_share(state), alike[1]
     )
@@ -90,9 +90,7 @@ def answer(
     shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
     # what differs between trials may have stood in for a cause, or a cause for what differs: each model is
     # fitted in the way that predicts better
-    fits = [(nominal, state.base)]
-    if state.noise_model.random_effects:
-        fits.append((alike[0], alike[1]))
+    fits = [(nominal, state.base), alike] if state.noise_model.random_effects else [alike]
     total = len(validation) or context.folds.count
     with progress("held-out trials", total=len(fits) * total) as step:
         held = shrinkage.better(
@@ -107,16 +105,15 @@ def answer(
     closing = shrinkage.shrinkages(held, floor, rng=rng)
     reasons: list[str] = []
     refuted: list[str] = []
+    names = [c.best.tried.effect.name for c in chosen]
     helped = True
     sound = shrinkage.sound(held)
     if chosen and shrinkage.refute(held, floor):
-        refuted = [c.best.tried.effect.name for c in chosen]
+        refuted = names
         chosen, word, state.base = [], "unexplained", nominal
-    share = shrinkage.share(held, floor)
-    if chosen and not (sound and (not share < shrinkage.MOST or _by_coefficients(state))):
-        names = ", ".join(c.best.tried.effect.name for c in chosen)
-        told = f"show {max(share, 0.0):.0%} of the squared gap closed" if sound else "break down with it"
-        reasons.append(f"{names}: held-out trials, simulated anew, {told}")
+    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
+        told = "close less than half of the squared gap with it" if sound else "break down with it"
+        reasons.append(f"{', '.join(names)}: held-out trials, simulated anew, {told}")
         word = "ambiguous" if word == "explained" else word
         helped = False
     odd = None
@@ -127,9 +124,10 @@ def answer(
     # what a cause accounts for is none of the random effects of the model without it
     gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
     remaining = _remaining(state, nominal, gap_left, floor)
-    if chosen and word != "none" and (remaining.share or 0.0) > shrinkage.MOST:
-        names = ", ".join(c.best.tried.effect.name for c in chosen)
-        reasons.append(f"{remaining.share:.0%} of the squared gap remains with {names}: {remaining.where}")
+    if chosen and (remaining.share or 0.0) > shrinkage.MOST:
+        reasons.append(
+            f"{remaining.share:.0%} of the squared gap remains with {', '.join(names)}: {remaining.where}"
+        )
         word = "unexplained"
         chosen = [c for c in chosen if c.probability > 0.5]
     size = {c: _rms(v) for c, v in by_channel(nominal, gap_left).items()}

@@ -409,9 +409,7 @@ class Search:
         for h, optimum in zip(old, mapped(one, old, self.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
-            fit = context.fitted(h.fit.effects, noise_model, optimum)
-            parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
-            self.pool[h.key] = self.judged(fit, h.tried, parent)
+            self._refitted(h, optimum)
 
     def finish(self) -> None:
         """Fit to its end what was hopeless beside others and is not beside those that are left."""
@@ -419,7 +417,7 @@ class Search:
 
         def one(h: Hypothesis) -> Optimum:
             problem = context.problem(h.fit.effects, noise_model.random_effects)
-            starts = [h.fit.theta, *context.begins(problem, h.fit.theta)[1:]]
+            starts = context.begins(problem, h.fit.theta)
             return context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS).optimum
 
         while True:
@@ -431,10 +429,14 @@ class Search:
             if not wanted:
                 return
             for h, optimum in zip(wanted, mapped(one, wanted, self.jobs), strict=True):
-                fit = context.fitted(h.fit.effects, noise_model, optimum)
-                parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
-                self.pool[h.key] = self.judged(fit, h.tried, parent)
+                self._refitted(h, optimum)
                 self.hopeless.discard(h.key)
+
+    def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
+        """Take up a hypothesis at another optimum, judged as before."""
+        fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
+        parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
+        self.pool[h.key] = self.judged(fit, h.tried, parent)
 
     def weighed(self) -> Posterior:
         """How likely each set of effects fitted so far is."""

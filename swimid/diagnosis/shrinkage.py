@@ -297,10 +297,10 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
     return [replace(b, after=a.after) for b, a in zip(before, after, strict=True)]
 
 
-def share(found: Sequence[Piece], floors: Mapping[str, float]) -> float:
-    """Of the squared errors on held-out data, beyond their noise, what the causes close; NaN of none."""
+def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
+    """Whether the causes close most of the squared gap on held-out data, in units of the noise."""
     gained, gap = _gained(found, floors)
-    return gained / gap if gap > 0 else math.nan
+    return gained > MOST * max(gap, 0.0) or not found
 
 
 def refute(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:

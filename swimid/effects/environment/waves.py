@@ -186,7 +186,7 @@ def wavenumbers(frequency_hz: float) -> tuple[float, float]:
 
 
 def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
-    """Where the log has the body, from where it was first seen; zero where it does not say."""
+    """Where the log has the body at some times; zero where it does not say."""
     if series is None or not np.isfinite(series).any():
         return np.zeros(len(time_s))
     there = np.isfinite(series)
