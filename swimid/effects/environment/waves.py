@@ -110,6 +110,8 @@ class _Travelling(Waves):
     body moves in a horizontal plane, along x where that is vertical.
     """
 
+    meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
+
     def variants(self, model: Model, trials: Trials) -> Effects:
         """None but those of the effect itself."""
         return []

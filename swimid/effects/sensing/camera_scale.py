@@ -61,6 +61,8 @@ class _Lens(CameraScale):
     .. [1] D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971.
     """
 
+    meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
+
     def variants(self, model: Model, trials: Trials) -> Effects:
         """None but those of the effect itself."""
         return []
