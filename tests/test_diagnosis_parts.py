@@ -262,8 +262,9 @@ def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Ge
         fit, [fit.fixed_effects_residual(k) for k in range(count)], [time[:, None]] * count
     )
     assert np.std(np.concatenate(left)) == pytest.approx(1.0, rel=0.05)
-    alike = context.fit((), NoiseModel(noise_model.sd), [context.problem(()).start])
-    floor, _ = floors(context, fit, left, 0.0, alike)
+    plain = NoiseModel(noise_model.sd)
+    alike = context.fit((), plain, [context.problem(()).start])
+    floor = floors(context, fit, left, 0.0, alike, plain).levels
     # 30 trims tell their size to 13 %
     between = size**2 * np.mean(time**2)
     assert floor["y"] == pytest.approx(np.sqrt(between + 0.01), rel=0.3)
@@ -635,10 +636,11 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     ]
     model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
     context = FitContext(model, (), trials, {})
-    fit = context.at((), NoiseModel(context.shape.sd), np.empty(0))
-    floor, how = floors(context, fit, fit.residuals, 0.0, fit)
-    assert floor["y"] == pytest.approx(0.1, rel=0.1)
-    assert how == "3 repeats of 1 settings"
+    noise_model = NoiseModel(context.shape.sd)
+    fit = context.at((), noise_model, np.empty(0))
+    floor = floors(context, fit, fit.residuals, 0.0, fit, noise_model)
+    assert floor.levels["y"] == pytest.approx(0.1, rel=0.1)
+    assert floor.how == "3 repeats of 1 settings"
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
 
 

@@ -75,9 +75,15 @@ def answer(
     context = state.context
     nominal = state.nominal
     alike = _alone(state, nominal), _alone(state, state.base)
-    floor, how = noise_floors(
-        context, state.base, state.nuisance_residuals, conclusion.structured_share(state), alike[1]
+    noise = noise_floors(
+        context,
+        state.base,
+        state.nuisance_residuals,
+        conclusion.structured_share(state),
+        alike[1],
+        state.noise_model,
     )
+    floor, how = noise.levels, noise.how
     for channel in remainder.drifting(state.low_frequency):
         floor[channel] *= math.sqrt(1.0 - state.low_frequency[channel].share)
     failed = _failed(state, nominal, raw, floor)
@@ -102,7 +108,9 @@ def answer(
             ],
             floor,
         )
-    closing = shrinkage.shrinkages(held, floor, rng=rng)
+    floor = shrinkage.capped(floor, held)
+    ranges = _ranges(context, nominal)
+    closing = shrinkage.shrinkages(held, floor, noise.squares, ranges, rng=rng)
     reasons: list[str] = []
     refuted: list[str] = []
     names = [c.best.tried.effect.name for c in chosen]
@@ -138,7 +146,7 @@ def answer(
     gap = word != "none"
     causes = _causes(state, chosen, nominal, given, closing if gap else [])
     if failed:
-        causes = _with_failed(state, causes, raw, nominal, floor, failed)
+        causes = _with_failed(state, causes, raw, nominal, floor, failed, ranges)
     where = places.Map(context, nominal, gap_left, floor)
     stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(chosen))}
     if failed and causes and causes[0].effect == MarkerDropout.name:
@@ -150,7 +158,7 @@ def answer(
     file = GapFile(
         verdict=word,
         where=Where(
-            channels=_channels(context, nominal, gap_left, floor, units, held),
+            channels=_channels(nominal, gap_left, floor, units, held, ranges),
             stage=stages,
             phase=phase,
             regime=regime,
@@ -221,24 +229,29 @@ def _reasons(state: State) -> list[str]:
     return said
 
 
+def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
+    """Measured range of each channel over the fitted trials, in its unit; 1 where it is none."""
+    parts: dict[str, list[Array]] = {}
+    for k, trial in enumerate(context.trials):
+        for channel, series in split(nominal, k, nominal.residuals[k]).items():
+            parts.setdefault(channel, []).append(trial.measured[channel][np.isfinite(series)])
+    return {c: float(np.ptp(np.concatenate(p))) or 1.0 for c, p in parts.items()}
+
+
 def _channels(
-    context: FitContext,
     nominal: Fit,
     residuals: Sequence[Array],
     floor: Mapping[str, float],
     units: Mapping[str, str],
     held: Sequence[shrinkage.Piece],
+    ranges: Mapping[str, float],
 ) -> list[ChannelGap]:
-    spans: dict[str, list[Array]] = {}
-    for k, trial in enumerate(context.trials):
-        for channel, series in split(nominal, k, residuals[k]).items():
-            spans.setdefault(channel, []).append(trial.measured[channel][np.isfinite(series)])
     pieces = shrinkage.by_channel(held)
     excess = _excess(nominal, residuals, floor)
     total = sum(excess.values()) or 1.0
     found = []
     for channel, left in by_channel(nominal, residuals).items():
-        rmse, size = _rms(left), _span(spans[channel])
+        rmse, size = _rms(left), ranges[channel]
         errors = [p.seen(p.measured - p.shipped) for p in pieces.get(channel, ())]
         found.append(
             ChannelGap(
@@ -256,11 +269,6 @@ def _channels(
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _span(parts: Sequence[Array]) -> float:
-    """The range over all parts; 1 where it is none."""
-    return float(np.ptp(np.concatenate(parts))) or 1.0
 
 
 def _causes(
@@ -472,6 +480,7 @@ def _with_failed(
     nominal: Fit,
     floor: Mapping[str, float],
     misfit: float,
+    ranges: Mapping[str, float],
 ) -> list[Cause]:
     """The causes with the failed samples among them, where their misfit puts them."""
     closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
@@ -482,8 +491,7 @@ def _with_failed(
         if not count:
             continue
         own = sound[channel]
-        measured = (t.measured[channel] for t in raw if channel in t.measured)
-        size = _span([y[np.isfinite(y)] for y in measured])
+        size = ranges[channel]
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / size
         known = closing[channel].after if channel in closing else None
         after = _rms(own) / size if known is None else known

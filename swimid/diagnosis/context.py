@@ -401,6 +401,7 @@ class FitContext:
         starts: Sequence[Array],
         *,
         warm: Fit,
+        finalists: int = FINALISTS,
         jobs: int = 1,
     ) -> Fit:
         """The best optimum from many starts: all begin with the derivatives of a fit nearby, and after each
@@ -411,6 +412,8 @@ class FitContext:
         starts : sequence of ndarray, shape (p,)
         warm : Fit
             Whose derivatives are lent.
+        finalists : int
+            How many go on with derivatives of their own.
 
         References
         ----------
@@ -438,16 +441,16 @@ class FitContext:
             return found
 
         try:
-            if len(starts) > FINALISTS:
+            if len(starts) > finalists:
                 problem.hold_derivatives(warm.labels, warm.rows)
-                while len(starts) > FINALISTS:
-                    steps = 1 if len(starts) > 2 * FINALISTS else HEAT
-                    starts = [
-                        found.x for found in ranked(starts, ROUGH, steps)[: max(len(starts) // 2, FINALISTS)]
-                    ]
+                while len(starts) > finalists:
+                    steps = 1 if len(starts) > 2 * finalists else HEAT
+                    left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
+                    starts = [found.x for found in left]
                 problem.hold_derivatives((), ())
-            first = ranked(starts, ROUGH, HEAT)[0]
-            best = min(first, search(first.x, FINE, STEPS), key=cost)
+            found = ranked(starts, ROUGH, HEAT) if len(starts) > 1 else []
+            last = search(found[0].x if found else starts[0], FINE, STEPS)
+            best = min(*found[:1], last, key=cost) if found else last
             return self._at(problem, effects, best.x, best.cost)
         finally:
             problem.close()

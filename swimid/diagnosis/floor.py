@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext, beyond
 from swimid.diagnosis.folds import setting
+from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
 #: Fewest repeats (beyond the first of each setting) from which the noise is read.
@@ -64,9 +67,67 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 
+@dataclass(frozen=True)
+class Floor:
+    """Noise of each channel.
+
+    Attributes
+    ----------
+    levels : dict of channel to float
+        In its unit. What two repeats of one setting do not share, where there are repeats and they differ by
+        less than the model leaves; else the noise within trials that the model leaves, less the share that
+        has structure, and the random effects of trials. Never more than what the model leaves as if trials
+        did not differ. All but the repeats with what fitted numbers take up, :func:`taken_up`.
+    squares : dict of channel to dict of trial to (float, int)
+        What each trial adds to the squared level, up to a common factor, and its samples.
+    how : str
+        From what it was read.
+    """
+
+    levels: dict[str, float]
+    squares: dict[str, dict[str, tuple[float, int]]]
+    how: str
+
+
+def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:
+    return {c: float(np.mean(v**2)) for c, v in by_channel(fit, residuals).items()}
+
+
+def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
+    """What the squared errors of each channel are multiplied by for what fitted numbers take up of them.
+
+    A fit's squared residuals are 1 - h of the noise where it leans on each fold by h, and 1 / (1 - h) where
+    the fold is held out (the deletion residual): the noise is the geometric mean.
+
+    References
+    ----------
+    R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, section 2.2.
+    """
+    shared = context.shared(fit)
+    inside, outside = [np.zeros_like(r) for r in fit.residuals], [np.zeros_like(r) for r in fit.residuals]
+    for f, theta in enumerate(crossval.without_each(context, fit, noise_model)):
+        step = (theta - fit.theta)[shared]
+        for k, r in enumerate(fit.residuals):
+            mine = context.folds.owner[k] == f
+            if not np.any(mine):
+                continue
+            missed = r - fit.rows[k][:, shared] @ step
+            own = fit.own(k)
+            inside[k][mine], outside[k][mine] = (
+                (beyond(own, v) if context.folds.whole else v)[mine] for v in (r, missed)
+            )
+    first, second = _mean_squares(fit, inside), _mean_squares(fit, outside)
+    return {c: max(float(np.sqrt(second[c] / max(first[c], 1e-300))), 1.0) for c in first}
+
+
 def floors(
-    context: FitContext, last: Fit, residuals: Sequence[Array], share: float, alike: Fit
-) -> tuple[dict[str, float], str]:
+    context: FitContext,
+    last: Fit,
+    residuals: Sequence[Array],
+    share: float,
+    alike: Fit,
+    noise_model: NoiseModel,
+) -> Floor:
     """Noise of each channel, in its unit: what no model of these trials can get below.
 
     Parameters
@@ -80,30 +141,29 @@ def floors(
     alike : Fit
         The same model refitted as if trials did not differ.
 
-    Returns
-    -------
-    floor : dict of channel to float
-        What two repeats of one setting do not share, where there are repeats and they differ by less than
-        the model leaves; else the noise within trials that the model leaves, less the share that has
-        structure, and the random effects of trials. Never more than what the model leaves as if trials did
-        not differ.
-    how : str
     """
     rest = max(1.0 - share, 0.05)
     marginal_residuals = last.marginal_residuals()
-    noise, known, whole = (
-        {c: float(np.mean(v**2)) for c, v in by_channel(last, r).items()}
-        for r in (residuals, last.residuals, marginal_residuals)
-    )
-    reached = {c: float(np.mean(v**2)) for c, v in by_channel(alike, alike.residuals).items()}
+    kinds = (residuals, last.residuals, marginal_residuals)
+    noise, known, whole = (_mean_squares(last, r) for r in kinds)
+    squares: dict[str, dict[str, tuple[float, int]]] = {}
+    for k, trial in enumerate(context.trials):
+        inner, bare, outer = (split(last, k, r[k]) for r in kinds)
+        for c, series in outer.items():
+            summed = rest * np.nansum(inner[c] ** 2) + max(np.nansum(series**2 - bare[c] ** 2), 0.0)
+            squares.setdefault(c, {})[trial.id] = float(summed), int(np.isfinite(series).sum())
+    reached = _mean_squares(alike, alike.residuals)
+    more = taken_up(context, alike, noise_model)
     floor = {
-        c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c])))
+        c: float(
+            np.sqrt(more[c] * min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c]))
+        )
         for c in noise
     }
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
     groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
-        return floor, how
+        return Floor(floor, squares, how)
     parts: dict[str, list[Array]] = {}
     for group in groups:
         split_up = [split(last, k, marginal_residuals[k]) for k in group]
@@ -114,5 +174,5 @@ def floors(
                     spread = np.nanvar(stack, axis=0, ddof=1)
                 parts.setdefault(channel, []).append(spread[np.isfinite(spread)])
     lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if v}
-    floor = {c: min(lower.get(c, v), float(np.sqrt(whole[c]))) for c, v in floor.items()}
-    return floor, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"
+    floor = {c: min(lower.get(c, v), float(np.sqrt(more[c] * whole[c]))) for c, v in floor.items()}
+    return Floor(floor, squares, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings")

@@ -385,22 +385,28 @@ class Search:
         self.begin(context.start((), noise_model, null.fit))
 
         def one(h: Hypothesis) -> Optimum:
-            effects, problem = h.fit.effects, context.problem(h.fit.effects, noise_model.random_effects)
-            starts = [context.start(effects, noise_model, h.fit)]
+            effects = h.fit.effects
+            problem = context.problem(effects, noise_model.random_effects)
+            sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
+            # from where it was, and from where the model itself has come to: what trials have for
+            # themselves is of the noise before
+            starts = [
+                *context.begins(problem, context.start(effects, noise_model, h.fit)),
+                context.start(effects, noise_model, self.null.fit, sizes),
+            ]
             hopeless = h.names in far
-            steps, warm = (FEW, h.fit) if hopeless else (STEPS, None)
-            if not hopeless:
-                starts = context.begins(problem, starts[0])
-            fit = context.fit(effects, noise_model, starts, tolerance=FINE, iterations=steps, warm=warm)
-            sized = any(_belongs(label, effects) for label in h.fit.labels)
-            if sized and not fit.cost <= self.null.fit.cost:
-                # its coefficients were those of a poor optimum: from the model's own, and its own sizes
-                sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
-                starts = [context.start(effects, noise_model, self.null.fit, own) for own in (sizes, {})]
+            if hopeless:
+                starts = [starts[0], starts[-1]]
+                fit = context.fit(effects, noise_model, starts, iterations=FEW, warm=self.null.fit)
+            else:
+                fit = context.multistart(effects, noise_model, starts, warm=self.null.fit, finalists=1)
+            if sizes and not fit.cost <= self.null.fit.cost:
+                # a model without the effect is the model with it at nought
+                starts = [context.start(effects, noise_model, self.null.fit)]
                 if hopeless:
-                    fit = context.fit(effects, noise_model, starts[1:], iterations=steps, warm=fit)
+                    fit = context.fit(effects, noise_model, starts, iterations=FEW, warm=self.null.fit)
                 else:
-                    fit = context.multistart(effects, noise_model, starts, warm=fit)
+                    fit = context.multistart(effects, noise_model, starts, warm=self.null.fit)
             return fit.optimum
 
         # parents before those judged beside them

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
@@ -59,8 +60,8 @@ class Piece:
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
 
-def span(found: Sequence[Piece]) -> float:
-    """The measured range over some pieces; 1 where it is none."""
+def _range(found: Sequence[Piece]) -> float:
+    """Of a channel that no fitted trial has; 1 where it is none."""
     return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
 
 
@@ -123,7 +124,7 @@ def pieces(
             found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
-    thetas = [_without(context, f, noise_model) for f in (before, after)]
+    thetas = [crossval.without_each(context, f, noise_model) for f in (before, after)]
     for f in range(context.folds.count):
         shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
@@ -148,23 +149,6 @@ def _average(context: FitContext, fit: Fit, without: Collection[str]) -> Model:
         for p in (*context.parameters, *model.parameters[len(context.parameters) :])
     )
     return model
-
-
-def _without(context: FitContext, fit: Fit, noise_model: NoiseModel) -> list[Array]:
-    """Numbers of a fit with each fold left out, by one Gauss-Newton step from the fit to all; within bounds.
-
-    Approximate cross-validation (Rad and Maleki 2020): the noise model and the spreads between trials stay
-    those of all trials, and a shared number leans on all folds by ``crossval.SHRINKAGE``.
-    """
-    inner = crossval.normal_equations(context, fit, noise_model)
-    shared = context.shared(fit)
-    found = []
-    for f in range(context.folds.count):
-        rest = replace(inner, products=np.delete(inner.products, f, axis=0))
-        theta = fit.theta.copy()
-        theta[shared] += crossval.together(rest, (), ())
-        found.append(np.clip(theta, fit.problem.lower, fit.problem.upper))
-    return found
 
 
 def _whole(
@@ -228,7 +212,12 @@ def _stretch(
 
 
 def shrinkages(
-    found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator
+    found: Sequence[Piece],
+    floors: Mapping[str, float],
+    noise: Mapping[str, Mapping[str, tuple[float, int]]],
+    ranges: Mapping[str, float],
+    *,
+    rng: np.random.Generator,
 ) -> list[Shrinkage]:
     """Before, after, floor and closed share of each channel, with a bootstrap interval over trials.
 
@@ -236,6 +225,11 @@ def shrinkages(
     ----------
     floors : mapping of channel to float
         Noise, in the channel's unit.
+    noise : mapping of channel to mapping of trial to (float, int)
+        What each fitted trial adds to the squared noise, up to a factor, and its samples: a few trials do
+        not tell the noise for sure.
+    ranges : mapping of channel to float
+        Measured range of the fitted trials, in the channel's unit, which errors are given as shares of.
     """
     result = []
     for channel, mine in by_channel(found).items():
@@ -244,13 +238,14 @@ def shrinkages(
         for p in mine:
             sums = [float(np.sum(p.squares(y))) for y in (p.shipped, p.before, p.after)]
             squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
-        size = span(mine)
+        size = ranges.get(channel) or _range(mine)
         shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
         floor = floors.get(channel, 0.0) / size
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
         drawn = squares[picks].sum(axis=1)
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
-        shares = [closed(b, a, floor) for b, a in roots]
+        levels = floor * _resampled(noise.get(channel, {}), trials, picks, rng)
+        shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
         few = len(known) <= 20
         result.append(
@@ -267,6 +262,28 @@ def shrinkages(
             )
         )
     return result
+
+
+def _resampled(
+    noise: Mapping[str, tuple[float, int]],
+    trials: Sequence[str],
+    picks: NDArray[np.intp],
+    rng: np.random.Generator,
+) -> Array:
+    """The noise of resampled trials over that of all, shape (resamples,): those that are picked where the
+    held-out trials are the fitted ones, others where they are not.
+    """
+    if len(noise) < 2:
+        return np.ones(len(picks))
+    if all(name in noise for name in trials):
+        names = list(trials)
+    else:
+        names = list(noise)
+        picks = rng.integers(0, len(names), (len(picks), len(names)))
+    each = np.array([noise[name] for name in names])
+    drawn = each[picks].sum(axis=1)
+    whole = each.sum(axis=0)
+    return np.asarray(np.sqrt(drawn[:, 0] / drawn[:, 1] * whole[1] / max(whole[0], 1e-300)))
 
 
 def sound(found: Sequence[Piece]) -> bool:
@@ -295,6 +312,16 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
     before, after = least("before"), least("after")
     return [replace(b, after=a.after) for b, a in zip(before, after, strict=True)]
+
+
+def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
+    """Noise of each channel, no more than the errors with the causes: noise is in these, too."""
+    result = dict(floors)
+    for channel, mine in by_channel(found).items():
+        squares = np.concatenate([p.squares(p.after) for p in mine])
+        if channel in result and len(squares):
+            result[channel] = min(result[channel], float(np.sqrt(np.mean(squares))))
+    return result
 
 
 def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
