@@ -402,6 +402,7 @@ class FitContext:
         *,
         warm: Fit,
         finalists: int = FINALISTS,
+        rough: bool = False,
         jobs: int = 1,
     ) -> Fit:
         """The best optimum from many starts: all begin with the derivatives of a fit nearby, and after each
@@ -414,6 +415,8 @@ class FitContext:
             Whose derivatives are lent.
         finalists : int
             How many go on with derivatives of their own.
+        rough : bool
+            Leave it there, near the optimum.
 
         References
         ----------
@@ -448,9 +451,10 @@ class FitContext:
                     left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
                     starts = [found.x for found in left]
                 problem.hold_derivatives((), ())
-            found = ranked(starts, ROUGH, HEAT) if len(starts) > 1 else []
-            last = search(found[0].x if found else starts[0], FINE, STEPS)
-            best = min(*found[:1], last, key=cost) if found else last
+            found = ranked(starts, ROUGH, HEAT)[:1] if rough or len(starts) > 1 else []
+            if not rough:
+                found.append(search(found[0].x if found else starts[0], FINE, STEPS))
+            best = min(found, key=cost)
             return self._at(problem, effects, best.x, best.cost)
         finally:
             problem.close()

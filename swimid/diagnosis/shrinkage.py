@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
@@ -226,8 +225,8 @@ def shrinkages(
     floors : mapping of channel to float
         Noise, in the channel's unit.
     noise : mapping of channel to mapping of trial to (float, int)
-        What each fitted trial adds to the squared noise, up to a factor, and its samples: a few trials do
-        not tell the noise for sure.
+        What each fitted trial adds to the squared noise, up to a factor, and its samples. It is resampled by
+        itself: a few trials do not tell the noise for sure, and errors are no lower where it is.
     ranges : mapping of channel to float
         Measured range of the fitted trials, in the channel's unit, which errors are given as shares of.
     """
@@ -244,7 +243,7 @@ def shrinkages(
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
         drawn = squares[picks].sum(axis=1)
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
-        levels = floor * _resampled(noise.get(channel, {}), trials, picks, rng)
+        levels = floor * _resampled(noise.get(channel, {}), len(picks), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
         few = len(known) <= 20
@@ -264,24 +263,12 @@ def shrinkages(
     return result
 
 
-def _resampled(
-    noise: Mapping[str, tuple[float, int]],
-    trials: Sequence[str],
-    picks: NDArray[np.intp],
-    rng: np.random.Generator,
-) -> Array:
-    """The noise of resampled trials over that of all, shape (resamples,): those that are picked where the
-    held-out trials are the fitted ones, others where they are not.
-    """
+def _resampled(noise: Mapping[str, tuple[float, int]], count: int, rng: np.random.Generator) -> Array:
+    """The noise of resampled trials over that of all, shape (count,)."""
     if len(noise) < 2:
-        return np.ones(len(picks))
-    if all(name in noise for name in trials):
-        names = list(trials)
-    else:
-        names = list(noise)
-        picks = rng.integers(0, len(names), (len(picks), len(names)))
-    each = np.array([noise[name] for name in names])
-    drawn = each[picks].sum(axis=1)
+        return np.ones(count)
+    each = np.array(list(noise.values()))
+    drawn = each[rng.integers(0, len(each), (count, len(each)))].sum(axis=1)
     whole = each.sum(axis=0)
     return np.asarray(np.sqrt(drawn[:, 0] / drawn[:, 1] * whole[1] / max(whole[0], 1e-300)))
 
