@@ -644,6 +644,59 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
 
 
+def test_noise_that_fitted_numbers_take_up_is_noise(rng: np.random.Generator) -> None:
+    """Eight numbers fitted to eight trials of six samples leave 5/6 of the squared noise."""
+    numbers, count, n, draws = 8, 8, 6, 30
+    parameters = tuple(parameter(f"a{j}", 0.0) for j in range(numbers))
+    left, told = [], []
+    for _ in range(draws):
+        columns = rng.normal(size=(count, n, numbers))
+        trials = [
+            Trial(f"t{k}", "fit", np.arange(n) + 100.0 * k, {"y": rng.normal(size=n)},
+                  rig=RigInput(force=float(k)))
+            for k in range(count)
+        ]  # fmt: skip
+        model = Toy(lambda v, t, x=columns: {"y": x[int(t[0]) // 100] @ v}, parameters)
+        context = FitContext(model, parameters, trials, {})
+        noise_model = NoiseModel([[np.ones(n)] for _ in trials])
+        fit = context.fit((), noise_model, [np.zeros(numbers)])
+        found = floors(context, fit, fit.residuals, 0.0, fit, noise_model)
+        left.append(np.mean(np.concatenate(fit.residuals) ** 2))
+        told.append(found.levels["y"] ** 2)
+    # a draw's variance is known to sqrt(2/40); trials that lean unequally add a tenth of h at most
+    error = 3.0 * np.sqrt(2.0 / (count * n - numbers) / draws)
+    assert np.mean(left) == pytest.approx(1.0 - numbers / (count * n), abs=error)
+    assert np.mean(told) == pytest.approx(1.0, abs=error + 0.1 * numbers / (count * n))
+
+
+def test_noise_is_no_more_than_held_out_errors_with_the_causes() -> None:
+    floor = shrinkage.capped({"x_m": 0.03, "y_m": 0.01}, [piece(5.0, 1.0)])
+    # errors of 1 beside noise of 1, in hundredths: their root-mean-square is 1.4
+    assert floor["x_m"] == pytest.approx(0.01 * np.sqrt(2.0), rel=0.2)
+    assert floor["y_m"] == 0.01
+
+
+def test_errors_are_shares_of_the_fitted_range(rng: np.random.Generator) -> None:
+    """A held-out trial of little motion has no other unit than the rest of the answer."""
+    (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {"x_m": 0.01}, {}, {"x_m": 4.0}, rng=rng)
+    assert found.floor == pytest.approx(0.01 / 4.0)
+    assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0, rel=0.2)
+
+
+def test_the_interval_of_a_share_knows_how_few_trials_tell_the_noise(rng: np.random.Generator) -> None:
+    """Held-out trials alike, noise from trials that are not: all of the interval is the noise's."""
+    one = piece(3.0, 1.0)
+    held = [replace(one, trial=replace(one.trial, id=str(k))) for k in range(6)]
+    wide, narrow = (
+        shrinkage.shrinkages(
+            held, {"x_m": 0.01}, {"x_m": {str(k): (v, 100) for k, v in enumerate(each)}}, {}, rng=rng
+        )[0].ci95
+        for each in ((0.1, 0.2, 0.5, 1.0, 2.0, 2.2), (1.0,) * 6)
+    )
+    assert narrow[1] - narrow[0] < 1e-9
+    assert wide[1] - wide[0] > 0.1
+
+
 @pytest.mark.parametrize(
     "before, after, floor, share", [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 0.5), (3.0, 4.0, 1.0, -0.5)]
 )

@@ -72,6 +72,7 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         "found": 0,
         "claimed": None,
         "closed": None,
+        "interval": None,
         "tool_ratio": None,
         "causes": 0,
     }
@@ -87,7 +88,7 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         row["set"] = sorted(sets[0])
         row["first"] = row["named"] in truth
         row["within"] = row["first"] or (len(sets[0]) <= LARGEST_SET and bool(sets[0] & set(truth)))
-        row["claimed"], row["closed"] = _shrinkage(causes[0], gap, label)
+        row["claimed"], row["closed"], row["interval"] = _shrinkage(causes[0], gap, label)
     return row
 
 
@@ -98,11 +99,15 @@ def _overall(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and np.isfinite(value) else None
 
 
-def _shrinkage(cause: Row, gap: Row, label: Row) -> tuple[float | None, float | None]:
-    """Share of the gap closed as claimed, and with the label's floor: of the channel with the largest gap."""
+def _shrinkage(
+    cause: Row, gap: Row, label: Row
+) -> tuple[float | None, float | None, tuple[float, float] | None]:
+    """Share of the gap closed as claimed, and with the label's floor, and the interval stated for it: of the
+    channel with the largest gap.
+    """
     known = [s for s in cause.get("shrinkage") or [] if s.get("closed") is not None and s.get("before")]
     if not known:
-        return None, None
+        return None, None, None
     best = max(known, key=lambda s: s["before"] / s["floor"] if s.get("floor") else 0.0)
     name = best["channel"]
     channel = next((c for c in gap["where"]["channels"] if c["channel"] == name), {})
@@ -110,8 +115,10 @@ def _shrinkage(cause: Row, gap: Row, label: Row) -> tuple[float | None, float | 
     width = width or (label.get("range") or {}).get(name)
     floor = (label.get("floor") or label.get("noise_sd") or {}).get(name)
     if not width or not floor:
-        return best["closed"], None
-    return best["closed"], closed_share(best["before"], best["after"], floor / width)
+        return best["closed"], None, None
+    low, high = best.get("ci95") or (None, None)
+    interval = None if low is None or high is None else (low, high)
+    return best["closed"], closed_share(best["before"], best["after"], floor / width), interval
 
 
 def closed_share(before: float, after: float, floor: float) -> float | None:
@@ -215,6 +222,11 @@ def summary(rows: Sequence[Row]) -> Row:
     visible = [r for r in kind["single"] if r["tool_ratio"] is not None and r["tool_ratio"] >= 1.5]
     detectable = [r for r in kind["single"] if (r["noncentrality"] or 0.0) >= DETECTABLE]
     closed = [(r["claimed"], r["closed"]) for r in rows if _named(r) and r["closed"] is not None]
+    ranged = [
+        r["interval"][0] <= r["closed"] <= r["interval"][1]
+        for r in rows
+        if _named(r) and r["closed"] is not None and r["interval"] is not None
+    ]
     times = [r["wall_s"] for r in rows]
 
     def share(of: Sequence[Row], key: Callable[[Row], bool]) -> float | None:
@@ -246,6 +258,10 @@ def summary(rows: Sequence[Row]) -> Row:
         "closed_claimed_minus_true": round(statistics.median(c - t for c, t in closed), 3)
         if closed
         else None,
+        "closed_within_0.05": round(float(np.mean([abs(c - t) < 0.05 for c, t in closed])), 3)
+        if closed
+        else None,
+        "closed_in_interval": round(float(np.mean(ranged)), 3) if ranged else None,
         "closed_within_0.1": round(float(np.mean([abs(c - t) < 0.1 for c, t in closed])), 3)
         if closed
         else None,
