@@ -402,7 +402,6 @@ class FitContext:
         *,
         warm: Fit,
         finalists: int = FINALISTS,
-        rough: bool = False,
         jobs: int = 1,
     ) -> Fit:
         """The best optimum from many starts: all begin with the derivatives of a fit nearby, and after each
@@ -415,8 +414,6 @@ class FitContext:
             Whose derivatives are lent.
         finalists : int
             How many go on with derivatives of their own.
-        rough : bool
-            Leave it there, near the optimum.
 
         References
         ----------
@@ -451,9 +448,8 @@ class FitContext:
                     left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
                     starts = [found.x for found in left]
                 problem.hold_derivatives((), ())
-            found = ranked(starts, ROUGH, HEAT)[:1] if rough or len(starts) > 1 else []
-            if not rough:
-                found.append(search(found[0].x if found else starts[0], FINE, STEPS))
+            found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
+            found.append(search(found[0].x if found else starts[0], FINE, STEPS))
             best = min(found, key=cost)
             return self._at(problem, effects, best.x, best.cost)
         finally:

@@ -207,9 +207,8 @@ class Search:
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
         self._cosines: dict[frozenset[int], float] = {}
-        #: Fitted in a few steps only: all while the noise is not known.
+        #: Fitted in a few steps only.
         self.hopeless: set[Key] = set()
-        self.provisional = True
         self.out_of_time = False
 
     # ------------------------------------------------------------ fits
@@ -287,8 +286,6 @@ class Search:
             fit = self.context.fitted(effects, self.noise_model, found)
             h = self.judged(fit, tried, parent)
             self.pool[h.key] = h
-            if self.provisional:
-                self.hopeless.add(h.key)
             self.step(tried.effect.name)
         keys = [parent.key | {id(tried.effect)} for parent, tried in work]
         return [self.pool[key] for key in keys if key in self.pool]
@@ -314,11 +311,11 @@ class Search:
         kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
-        fit = context.multistart(effects, noise_model, starts, warm=parent.fit, rough=self.provisional)
+        fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if names and not fit.cost <= parent.fit.cost:
             # a model without the effect is the model with it at nought
             null = context.start(effects, noise_model, parent.fit)
-            fit = context.multistart(effects, noise_model, [null], warm=parent.fit, rough=self.provisional)
+            fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
@@ -380,7 +377,7 @@ class Search:
         far = {names for names, p in found.sets.items() if p < HOPELESS * max(found.sets.values())}
         held = {kind.label: kind.sd for kind in noise_model.random_effects}
         self.random_effects = [replace(k, sd=max(k.sd, held.get(k.label, 0.0))) for k in self.random_effects]
-        self.noise_model, self.provisional = noise_model, False
+        self.noise_model = noise_model
         self.screens.clear()
         self._cosines.clear()
         kept, null = list(self.pool.values()), self.null
@@ -421,15 +418,12 @@ class Search:
             self._refitted(h, optimum)
 
     def finish(self) -> None:
-        """Fit to its end what was fitted in a few steps only and is not hopeless beside the others."""
+        """Fit to its end what was hopeless beside others and is not beside those that are left."""
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Optimum:
-            starts = [h.fit.theta]
-            if not self.provisional:
-                # from where coefficients are known, too, as in the first round
-                problem = context.problem(h.fit.effects, noise_model.random_effects)
-                starts = context.begins(problem, h.fit.theta)
+            problem = context.problem(h.fit.effects, noise_model.random_effects)
+            starts = context.begins(problem, h.fit.theta)
             return context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS).optimum
 
         while True:
@@ -613,7 +607,6 @@ def run(
             )  # fmt: skip
             search.begin(context.start((), noise_model, fit))
             search.beside([search.null])
-            search.finish()
             found = search.weighed()
             leader = search.likeliest(found)
             search.learn(leader if found.sets.get(found.best, 0.0) > found.none else search.null)
