@@ -663,6 +663,7 @@ def test_noise_that_fitted_numbers_take_up_is_noise(rng: np.random.Generator) ->
         found = floors(context, fit, fit.residuals, 0.0, fit, noise_model)
         left.append(np.mean(np.concatenate(fit.residuals) ** 2))
         told.append(found.levels["y"] ** 2)
+        assert found.inside["y"] ** 2 == pytest.approx(left[-1])
     # a draw's variance is known to sqrt(2/40); trials that lean unequally add a tenth of h at most
     error = 3.0 * np.sqrt(2.0 / (count * n - numbers) / draws)
     assert np.mean(left) == pytest.approx(1.0 - numbers / (count * n), abs=error)

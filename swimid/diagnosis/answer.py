@@ -83,9 +83,10 @@ def answer(
         alike[1],
         state.noise_model,
     )
-    floor, how = noise.levels, noise.how
+    floor, how = noise.inside, noise.how
     for channel in remainder.drifting(state.low_frequency):
-        floor[channel] *= math.sqrt(1.0 - state.low_frequency[channel].share)
+        for levels in (floor, noise.levels):
+            levels[channel] *= math.sqrt(1.0 - state.low_frequency[channel].share)
     failed = _failed(state, nominal, raw, floor)
     chosen = [conclusion.named(state, r) for r in state.rounds]
     word = conclusion.verdict(state, chosen, dropout=failed > 0)
@@ -108,18 +109,18 @@ def answer(
             ],
             floor,
         )
-    floor = shrinkage.capped(floor, held)
+    outside = shrinkage.capped(noise.levels, held)
     ranges = _ranges(context, nominal)
-    closing = shrinkage.shrinkages(held, floor, noise.squares, ranges, rng=rng)
+    closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
     reasons: list[str] = []
     refuted: list[str] = []
     names = [c.best.tried.effect.name for c in chosen]
     helped = True
     sound = shrinkage.sound(held)
-    if chosen and shrinkage.refute(held, floor):
+    if chosen and shrinkage.refute(held, outside):
         refuted = names
         chosen, word, state.base = [], "unexplained", nominal
-    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
+    if chosen and not (sound and (shrinkage.helps(held, outside) or _by_coefficients(state))):
         told = "close less than half of the squared gap with it" if sound else "break down with it"
         reasons.append(f"{', '.join(names)}: held-out trials, simulated anew, {told}")
         word = "ambiguous" if word == "explained" else word

@@ -78,6 +78,8 @@ class Floor:
         less than the model leaves; else the noise within trials that the model leaves, less the share that
         has structure, and the random effects of trials. Never more than what the model leaves as if trials
         did not differ. All but the repeats with what fitted numbers take up, :func:`taken_up`.
+    inside : dict of channel to float
+        The same less what fitted numbers take up of it: what residuals of the fit are to be held against.
     squares : dict of channel to dict of trial to (float, int)
         What each trial adds to the squared level, up to a common factor, and its samples.
     how : str
@@ -85,6 +87,7 @@ class Floor:
     """
 
     levels: dict[str, float]
+    inside: dict[str, float]
     squares: dict[str, dict[str, tuple[float, int]]]
     how: str
 
@@ -154,16 +157,15 @@ def floors(
             squares.setdefault(c, {})[trial.id] = float(summed), int(np.isfinite(series).sum())
     reached = _mean_squares(alike, alike.residuals)
     more = taken_up(context, alike, noise_model)
-    floor = {
-        c: float(
-            np.sqrt(more[c] * min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c]))
-        )
+    inside = {
+        c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c])))
         for c in noise
     }
+    floor = {c: float(np.sqrt(more[c])) * v for c, v in inside.items()}
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
     groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
-        return Floor(floor, squares, how)
+        return Floor(floor, inside, squares, how)
     parts: dict[str, list[Array]] = {}
     for group in groups:
         split_up = [split(last, k, marginal_residuals[k]) for k in group]
@@ -175,4 +177,5 @@ def floors(
                 parts.setdefault(channel, []).append(spread[np.isfinite(spread)])
     lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if v}
     floor = {c: min(lower.get(c, v), float(np.sqrt(more[c] * whole[c]))) for c, v in floor.items()}
-    return Floor(floor, squares, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings")
+    inside = {c: min(lower.get(c, v), float(np.sqrt(whole[c]))) for c, v in inside.items()}
+    return Floor(floor, inside, squares, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings")

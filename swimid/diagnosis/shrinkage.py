@@ -302,12 +302,13 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
-    """Noise of each channel, no more than the errors with the causes: noise is in these, too."""
+    """Noise of each channel, no more than the errors without or with the causes: noise is in these, too."""
     result = dict(floors)
     for channel, mine in by_channel(found).items():
-        squares = np.concatenate([p.squares(p.after) for p in mine])
-        if channel in result and len(squares):
-            result[channel] = min(result[channel], float(np.sqrt(np.mean(squares))))
+        for which in ("before", "after"):
+            squares = np.concatenate([p.squares(getattr(p, which)) for p in mine])
+            if channel in result and len(squares):
+                result[channel] = min(result[channel], float(np.sqrt(np.mean(squares))))
     return result
 
 
