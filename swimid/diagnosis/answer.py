@@ -117,10 +117,10 @@ def answer(
     names = [c.best.tried.effect.name for c in chosen]
     helped = True
     sound = shrinkage.sound(held)
-    if chosen and shrinkage.refute(held, outside):
+    if chosen and shrinkage.refute(held, floor):
         refuted = names
         chosen, word, state.base = [], "unexplained", nominal
-    if chosen and not (sound and (shrinkage.helps(held, outside) or _by_coefficients(state))):
+    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
         told = "close less than half of the squared gap with it" if sound else "break down with it"
         reasons.append(f"{', '.join(names)}: held-out trials, simulated anew, {told}")
         word = "ambiguous" if word == "explained" else word
