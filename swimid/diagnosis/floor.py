@@ -143,7 +143,8 @@ def floors(
         Of its squared whitened residuals, what a generic description still finds.
     alike : Fit
         The same model refitted as if trials did not differ.
-
+    noise_model : NoiseModel
+        Through which it was.
     """
     rest = max(1.0 - share, 0.05)
     marginal_residuals = last.marginal_residuals()
@@ -157,18 +158,28 @@ def floors(
             squares.setdefault(c, {})[trial.id] = float(summed), int(np.isfinite(series).sum())
     reached = _mean_squares(alike, alike.residuals)
     more = taken_up(context, alike, noise_model)
-    inside = {
-        c: float(np.sqrt(min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c])))
-        for c in noise
-    }
-    floor = {c: float(np.sqrt(more[c])) * v for c, v in inside.items()}
+    model = {c: min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c]) for c in noise}
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
+    lower, told = _between_repeats(context, last, marginal_residuals)
+
+    def level(c: str, times: float) -> float:
+        left = float(np.sqrt(times * (whole[c] if c in lower else model[c])))
+        return min(lower.get(c, left), left)
+
+    levels = {c: level(c, more[c]) for c in model}
+    return Floor(levels, {c: level(c, 1.0) for c in model}, squares, told or how)
+
+
+def _between_repeats(
+    context: FitContext, last: Fit, residuals: Sequence[Array]
+) -> tuple[dict[str, float], str | None]:
+    """What repeats of one setting do not share, by channel, and of how many, in words; nothing of too few."""
     groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
     if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
-        return Floor(floor, inside, squares, how)
+        return {}, None
     parts: dict[str, list[Array]] = {}
     for group in groups:
-        split_up = [split(last, k, marginal_residuals[k]) for k in group]
+        split_up = [split(last, k, residuals[k]) for k in group]
         for channel in split_up[0]:
             stack = np.array([p[channel] for p in split_up if channel in p])
             if len(stack) > 1:
@@ -176,6 +187,4 @@ def floors(
                     spread = np.nanvar(stack, axis=0, ddof=1)
                 parts.setdefault(channel, []).append(spread[np.isfinite(spread)])
     lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if v}
-    floor = {c: min(lower.get(c, v), float(np.sqrt(more[c] * whole[c]))) for c, v in floor.items()}
-    inside = {c: min(lower.get(c, v), float(np.sqrt(whole[c]))) for c, v in inside.items()}
-    return Floor(floor, inside, squares, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings")
+    return lower, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"

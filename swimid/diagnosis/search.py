@@ -394,19 +394,17 @@ class Search:
                 *context.begins(problem, context.start(effects, noise_model, h.fit)),
                 context.start(effects, noise_model, self.null.fit, sizes),
             ]
-            hopeless = h.names in far
-            if hopeless:
-                starts = [starts[0], starts[-1]]
-                fit = context.fit(effects, noise_model, starts, iterations=FEW, warm=self.null.fit)
-            else:
-                fit = context.multistart(effects, noise_model, starts, warm=self.null.fit, finalists=1)
+
+            def settled(starts: list[Array]) -> Fit:
+                if h.names not in far:
+                    return context.multistart(effects, noise_model, starts, warm=self.null.fit, finalists=1)
+                ends = [starts[0], *starts[1:][-1:]]
+                return context.fit(effects, noise_model, ends, iterations=FEW, warm=self.null.fit)
+
+            fit = settled(starts)
             if sizes and not fit.cost <= self.null.fit.cost:
                 # a model without the effect is the model with it at nought
-                starts = [context.start(effects, noise_model, self.null.fit)]
-                if hopeless:
-                    fit = context.fit(effects, noise_model, starts, iterations=FEW, warm=self.null.fit)
-                else:
-                    fit = context.multistart(effects, noise_model, starts, warm=self.null.fit)
+                fit = settled([context.start(effects, noise_model, self.null.fit)])
             return fit.optimum
 
         # parents before those judged beside them
