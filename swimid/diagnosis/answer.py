@@ -109,7 +109,9 @@ def answer(
             ],
             floor,
         )
-    outside = shrinkage.capped(noise.levels, held)
+    # where more than noise is left, what a fit takes up and misses elsewhere is of that, too
+    more = _remaining(state, nominal, nominal.marginal_residuals(), floor).share
+    outside = floor if more else shrinkage.capped(noise.levels, held)
     ranges = _ranges(context, nominal)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
     reasons: list[str] = []
