@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from swimid.diagnosis.gap_file import GapFile
 from tests.conftest import ROOT
 from tests.hard_gaps import CASES, Answer, Truth, outcome
 
@@ -48,3 +49,6 @@ QUICK = ("rounded-15mm", "drops-odd-one", "drops-wave", "slow-clock")
 def test_what_must_be_said_is_said(tmp_path: Path, name: str) -> None:
     found = outcome(CASES[name], tmp_path)
     assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"
+    # the same file whatever order Python's sets of names have
+    for hypothesis in GapFile.read(tmp_path / "gap.yaml").hypotheses:
+        assert list(hypothesis.alike) == sorted(hypothesis.effects if len(hypothesis.effects) > 1 else [])

@@ -6,16 +6,23 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from swimid.diagnosis import advice, conclusion, crossval, places, remainder, shrinkage
+from swimid.diagnosis import (
+    advice,
+    conclusion,
+    crossval,
+    dropout_cause,
+    judgement,
+    places,
+    remainder,
+    shrinkage,
+)
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.drawings import Drawings
-from swimid.diagnosis.floor import by_channel, split
-from swimid.diagnosis.floor import floors as noise_floors
+from swimid.diagnosis.floor import by_channel, excess, floors, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
@@ -25,24 +32,18 @@ from swimid.diagnosis.gap_file import (
     Extrapolation,
     GapFile,
     OddTrial,
-    Remaining,
     Shrinkage,
     Stage,
     Value,
     Where,
     ranked,
 )
-from swimid.diagnosis.odd import contradicting
-from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.judgement import Judgement
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.fitting.model import Array, Parameter, Trial
-from swimid.fitting.odd_trial import Odd
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
-
-#: Failed samples count as a cause from this many on, and from this squared misfit.
-FAILED, FAILED_MISFIT = 4, 50.0
 
 
 def answer(
@@ -71,33 +72,20 @@ def answer(
         What was diagnosed is not yet named in it.
     Drawings
     """
-    rng = np.random.default_rng(seed)
-    context = state.context
-    nominal = state.nominal
+    context, nominal = state.context, state.nominal
+    ranges = _ranges(context, nominal)
     alike = _alone(state, nominal), _alone(state, state.base)
-    noise = noise_floors(
-        context,
-        state.base,
-        state.nuisance_residuals,
-        conclusion.structured_share(state),
-        alike[1],
-        state.noise_model,
+    share = conclusion.structured_share(state)
+    drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
+    noise = floors(context, state.base, state.nuisance_residuals, share, alike[1], state.noise_model).less(
+        drifts
     )
-    floor, how = noise.inside, noise.how
-    for channel in remainder.drifting(state.low_frequency):
-        for levels in (floor, noise.levels):
-            levels[channel] *= math.sqrt(1.0 - state.low_frequency[channel].share)
-    failed = _failed(state, nominal, raw, floor)
-    chosen = [conclusion.named(state, r) for r in state.rounds]
-    word = conclusion.verdict(state, chosen, dropout=failed > 0)
-    surely = state.posterior.none <= UNSURE
-    # beside something from outside only what acts rather than not
-    chosen = [c for c in chosen if surely and (word != "unexplained" or c.probability > 0.5)]
-    rows = conclusion.scores(state)
-    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
+    floor = noise.inside
+    failed = dropout_cause.misfit(state, raw, floor)
     # what differs between trials may have stood in for a cause, or a cause for what differs: each model is
     # fitted in the way that predicts better
     fits = [(nominal, state.base), alike] if state.noise_model.random_effects else [alike]
+    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
     total = len(validation) or context.folds.count
     with progress("held-out trials", total=len(fits) * total) as step:
         held = shrinkage.better(
@@ -110,68 +98,44 @@ def answer(
             floor,
         )
     # where more than noise is left, what a fit takes up and misses elsewhere is of that, too
-    more = _remaining(state, nominal, nominal.marginal_residuals(), floor).share
+    more = judgement.remaining(state, state.base, nominal.marginal_residuals(), floor).share
     outside = floor if more else shrinkage.capped(noise.levels, held)
-    ranges = _ranges(context, nominal)
+    rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    reasons: list[str] = []
-    refuted: list[str] = []
-    names = [c.best.tried.effect.name for c in chosen]
-    helped = True
-    sound = shrinkage.sound(held)
-    if chosen and shrinkage.refute(held, floor):
-        refuted = names
-        chosen, word, state.base = [], "unexplained", nominal
-    if chosen and not (sound and (shrinkage.helps(held, floor) or _by_coefficients(state))):
-        told = "close less than half of the squared gap with it" if sound else "break down with it"
-        reasons.append(f"{', '.join(names)}: held-out trials, simulated anew, {told}")
-        word = "ambiguous" if word == "explained" else word
-        helped = False
-    odd = None
-    if word == "unexplained" or not helped:
-        odd = contradicting(context, nominal, nominal.marginal_residuals(), floor)
-    if odd is not None:
-        chosen, word, state.base = [], "unexplained", nominal
-    # what a cause accounts for is none of the random effects of the model without it
-    gap_left = nominal.marginal_residuals([e.name for e in state.base.effects])
-    remaining = _remaining(state, nominal, gap_left, floor)
-    if chosen and (remaining.share or 0.0) > shrinkage.MOST:
-        reasons.append(
-            f"{remaining.share:.0%} of the squared gap remains with {', '.join(names)}: {remaining.where}"
-        )
-        word = "unexplained"
-        chosen = [c for c in chosen if c.probability > 0.5]
-    size = {c: _rms(v) for c, v in by_channel(nominal, gap_left).items()}
-    if word == "none":
+    told = judgement.judge(state, held, floor, dropout=failed > 0)
+    gap = judgement.gap(state, told.base)
+    left = judgement.remaining(state, told.base, gap, floor)
+    how = noise.how
+    if told.verdict == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
-        floor = {c: max(v, size[c]) for c, v in floor.items()}
+        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
-    gap = word != "none"
-    causes = _causes(state, chosen, nominal, given, closing if gap else [])
+    rows = conclusion.scores(state)
+    stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(told.causes))}
+    causes = _causes(state, told, given, closing)
     if failed:
-        causes = _with_failed(state, causes, raw, nominal, floor, failed, ranges)
-    where = places.Map(context, nominal, gap_left, floor)
-    stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(chosen))}
-    if failed and causes and causes[0].effect == MarkerDropout.name:
-        stages = {k: (1.0 if k == "sensing" else 0.0) for k in stages}
+        causes = dropout_cause.among(state, causes, raw, floor, failed, ranges)
+        if causes[0].effect == MarkerDropout.name:
+            stages = {k: float(k == "sensing") for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
-    left = state.left
+    places_of = places.Map(context, nominal, gap, floor)
+    where = Where(
+        channels=_channels(nominal, gap, floor, units, held, ranges),
+        stage=stages,
+        phase=places.phases(places_of) if told.verdict != "none" else [],
+        regime=places.regimes(places_of),
+        time=places.times(places_of),
+    )
     stuck = _at_bounds(context, nominal)
-    regime, phase, time = places.regimes(where), places.phases(where) if gap else [], places.times(where)
+    generic = state.left
     file = GapFile(
-        verdict=word,
-        where=Where(
-            channels=_channels(nominal, gap_left, floor, units, held, ranges),
-            stage=stages,
-            phase=phase,
-            regime=regime,
-            time=time,
-        ),
-        causes=causes if gap else [],
-        remaining=remaining,
-        advice=[*_without(odd), *_advice(state, chosen, word, floor)],
-        odd_trial=None if odd is None else OddTrial(trial=odd.trial, times=odd.times),
-        refuted=refuted,
+        verdict=told.verdict,
+        where=where,
+        causes=causes if told.verdict != "none" else [],
+        remaining=left,
+        advice=_advice(state, told, floor),
+        odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
+        refuted=list(told.refuted),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
@@ -181,31 +145,16 @@ def answer(
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
         floor_from=how,
         scores=rows,
-        forces={**left.places} if left is not None else {},
+        forces={**generic.places} if generic is not None else {},
         rounds=state.told,
-        reasons=[*(_stuck(name, value) for name, value in stuck.items()), *reasons, *_reasons(state)],
+        reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
     )
     return ranked(file), Drawings(
-        maps=places.maps(where),
-        parts=[*regime, *phase, *time],
+        maps=places.maps(places_of),
+        parts=[*where.regime, *where.phase, *where.time],
         overlays=shrinkage.overlays(held, units),
-        sketches=places.sketches(left) if left is not None and left.found else [],
+        sketches=places.sketches(generic) if generic is not None and generic.found else [],
     )
-
-
-def _without(odd: Odd | None) -> list[Advice]:
-    if odd is None:
-        return []
-    return [Advice(text=f"look at what is written of {odd.trial}; diagnose without it (role: validate)")]
-
-
-def _by_coefficients(state: State) -> bool:
-    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
-    these imitate the causes, and held-out errors are as small.
-    """
-    null, *found = state.posterior.candidates
-    best = next((c for c in found if c.names == state.posterior.best), null)
-    return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)
 
 
 def _alone(state: State, fit: Fit) -> Fit:
@@ -250,73 +199,65 @@ def _channels(
     ranges: Mapping[str, float],
 ) -> list[ChannelGap]:
     pieces = shrinkage.by_channel(held)
-    excess = _excess(nominal, residuals, floor)
-    total = sum(excess.values()) or 1.0
+    beyond = excess(nominal, residuals, floor)
+    total = sum(beyond.values()) or 1.0
     found = []
     for channel, left in by_channel(nominal, residuals).items():
-        rmse, size = _rms(left), ranges[channel]
+        rmse, size = rms(left), ranges[channel]
         errors = [p.seen(p.measured - p.shipped) for p in pieces.get(channel, ())]
         found.append(
             ChannelGap(
                 channel=channel,
                 nrmse=rmse / size,
                 floor=floor[channel] / size,
-                share=excess[channel] / total,
+                share=beyond[channel] / total,
                 rmse=rmse,
                 unit=units.get(channel, "1"),
-                shipped=_rms(np.concatenate(errors)) / size if errors else None,
+                shipped=rms(np.concatenate(errors)) / size if errors else None,
             )
         )
     return found
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _causes(
-    state: State,
-    chosen: Sequence[Named],
-    nominal: Fit,
-    given: Mapping[str, Estimate],
-    closing: list[Shrinkage],
+    state: State, told: Judgement, given: Mapping[str, Estimate], closing: list[Shrinkage]
 ) -> list[Cause]:
-    if not chosen:
+    if not told.causes:
         return []
-    sd = conclusion.parameter_errors(state, state.base)
+    sd = conclusion.parameter_errors(state, told.base)
     causes = [
         Cause(
             effect=c.best.tried.effect.name,
             probability=float(np.clip(c.probability, 0.0, 1.0)),
             equivalent=list(c.equivalent),
-            parameters=_values(state, c, sd),
+            parameters=_values(told.base, c, sd),
             stage=c.best.tried.effect.stage,
             meaning=c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
         )
-        for c in chosen
+        for c in told.causes
     ]
     first = {
         "shrinkage": closing,
-        "absorbed": _absorbed(state, nominal, given, sd),
-        "extrapolation": _extrapolations(state, nominal),
+        "absorbed": _absorbed(state, told.base, given, sd),
+        "extrapolation": _extrapolations(state, told.base),
     }
     return [causes[0].model_copy(update=first), *causes[1:]]
 
 
-def _values(state: State, cause: Named, sd: Mapping[str, float]) -> dict[str, Value]:
+def _values(base: Fit, cause: Named, sd: Mapping[str, float]) -> dict[str, Value]:
     """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
     found = {}
     for p in cause.best.tried.parameters:
         name = f"{cause.best.tried.effect.name}/{p.name}"
-        labels = [n for n in state.base.labels if n.split("[")[0] == name]
-        values = [state.base.value(n) for n in labels]
+        labels = [n for n in base.labels if n.split("[")[0] == name]
+        values = [base.value(n) for n in labels]
         if not values:
             continue
         if p.per_trial:
-            found[f"{p.name}_rms"] = Value(value=_rms(np.array(values)), unit=p.unit)
+            found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
         elif values[0] <= p.lower or values[0] >= p.upper:
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
         else:
@@ -331,13 +272,15 @@ def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
     return {label: float(value) for label, value, inside in ends if label in own and not inside}
 
 
-def _stuck(name: str, bound: float) -> str:
-    return f"{name} ends at its bound {bound:.4g} in the refit without effects: it may stand in for a cause"
+def _stood_in(bounds: Mapping[str, float]) -> list[str]:
+    told = "in the refit without effects: it may stand in for a cause"
+    return [f"{name} ends at its bound {bound:.4g} {told}" for name, bound in bounds.items()]
 
 
 def _absorbed(
-    state: State, nominal: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
+    state: State, base: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
+    nominal = state.nominal
     plain = conclusion.parameter_errors(state, nominal)
     found = []
 
@@ -356,14 +299,14 @@ def _absorbed(
                 given=known
                 and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
                 without=refitted(p, nominal, plain),
-                with_effect=refitted(p, state.base, sd),
+                with_effect=refitted(p, base, sd),
                 bounds=p.bounds,
             )
         )
     return found
 
 
-def _extrapolations(state: State, nominal: Fit) -> list[Extrapolation]:
+def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
     """Errors on the outermost frequency, amplitude or force, left out of the fit."""
     context = state.context
     if not context.folds.whole:
@@ -381,7 +324,7 @@ def _extrapolations(state: State, nominal: Fit) -> list[Extrapolation]:
             owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
             cut.folds = Folds(True, owner, ["rest", label])
             ratios = []
-            for fit in (nominal, state.base):
+            for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
                 misfit = float(crossval.held_out(inner)[1])
                 ratios.append(math.sqrt(max(misfit, 0.0) / max(float(inner.samples[1]), 1.0)))
@@ -389,144 +332,26 @@ def _extrapolations(state: State, nominal: Fit) -> list[Extrapolation]:
     return found
 
 
-def _excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
-    """Squared residuals beyond those of the noise, in units of it, by channel."""
-    found = by_channel(fit, residuals)
-    beyond = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
-    return {c: b if b > 1e-9 * len(found[c]) else 0.0 for c, b in beyond.items()}
-
-
-def _remaining(
-    state: State, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
-) -> Remaining:
-    left = state.left
-    if left is None:
-        return Remaining(share=0.0, where="", white=True, gain=0.0)
-    if left.found:
-        return Remaining(share=state.posterior.left, where=_where(state), white=False, gain=left.gain)
-    moving = remainder.drifting(state.low_frequency)
-    apart = bool(moving or conclusion.differs(state))
-    share = float(apart)
-    if moving:
-        gap = _excess(nominal, residuals, floor)
-        still = _excess(state.base, state.nuisance_residuals, floor)
-        share = min(sum(still[c] for c in moving) / max(sum(gap.values()), 1e-300), 1.0)
-    return Remaining(share=share, where=_where(state), white=not apart, gain=max(left.gain, 0.0))
-
-
-def _where(state: State) -> str:
-    """Where what is left acts, in words."""
-    left = state.left
-    if left is None or not left.found:
-        moving = remainder.drifting(state.low_frequency)
-        if moving:
-            return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
-        apart = conclusion.differs(state)
-        if apart:
-            return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
-        return "nothing that a smooth description finds"
-    largest = sorted(left.places.items(), key=lambda item: -item[1])
-    return " and ".join(place for place, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
-
-
-def _advice(state: State, chosen: Sequence[Named], word: str, floor: Mapping[str, float]) -> list[Advice]:
-    if chosen:
-        first = state.rounds[0]
-        names = (chosen[0].best.tried.effect.name, *chosen[0].equivalent)
-        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
-        if len(rivals) == 1:
-            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
-        if len(rivals) > 1:
-            now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
-            try:
-                return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
-            except (ArithmeticError, np.linalg.LinAlgError):
-                return []
-    if word != "unexplained":
+def _advice(state: State, told: Judgement, floor: Mapping[str, float]) -> list[Advice]:
+    if told.odd is not None:
+        text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
+        return [Advice(text=text), *_repeat(state)]
+    if not told.causes:
+        return _repeat(state) if told.verdict == "unexplained" else []
+    first = state.rounds[0]
+    names = (told.names[0], *told.causes[0].equivalent)
+    rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
+    if len(rivals) == 1:
+        rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+    if len(rivals) == 1:
+        return _repeat(state) if told.verdict == "unexplained" else []
+    now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
+    try:
+        return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
+    except (ArithmeticError, np.linalg.LinAlgError):
         return []
+
+
+def _repeat(state: State) -> list[Advice]:
     text = "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
-    return [Advice(text=f"{text}{_where(state)})")]
-
-
-# ------------------------------------------------------------ failed samples
-
-
-def _failed(state: State, nominal: Fit, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
-    """Squared misfit of the failed samples in units of the noise; 0 where they are too few to name."""
-    if state.dropouts.count < FAILED:
-        return 0.0
-    total = sum(
-        _failed_squares(state, nominal, raw, c)[0] / max(floor.get(c, 1.0), 1e-300) ** 2 for c in floor
-    )
-    return total if total > FAILED_MISFIT else 0.0
-
-
-def _failed_squares(state: State, fit: Fit, raw: Sequence[Trial], channel: str) -> tuple[float, int]:
-    total, count = 0.0, 0
-    for k, trial in enumerate(raw):
-        mask = state.dropouts.masks.get(trial.id, {}).get(channel)
-        if mask is None:
-            continue
-        simulated = fit.problem.simulations(fit.theta)[k].get(channel)
-        if simulated is None:
-            continue
-        error = (trial.measured[channel] - simulated)[mask]
-        total += float(np.nansum(error**2))
-        count += int(np.isfinite(error).sum())
-    return total, count
-
-
-def _with_failed(
-    state: State,
-    causes: list[Cause],
-    raw: Sequence[Trial],
-    nominal: Fit,
-    floor: Mapping[str, float],
-    misfit: float,
-    ranges: Mapping[str, float],
-) -> list[Cause]:
-    """The causes with the failed samples among them, where their misfit puts them."""
-    closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
-    sound = by_channel(nominal, nominal.residuals)
-    widened = {}
-    for channel in floor:
-        squares, count = _failed_squares(state, nominal, raw, channel)
-        if not count:
-            continue
-        own = sound[channel]
-        size = ranges[channel]
-        before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / size
-        known = closing[channel].after if channel in closing else None
-        after = _rms(own) / size if known is None else known
-        level = floor[channel] / size
-        widened[channel] = Shrinkage(
-            channel=channel,
-            before=before,
-            after=after,
-            shipped=before,
-            floor=level,
-            closed=shrinkage.closed(before, after, level),
-        )
-    stretches = state.dropouts.stretches
-    kinds = sorted({kind for *_, kind in stretches})
-    samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
-    effect = Cause(
-        effect=MarkerDropout.name,
-        probability=0.97,
-        parameters={
-            "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
-            "first_failure_s": Value(value=min(s[2] for s in stretches), unit="s"),
-        },
-        stage=MarkerDropout.stage,
-        meaning=f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
-        sources=list(MarkerDropout.sources),
-        gain=misfit,
-    )
-    of_all = {
-        "shrinkage": [*widened.values(), *(s for c, s in closing.items() if c not in widened)],
-        "absorbed": causes[0].absorbed if causes else [],
-        "extrapolation": causes[0].extrapolation if causes else [],
-    }
-    first, *rest = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
-    bare: dict[str, list[Any]] = {name: [] for name in of_all}
-    return [first.model_copy(update=of_all), *(c.model_copy(update=bare) for c in rest)]
+    return [Advice(text=f"{text}{judgement.where(state)})")]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,6 +67,18 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 
+def rms(values: Array) -> float:
+    """Root-mean-square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
+    """Squared residuals beyond those of the noise, in units of it, by channel."""
+    found = by_channel(fit, residuals)
+    more = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
+    return {c: m if m > 1e-9 * len(found[c]) else 0.0 for c, m in more.items()}
+
+
 @dataclass(frozen=True)
 class Floor:
     """Noise of each channel.
@@ -90,6 +102,14 @@ class Floor:
     inside: dict[str, float]
     squares: dict[str, dict[str, tuple[float, int]]]
     how: str
+
+    def less(self, shares: Mapping[str, float]) -> Floor:
+        """The same less a share of the squared noise of some channels."""
+        left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
+        levels, inside = (
+            {c: v * left.get(c, 1.0) for c, v in kind.items()} for kind in (self.levels, self.inside)
+        )
+        return replace(self, levels=levels, inside=inside)
 
 
 def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:

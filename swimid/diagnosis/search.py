@@ -478,7 +478,7 @@ class Search:
             return {}
         screened = {id(t.effect): t for t in self.screened(self.null).tried}
         mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
-        found = dict.fromkeys(h.names, 0.0)
+        found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
             # of one that changes nothing by itself nothing is known
             cosine = 0.0 if first is None or second is None else self._cosine(first, second)

@@ -1,0 +1,112 @@
+"""Failed samples (frozen, jumped, displaced markers) as a cause among the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from swimid.diagnosis import shrinkage
+from swimid.diagnosis.floor import by_channel, rms
+from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
+from swimid.diagnosis.search import State
+from swimid.effects.sensing.marker_dropout import MarkerDropout
+from swimid.fitting.model import Trial
+
+#: Failed samples count as a cause from this many on, and from this squared misfit.
+FAILED, FAILED_MISFIT = 4, 50.0
+
+
+def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
+    """Squared misfit of the failed samples in units of the noise; 0 where they are too few to name.
+
+    Parameters
+    ----------
+    raw : sequence of Trial
+        The fitted trials with their failed samples still in.
+    """
+    if state.dropouts.count < FAILED:
+        return 0.0
+    squares = _squares(state, raw)
+    total = sum(squares[c][0] / max(floor[c], 1e-300) ** 2 for c in floor if c in squares)
+    return total if total > FAILED_MISFIT else 0.0
+
+
+def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
+    """Summed squared errors of the model at failed samples, and how many these are, by channel."""
+    found: dict[str, tuple[float, int]] = {}
+    simulated = state.nominal.problem.simulations(state.nominal.theta)
+    for trial, run in zip(raw, simulated, strict=True):
+        for channel, mask in state.dropouts.masks.get(trial.id, {}).items():
+            if channel in run:
+                error = (trial.measured[channel] - run[channel])[mask]
+                total, count = found.get(channel, (0.0, 0))
+                found[channel] = total + float(np.nansum(error**2)), count + int(np.isfinite(error).sum())
+    return found
+
+
+def among(
+    state: State,
+    causes: list[Cause],
+    raw: Sequence[Trial],
+    floor: Mapping[str, float],
+    size: float,
+    ranges: Mapping[str, float],
+) -> list[Cause]:
+    """The causes with the failed samples among them, where their misfit puts them.
+
+    Parameters
+    ----------
+    size : float
+        That misfit.
+    ranges : mapping of channel to float
+        Measured range, in the channel's unit.
+    """
+    nominal = state.nominal
+    closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
+    sound = by_channel(nominal, nominal.residuals)
+    failed = _squares(state, raw)
+    widened = {}
+    for channel in floor:
+        squares, count = failed.get(channel, (0.0, 0))
+        if not count:
+            continue
+        own = sound[channel]
+        span = ranges[channel]
+        before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
+        known = closing[channel].after if channel in closing else None
+        after = rms(own) / span if known is None else known
+        level = floor[channel] / span
+        widened[channel] = Shrinkage(
+            channel=channel,
+            before=before,
+            after=after,
+            shipped=before,
+            floor=level,
+            closed=shrinkage.closed(before, after, level),
+        )
+    stretches = state.dropouts.stretches
+    kinds = sorted({kind for *_, kind in stretches})
+    samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
+    effect = Cause(
+        effect=MarkerDropout.name,
+        probability=0.97,
+        parameters={
+            "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
+            "first_failure_s": Value(value=min(s[2] for s in stretches), unit="s"),
+        },
+        stage=MarkerDropout.stage,
+        meaning=f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
+        sources=list(MarkerDropout.sources),
+        gain=size,
+    )
+    of_all = {
+        "shrinkage": [*widened.values(), *(s for c, s in closing.items() if c not in widened)],
+        "absorbed": causes[0].absorbed if causes else [],
+        "extrapolation": causes[0].extrapolation if causes else [],
+    }
+    first, *rest = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
+    bare: dict[str, list[Any]] = {name: [] for name in of_all}
+    return [first.model_copy(update=of_all), *(c.model_copy(update=bare) for c in rest)]

@@ -1,0 +1,175 @@
+"""What is told of a diagnosis: the fits say which causes, and every other test may only weaken that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.diagnosis import conclusion, odd, remainder, shrinkage
+from swimid.diagnosis.conclusion import Named
+from swimid.diagnosis.context import Fit
+from swimid.diagnosis.floor import excess
+from swimid.diagnosis.gap_file import Remaining, Verdict
+from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.search import State
+from swimid.diagnosis.shrinkage import Piece
+from swimid.fitting.model import Array
+from swimid.fitting.odd_trial import Odd
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict, and what is told with it.
+
+    Attributes
+    ----------
+    causes : tuple of Named
+        Those that are told.
+    base : Fit
+        The model with all that was found; without any effect where held-out trials or a single trial tell
+        against that.
+    reasons : tuple of str
+        What weakened it.
+    refuted : tuple of str
+        Causes with which held-out errors grow.
+    odd : Odd or None
+        The trial that contradicts the others.
+    """
+
+    verdict: Verdict
+    causes: tuple[Named, ...]
+    base: Fit
+    reasons: tuple[str, ...] = ()
+    refuted: tuple[str, ...] = ()
+    odd: Odd | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the causes."""
+        return tuple(c.best.tried.effect.name for c in self.causes)
+
+
+def judge(state: State, held: Sequence[Piece], floor: Mapping[str, float], *, dropout: bool) -> Judgement:
+    """The verdict on everything that was tried.
+
+    Parameters
+    ----------
+    held : sequence of Piece
+        Held-out predictions without and with the causes.
+    floor : mapping of channel to float
+        Noise in the fit, in the channel's unit.
+    dropout : bool
+        Whether failed samples are a cause.
+    """
+    told = _by_held_out(_by_fits(state, dropout=dropout), state, held, floor)
+    return _by_remaining(_by_single_trials(told, state, floor), state, floor)
+
+
+def _by_fits(state: State, *, dropout: bool) -> Judgement:
+    chosen = [conclusion.named(state, r) for r in state.rounds]
+    verdict = conclusion.verdict(state, chosen, dropout=dropout)
+    if state.posterior.none > UNSURE:
+        chosen = []
+    elif verdict == "unexplained":
+        # beside something from outside only what acts rather than not
+        chosen = [c for c in chosen if c.probability > 0.5]
+    return Judgement(verdict, tuple(chosen), state.base)
+
+
+def _by_held_out(
+    told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
+) -> Judgement:
+    if not told.causes:
+        return told
+    if shrinkage.refute(held, floor):
+        return replace(told, verdict="unexplained", causes=(), base=state.nominal, refuted=told.names)
+    sound = shrinkage.sound(held)
+    if sound and (shrinkage.helps(held, floor) or _by_coefficients(state)):
+        return told
+    why = "close less than half of the squared gap with it" if sound else "break down with it"
+    return replace(
+        told,
+        verdict="ambiguous" if told.verdict == "explained" else told.verdict,
+        reasons=(f"{', '.join(told.names)}: held-out trials, simulated anew, {why}",),
+    )
+
+
+def _by_coefficients(state: State) -> bool:
+    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
+    these imitate the causes, and held-out errors are as small.
+    """
+    null, *found = state.posterior.candidates
+    best = next((c for c in found if c.names == state.posterior.best), null)
+    return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)
+
+
+def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float]) -> Judgement:
+    if told.verdict != "unexplained" and not told.reasons:
+        return told
+    nominal = state.nominal
+    found = odd.contradicting(state.context, nominal, nominal.marginal_residuals(), floor)
+    if found is None:
+        return told
+    return replace(told, verdict="unexplained", causes=(), base=nominal, odd=found)
+
+
+def _by_remaining(told: Judgement, state: State, floor: Mapping[str, float]) -> Judgement:
+    left = remaining(state, told.base, gap(state, told.base), floor)
+    if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
+        return told
+    why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
+    return replace(
+        told,
+        verdict="unexplained",
+        causes=tuple(c for c in told.causes if c.probability > 0.5),
+        reasons=(*told.reasons, why),
+    )
+
+
+def gap(state: State, base: Fit) -> list[Array]:
+    """What the model without effects leaves, weighted: what a cause accounts for is none of its random
+    effects.
+    """
+    return state.nominal.marginal_residuals([e.name for e in base.effects])
+
+
+def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> Remaining:
+    """What a model leaves of the gap.
+
+    Parameters
+    ----------
+    base : Fit
+        That model.
+    residuals : sequence of ndarray, shape (n_k,)
+        The gap.
+    """
+    left = state.left
+    if left is None:
+        return Remaining(share=0.0, where="", white=True, gain=0.0)
+    if left.found:
+        return Remaining(share=state.posterior.left, where=where(state), white=False, gain=left.gain)
+    moving = remainder.drifting(state.low_frequency)
+    apart = bool(moving or conclusion.differs(state))
+    share = float(apart)
+    if moving:
+        whole = excess(state.nominal, residuals, floor)
+        still = excess(base, state.nuisance_residuals, floor)
+        share = min(sum(still[c] for c in moving) / max(sum(whole.values()), 1e-300), 1.0)
+    return Remaining(share=share, where=where(state), white=not apart, gain=max(left.gain, 0.0))
+
+
+def where(state: State) -> str:
+    """Where what is left acts, in words."""
+    left = state.left
+    if left is None or not left.found:
+        moving = remainder.drifting(state.low_frequency)
+        if moving:
+            return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
+        apart = conclusion.differs(state)
+        if apart:
+            return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
+        return "nothing that a smooth description finds"
+    largest = sorted(left.places.items(), key=lambda item: -item[1])
+    return " and ".join(place for place, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
