@@ -159,7 +159,7 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         return own
 
     arrays: dict[str, np.ndarray] = {}
-    raw, chance_gap, changes, frames_of = [], [], [], []
+    raw, drawn, changes, frames_of = [], [], [], []
     lines = ["format: swimid-trials/1", "experiment: free-decay", "robot: hull.yaml", "trials:"]
     held = rng.choice(count, 1) if rng.random() < 0.4 else []
     for k in range(count):
@@ -178,7 +178,8 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         raw.append((fair - plain) ** 2)
         changes.append(fair - plain)
         frames_of.append(frames)
-        chance_gap.append((moved - plain) ** 2)
+        # the noise of these very samples, and what scatter does there
+        drawn.append((read - np.interp(frames, t, roll)) ** 2 + (moved - plain) ** 2)
         arrays |= {f"{name}/t_s": frames, f"{name}/roll_rad": fair, f"{name}/roll_rad_nominal": plain}
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
     (folder / "hull.yaml").write_text(
@@ -189,7 +190,7 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
     prior = rng.random() < (0.85 if "linear-drag" in names else 0.35)
     if prior:
         _write_prior(folder, body * added, quadratic, linear, stiffness, rng)
-    floor = float(np.sqrt(np.mean(np.concatenate(chance_gap)) + noise**2))
+    floor = float(np.sqrt(np.mean(np.concatenate(drawn))))
     gap = float(np.sqrt(np.mean(np.concatenate(raw)))) / floor
     left, noncentrality = _refitted(decay, frames_of, changes, noise, 0.035 if prior else 0.6)
     return {

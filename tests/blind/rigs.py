@@ -97,6 +97,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
 
     arrays: dict[str, np.ndarray] = {}
     squares: dict[str, list[np.ndarray]] = {"raw": [], "scatter": [], "noise": []}
+    drawn: list[np.ndarray] = []
     grids, changes = [], []
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
     held = rng.choice(len(weights), rng.integers(1, 3), replace=False) if rng.random() < 0.4 else []
@@ -113,6 +114,9 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         fair, plain, moved = (
             rig(k, effects=e, scatter=s).fall() for e, s in ((True, False), (False, False), (False, True))
         )
+        # the noise of these very samples, and what scatter does there
+        drawn.append((read - np.interp(stamps, t, x)) ** 2)
+        drawn[-1] += (np.interp(stamps, *moved) - np.interp(stamps, *plain)) ** 2
         grid = np.linspace(0.0, min(fair[0][-1], plain[0][-1], moved[0][-1]), 150)
         on = [np.interp(grid, *series) for series in (fair, plain, moved)]
         speed = np.gradient(on[1], grid)
@@ -128,7 +132,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
     if prior:
         known_to = _write_prior(folder, np.array([cd, added, friction]), "pulley-friction" in names, rng)
     size_of = {key: float(np.sqrt(np.mean(value))) for key, value in squares.items()}
-    floor = float(np.hypot(size_of["scatter"], size_of["noise"]))
+    floor = float(np.sqrt(np.mean(np.concatenate(drawn))))
     truth = np.array([cd, added, friction])
     sds = [np.sqrt(value) for value in squares["noise"]]
     left, noncentrality = _refitted(weights, grids, changes, truth, sds, (spread, clock, START_SD), known_to)

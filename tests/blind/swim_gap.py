@@ -108,7 +108,9 @@ def refit_gap(label: dict[str, Any]) -> dict[str, Any]:
 
 
 def floors(label: dict[str, Any]) -> dict[str, float]:
-    """Noise of each channel and what the scatter between trials adds to it once start poses are fitted."""
+    """Noise of these very samples in each channel, and what the scatter between trials adds to it once start
+    poses are fitted.
+    """
     names, squares = label["channels"], {name: [] for name in label["channels"]}
     for trial in label["trials"]:
         plain = replace(trial, **dict.fromkeys(SCATTER, 0.0))
@@ -124,6 +126,6 @@ def floors(label: dict[str, Any]) -> dict[str, float]:
         for name, part in zip(names, np.split(rest, len(names)), strict=True):
             squares[name].append(part**2)
     return {
-        n: float(np.hypot(label["noise"].sd(n), np.sqrt(np.mean(np.concatenate(v)))))
+        n: float(np.hypot(label["noise_rms"][n], np.sqrt(np.mean(np.concatenate(v)))))
         for n, v in squares.items()
     }

@@ -288,11 +288,14 @@ def make_case(
             channels.append(columns[-1])
     with_it = {t.id: swim(t, coefficients, acts) for t in trials}
     without = {t.id: swim(t, coefficients) for t in trials} if acts else with_it
-    logs = {}
+    logs: dict[str, Channels] = {}
+    drawn: dict[str, list[np.ndarray]] = {name: [] for name in columns}
     for trial in trials:
         clean = with_it[trial.id]
         own = trial.rng("noise")
-        log = {name: clean[name] + noise.draw(name, len(clean["t_s"]), own) for name in columns}
+        for name in columns:
+            drawn[name].append(noise.draw(name, len(clean["t_s"]), own))
+        log = {name: clean[name] + drawn[name][-1] for name in columns}
         logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
     if rng.random() < 2.0 / 3.0:
@@ -310,6 +313,7 @@ def make_case(
         "columns": columns,
         "channels": channels,
         "noise_sd": sd,
+        "noise_rms": {name: float(np.sqrt(np.mean(np.concatenate(v) ** 2))) for name, v in drawn.items()},
         "gap_over_floor": {**gap, "overall": float(np.sqrt(np.mean(np.square(list(gap.values())))))},
         "with": with_it,
         "without": without,
