@@ -17,6 +17,7 @@ from swimid.diagnosis import (
     crossval,
     dropouts,
     folds,
+    judgement,
     places,
     posterior,
     remainder,
@@ -115,7 +116,7 @@ def _autoregression(rng: np.random.Generator, n: int, sd: float) -> tuple[np.nda
     return a, innovations, lfilter([1.0], [1.0, *a], innovations)
 
 
-def test_the_lens_gives_back_the_innovations(rng: np.random.Generator) -> None:
+def test_whitening_gives_back_the_innovations(rng: np.random.Generator) -> None:
     a, innovations, x = _autoregression(rng, 300, 0.3)
     problem = _problem(x)
     noise_model = NoiseModel(problem.sd, {"y": a}, {"y": 0.3}, {"y": 2.0})
@@ -954,6 +955,45 @@ def test_where_held_out_data_have_no_gap_causes_help_that_lower_the_errors() -> 
 def test_a_cause_that_doubles_the_gap_is_refuted(after: float, refuted: bool) -> None:
     """Errors of 5 leave a squared gap of 25; with one of 7.07, the root of 50, it has grown by as much."""
     assert shrinkage.refute([piece(5.0, after)], {"x_m": 0.01}) is refuted
+
+
+@pytest.mark.parametrize(
+    ("after", "verdict", "named", "refuted"),
+    [
+        (0.0, "explained", ["waves"], ()),
+        (4.9, "ambiguous", ["waves"], ()),
+        (np.nan, "unexplained", [], ("waves",)),
+        (7.2, "unexplained", [], ("waves",)),
+    ],
+)
+def test_held_out_errors_may_only_weaken_what_the_fits_say(
+    after: float, verdict: str, named: list[str], refuted: tuple[str, ...]
+) -> None:
+    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
+    null = posterior.Candidate(frozenset(), 900.0, np.array([900.0]), 0)
+    found = posterior.Candidate(waves, 200.0, np.array([200.0]), 1)
+    nominal, base = (
+        SimpleNamespace(effects=effects, marginal_residuals=lambda _=(): []) for effects in ([], [effect])
+    )
+    state = SimpleNamespace(
+        posterior=posterior.Posterior(
+            {waves: 0.9},
+            0.0,
+            0.1,
+            {frozenset(): 0.0, waves: 0.1},
+            {frozenset(): 700.0, waves: 0.0},
+            (null, found),
+        ),
+        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))])],
+        nominal=nominal,
+        base=base,
+        left=None,
+        context=SimpleNamespace(trials=[]),
+    )
+    told = judgement.judge(state, [piece(5.0, after)], {"x_m": 0.01}, dropout=False)
+    assert (told.verdict, list(told.names), told.refuted) == (verdict, named, refuted)
+    assert told.base is (base if named else nominal)
+    assert bool(told.reasons) == (verdict == "ambiguous")
 
 
 def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:
