@@ -75,6 +75,7 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         "interval": None,
         "tool_ratio": None,
         "causes": 0,
+        "one_suffices": False,
     }
     if gap is None:
         return row
@@ -83,6 +84,7 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
     sets, causes = sets_of(gap), gap.get("causes") or []
     row["found"] = sum(any(name in named for named in sets) for name in truth)
     row["causes"] = len(causes)
+    row["one_suffices"] = one_suffices(gap)
     if causes:
         row["named"], row["probability"] = causes[0]["effect"], causes[0].get("probability")
         row["set"] = sorted(sets[0])
@@ -90,6 +92,15 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         row["within"] = row["first"] or (len(sets[0]) <= LARGEST_SET and bool(sets[0] & set(truth)))
         row["claimed"], row["closed"], row["interval"] = _shrinkage(causes[0], gap, label)
     return row
+
+
+def one_suffices(gap: Row) -> bool:
+    """Whether some effect alone describes the trials as well as every set of several that was fitted, what
+    their numbers must gain included: then nothing tells that there is a second one.
+    """
+    fitted = [(len(h["effects"]), h["score"]) for h in gap.get("hypotheses") or []]
+    alone = min((score for size, score in fitted if size == 1), default=np.inf)
+    return alone <= min((score for size, score in fitted if size > 1), default=np.inf) and alone < np.inf
 
 
 def _overall(value: Any) -> float | None:
@@ -250,6 +261,7 @@ def summary(rows: Sequence[Row]) -> Row:
         "wrong_explained": share(kind["single"], lambda r: r["verdict"] == "explained" and not r["within"]),
         "pairs_both": share(kind["pair"], lambda r: r["found"] == 2),
         "pairs_one": share(kind["pair"], lambda r: r["found"] == 1),
+        "pairs_one_suffices": share(kind["pair"], lambda r: r["one_suffices"]),
         "spurious_second": share(kind["single"], lambda r: r["first"] and r["causes"] > 1 and _named(r)),
         "outside_abstained": share(kind["outside"], lambda r: r["verdict"] in ("unexplained", "none")),
         "outside_sure": share(
