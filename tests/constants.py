@@ -1,4 +1,4 @@
-"""``python -m tests.sensitivity OUT``: how many answers of a diagnosis change with each of its constants.
+"""``python -m tests.constants OUT``: how many answers of a diagnosis change with each of its constants.
 
 Blind cases that are quick to diagnose (rigs, tables, free decays) are answered as they are, and once more
 with each constant at half of its size and at half as much again. An answer is the verdict with the effects
@@ -150,7 +150,7 @@ def one(case: dict[str, Any], *, out: Path, seed: int, constants: Sequence[Const
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Answer the cases, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.sensitivity", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.constants", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of cases and answers; what is there is taken up again")
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--seed", type=int, default=7)
