@@ -809,6 +809,27 @@ def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Gen
     np.testing.assert_array_equal(own.gains, rows["rise"].gains)
 
 
+class Bounded(Seen):
+    """The same, of a size that tells it only below one of 0.5."""
+
+    inside = frozenset({"size"})
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        return (replace(parameter("size", 0.0), lower=-0.5, upper=0.5, scale=0.05),)
+
+
+@pytest.mark.parametrize(("size", "told"), [(0.3, ["rise"]), (0.7, [])])
+def test_an_effect_that_ends_where_it_stands_for_others_is_no_hypothesis(
+    rng: np.random.Generator, size: float, told: list[str]
+) -> None:
+    model = Hooked(plainly, PLAIN, ("y",))
+    effects = [Bounded("rise", rise), Seen("wave", lambda t: np.cos(9.0 * t))]
+    state = search.run(model, PLAIN, seen_trials(rng, size, 0.0), {"a": (1.0, 0.1)}, effects)
+    assert [e.name for e in state.base.effects if e.name == "rise"] == told
+    assert any("rise/size ends at a bound" in reason for reason in state.told) == (not told)
+    assert told or state.posterior.outside > 0.5
+
+
 def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) -> None:
     model = Hooked(plainly, PLAIN, ("y",))
     effects = [Seen("rise", rise), Seen("ring", ring)]

@@ -146,7 +146,7 @@ def test_a_gap_file_becomes_an_answer() -> None:
         "where": {"channels": [{"channel": "x_m", "nrmse": 0.1, "rmse": 0.2}]},
         "causes": [
             {
-                "effect": "wall", "probability": 0.6, "equivalent": ["tether"],
+                "effect": "wall", "probability": 0.6, "equivalent": ["tether", "reading:drag_point=strips"],
                 "shrinkage": [
                     {"channel": "x_m", "before": 0.1, "after": 0.04, "closed": 0.7, "ci95": [0.6, 0.8]},
                     {"channel": "y_m", "before": 0.1, "after": 0.04, "closed": None, "ci95": None},
@@ -156,7 +156,7 @@ def test_a_gap_file_becomes_an_answer() -> None:
     }  # fmt: skip
     found = answers.of_gap("0003", gap, 2.0)
     (cause,) = found.causes
-    assert cause.set == ["wall", "tether"]
+    assert cause.set == ["wall", "tether", "reading:drag_point=strips"]
     assert cause.closed == {"x_m": (0.7, (0.6, 0.8))}
     # the range is 2 m
     assert cause.errors["x_m"] == pytest.approx((0.2, 0.08))

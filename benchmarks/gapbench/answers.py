@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 Share = Annotated[float, Field(allow_inf_nan=False)]
-Name = Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")]
+#: An effect, or another reading of the robot's source: ``reading:drag_point=strips``.
+Name = Annotated[str, Field(pattern=r"^(reading:\w+=\w+|[a-z0-9]+(-[a-z0-9]+)*)$")]
 Positive = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 

@@ -89,6 +89,14 @@ class Hypothesis:
         """Over all folds."""
         return float(self.misfits.sum())
 
+    @property
+    def ends(self) -> list[str]:
+        """Numbers of its effects at bounds where these could stand for others (:attr:`Effect.inside`)."""
+        wanted = {f"{e.name}/{name}" for e in self.fit.effects for name in e.inside}
+        problem = self.fit.problem
+        near = np.minimum(self.fit.theta - problem.lower, problem.upper - self.fit.theta) < self.fit.scale
+        return [label for label, at in zip(self.fit.labels, near, strict=True) if at and label in wanted]
+
 
 @dataclass
 class Round:
@@ -329,7 +337,7 @@ class Search:
 
     def best(self, size: int) -> list[Hypothesis]:
         """Hypotheses of so many effects, best first, the best form of each set."""
-        found = [h for h in self.pool.values() if len(h.fit.effects) == size]
+        found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.score):
             first.setdefault(frozenset(e.name for e in h.fit.effects), h)
@@ -677,6 +685,9 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
     """What was found, cause by cause: each beside the others, with its rivals there."""
     null = search.null
     ones = search.best(1)
+    ended = {label for h in search.pool.values() if h.score < null.score for label in h.ends}
+    why = "ends at a bound, where it could stand for other effects: no hypothesis"
+    told = [*told, *(f"{label} {why}" for label in sorted(ended))]
     singles = Round(
         search.null.fit,
         search.screened(search.null),

@@ -48,6 +48,9 @@ class Effect(ABC):
         trials then belongs to the noise.
     smooth : bool
         Whether what it changes grows in proportion to its parameters, so that one size tells all.
+    inside : frozenset of str
+        Parameters that must end within their bounds by their typical size at least: nearer to one the effect
+        could stand for others, and is no hypothesis.
     """
 
     name: ClassVar[str]
@@ -57,6 +60,7 @@ class Effect(ABC):
     needs: ClassVar[frozenset[str]]
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
+    inside: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -178,8 +178,9 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         raw.append((fair - plain) ** 2)
         changes.append(fair - plain)
         frames_of.append(frames)
-        # the noise of these very samples, and what scatter does there
-        drawn.append((read - np.interp(frames, t, roll)) ** 2 + (moved - plain) ** 2)
+        # the noise of these very samples, and what scatter does there: of trials that errors are of
+        if k in held or not len(held):
+            drawn.append((read - np.interp(frames, t, roll)) ** 2 + (moved - plain) ** 2)
         arrays |= {f"{name}/t_s": frames, f"{name}/roll_rad": fair, f"{name}/roll_rad_nominal": plain}
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
     (folder / "hull.yaml").write_text(

@@ -114,9 +114,10 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         fair, plain, moved = (
             rig(k, effects=e, scatter=s).fall() for e, s in ((True, False), (False, False), (False, True))
         )
-        # the noise of these very samples, and what scatter does there
-        drawn.append((read - np.interp(stamps, t, x)) ** 2)
-        drawn[-1] += (np.interp(stamps, *moved) - np.interp(stamps, *plain)) ** 2
+        # the noise of these very samples, and what scatter does there: of trials that errors are of
+        if k in held or not len(held):
+            drawn.append((read - np.interp(stamps, t, x)) ** 2)
+            drawn[-1] += (np.interp(stamps, *moved) - np.interp(stamps, *plain)) ** 2
         grid = np.linspace(0.0, min(fair[0][-1], plain[0][-1], moved[0][-1]), 150)
         on = [np.interp(grid, *series) for series in (fair, plain, moved)]
         speed = np.gradient(on[1], grid)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -44,6 +44,11 @@ class Trial:
     @property
     def heading(self) -> complex:
         return complex(np.exp(1j * self.start[2]))
+
+
+def held_out(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials of which held-out errors are: those that take part in no fit, else all in turn."""
+    return [t for t in trials if t.role == "validate"] or list(trials)
 
 
 @dataclass

@@ -18,7 +18,7 @@ from tests.blind import swim_actuation as actuation
 from tests.blind import swim_body, swim_files
 from tests.blind import swim_effects as effects
 from tests.blind import swim_sensing as sensing
-from tests.blind.swim_case import Act, Channels, Entry, Trial
+from tests.blind.swim_case import Act, Channels, Entry, Trial, held_out
 from tests.blind.swim_sensing import UP
 from tests.blind.swim_tables import Water
 from tests.generators import swimmer
@@ -293,9 +293,11 @@ def make_case(
     for trial in trials:
         clean = with_it[trial.id]
         own = trial.rng("noise")
-        for name in columns:
-            drawn[name].append(noise.draw(name, len(clean["t_s"]), own))
-        log = {name: clean[name] + drawn[name][-1] for name in columns}
+        noisy = {name: noise.draw(name, len(clean["t_s"]), own) for name in columns}
+        if trial in held_out(trials):
+            for name in columns:
+                drawn[name].append(noisy[name])
+        log = {name: clean[name] + noisy[name] for name in columns}
         logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
     if rng.random() < 2.0 / 3.0:

@@ -44,6 +44,8 @@ class Waves(Effect):
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
+    # of less than a period nothing tells a wave from a current that grows
+    inside = frozenset({"frequency_hz"})
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
         self.axis = axis
@@ -67,7 +69,6 @@ class Waves(Effect):
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
-        # of less than a period nothing tells a wave from a current that grows
         least = max(0.5 * LOWEST, 1.0 / scales.duration)
         band, words = (least, max(2.0 * HIGHEST, 2.0 * least)), "frequency of the waves"
         return (
