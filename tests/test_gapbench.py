@@ -317,6 +317,16 @@ def test_the_figures_are_those_counted_by_hand(judged: tuple[Path, Path]) -> Non
     assert [text for name, text in found.items() if not text.startswith(begins[name])] == []
 
 
+def test_only_what_every_entry_answers_may_be_compared(judged: tuple[Path, Path], tmp_path: Path) -> None:
+    bench, whole = judged
+    first = whole.read_text(encoding="utf-8").splitlines()[0]
+    few = tmp_path / "few.jsonl"
+    few.write_text(f"{first}\n", encoding="utf-8")
+    entries = {path.stem: scoring.scored(bench, path) for path in (whole, few)}
+    found = scoring.common(entries, [whole, few])
+    assert [[r.answer.case for r in rows] for rows in found.values()] == [["0000"], ["0000"]]
+
+
 def test_shares_have_wilsons_interval() -> None:
     """Of 8 in 10: (0.8 + z²/20 ± z sqrt(0.016 + z²/400)) / (1 + z²/10) with z = 1.96."""
     assert scoring.share(8, 10) == "8 of 10, 80 % [49, 94]"

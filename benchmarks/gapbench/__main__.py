@@ -29,6 +29,7 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     scored = verbs.add_parser("score", help="print the table of entries")
     scored.add_argument("folder", type=Path, help="of a benchmark")
     scored.add_argument("answers", type=Path, nargs="+", help="one file an entry, named after it")
+    scored.add_argument("--common", action="store_true", help="only cases that every file has an answer to")
     scored.add_argument("--out", type=Path, help="write the table there, too")
     verbs.add_parser("schema", help="print the JSON schema of an answer")
     return parser.parse_args(argv)
@@ -57,6 +58,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             print(f"{count} answers more in {chosen.out}")
         else:
             entries = {path.stem: scoring.scored(chosen.folder, path) for path in chosen.answers}
+            if chosen.common:
+                entries = scoring.common(entries, chosen.answers)
             text = table.markdown(entries)
             if chosen.out is not None:
                 chosen.out.write_text(text, encoding="utf-8")

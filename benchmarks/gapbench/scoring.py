@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -91,6 +91,12 @@ def scored(folder: Path, path: Path) -> list[Scored]:
     return [
         Scored(label, said.get(case, Answer(case=case, verdict="failed"))) for case, label in truth.items()
     ]
+
+
+def common(entries: Mapping[str, Sequence[Scored]], paths: Sequence[Path]) -> dict[str, list[Scored]]:
+    """The entries on the cases that every file has an answer to: of a slow tool only some may be asked."""
+    answered = set.intersection(*(set(answers.read(path)) for path in paths))
+    return {name: [r for r in rows if r.label.case in answered] for name, rows in entries.items()}
 
 
 class Figure(NamedTuple):
