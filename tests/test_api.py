@@ -258,6 +258,7 @@ class TestResult:
         assert "it was in memory" in page.document
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its fit recovers the friction that was left out, and nothing is written beside the samples."""
     shutil.copytree(SAMPLES / "rig", tmp_path / "sample_logs" / "rig")

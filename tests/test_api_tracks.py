@@ -195,6 +195,7 @@ def test_a_drafted_setup_is_used_as_it_is(film: tuple[Path, Path], swimid: Run, 
 # ---------------------------------------------------------------- inertial recordings
 
 
+@pytest.mark.slow
 def test_motion_in_memory_is_the_motion_on_disk(
     vehicle: tuple[pd.DataFrame, pd.DataFrame], swimid: Run, tmp_path: Path
 ) -> None:

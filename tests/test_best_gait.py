@@ -98,6 +98,7 @@ def test_the_best_gait_is_that_of_a_scan() -> None:
     assert found.file.robust is None
 
 
+@pytest.mark.slow
 def test_limits_are_kept_to_and_named() -> None:
     given = {**DOLPHIN, "vary": {"frequency_hz": (2.0, 4.0), "K_s": (0.1, 2.0)}}
     found = package.optimise_gait(limits={"torque_N_m": 1.2, "battery_W": 20.0}, efficiency=0.4, **given).file
@@ -194,6 +195,7 @@ def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
         assert table[:, k].std() == pytest.approx(sd, rel=4.0 / math.sqrt(800))
 
 
+@pytest.mark.slow
 def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
     """Two estimates at their lower bounds and one at its upper, all alike: hardly a draw is inside, and from
     the corner no direction in which draws are independent leads in.

@@ -63,6 +63,7 @@ def test_nothing_comes_from_the_package_under_test() -> None:
             assert not any(name.split(".")[0] == "swimid" for name in names), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_agrees_with_the_adaptive_generator(kind: str) -> None:
     options = {"drag_at": "slices"} if kind == "tfish" else {}

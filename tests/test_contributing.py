@@ -88,6 +88,7 @@ def test_files_touched(title: str) -> None:
     assert [name for name in named if not name.startswith("tests/")] == TOUCHED[title]
 
 
+@pytest.mark.slow
 def test_the_examples_work(copy: Path) -> None:
     """The tests that the manual writes for its examples pass, and its commands run."""
     names = [name for name, *_ in BLOCK.findall(TEXT) if name.startswith("tests/")]

@@ -94,6 +94,7 @@ def test_speeds_in_the_text(walked: tuple[Path, dict[str, Ran]]) -> None:
         assert float(printed.group(1)) == pytest.approx(float(shown.group(1)), abs=6e-4)
 
 
+@pytest.mark.slow
 def test_the_logs_are_the_generators(tmp_path: Path) -> None:
     eel_logs.write(tmp_path)
     for name in eel_logs.DRIVES:

@@ -32,7 +32,7 @@ def rig(folder: Path, robot: str, effect: str, size: float, seed: int) -> dict[s
     return found(folder, effect, "params_prior.yaml")
 
 
-@pytest.mark.parametrize("size, seed", [(1.0, 5), (3.0, 6)])
+@pytest.mark.parametrize("size, seed", [(1.0, 5), pytest.param(3.0, 6, marks=pytest.mark.slow)])
 def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float, seed: int) -> None:
     """An algebraic fall is not a Gaussian one: a tenth."""
     cause = rig(tmp_path, "falling-weight", "stribeck", size, seed)
@@ -46,7 +46,7 @@ def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
     assert stderr < 0.02
 
 
-@pytest.mark.parametrize("size, seed", [(1.0, 5), (3.0, 6)])
+@pytest.mark.parametrize("size, seed", [(1.0, 5), pytest.param(3.0, 6, marks=pytest.mark.slow)])
 def test_a_moment_that_is_not_proportional_to_the_roll(tmp_path: Path, size: float, seed: int) -> None:
     """A sine and a hyperbolic sine against their cubic terms: 15 %."""
     value, _ = rig(tmp_path, "free-decay", "hardening", size, seed)["hardening_rad_2"]

@@ -163,6 +163,7 @@ class TestRecovery:
         assert max(map(abs, off.values())) < 3, off
         assert file.parameters["start_yaw[slow]"].status in ("estimated", "unidentifiable")
 
+    @pytest.mark.slow
     def test_another_integration_of_the_drag(self, swimid: Swimid, tmp_path: Path) -> None:
         runs = [
             swimmer.Run(
@@ -208,6 +209,7 @@ class TestRecovery:
 
 
 class TestChoices:
+    @pytest.mark.slow
     def test_one_friction(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(shared=True), RATES), "--share", "c_f")
         first, *others = [file.parameters[name] for name in FRICTIONS]
@@ -221,6 +223,7 @@ class TestChoices:
         assert len(off) == 8
         assert max(map(abs, off.values())) < 3, off
 
+    @pytest.mark.slow
     def test_subset(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(), RATES)
         whole = _fit(swimid, trials)
@@ -338,6 +341,7 @@ class TestLogs:
         assert not still.any()
         assert moved == pytest.approx(run.columns["joint2_rad"], abs=1e-6)
 
+    @pytest.mark.slow
     def test_a_start_in_motion(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         text = trials.read_text()
@@ -368,6 +372,7 @@ class TestLogs:
         for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
             assert swimmer_trials.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
 
+    @pytest.mark.slow
     def test_a_held_out_run_elsewhere(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
 
@@ -425,6 +430,7 @@ class TestLogs:
             assert e.stderr < 0.05
             assert abs(e.value - true) < 3 * e.stderr
 
+    @pytest.mark.slow
     def test_a_rough_log(self, swimid: Swimid, tmp_path: Path) -> None:
         """30 Hz, a second of rest before the start, gaps, uneven stamps, a heading within half a turn."""
         rng = np.random.default_rng(3)

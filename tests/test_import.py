@@ -563,6 +563,7 @@ def test_a_fit_to_impossible_values_is_bad(swimid: Run, tmp_path: Path) -> None:
     assert ran.status == 4 or "BAD" in ran.out
 
 
+@pytest.mark.slow
 def test_a_track_of_swimid_passes_without_a_word(swimid: Run, tmp_path: Path) -> None:
     pool = ROOT / "sample_logs/pool"
     tracked = swimid(

@@ -335,6 +335,7 @@ class TestFuzz:
 
         run()
 
+    @pytest.mark.slow
     def test_rewritten(self, tmp_path: Path) -> None:
         @examples(60)
         @given(content=rewritten(ROBOT.encode()))

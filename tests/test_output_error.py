@@ -205,6 +205,7 @@ class TestHuber:
         spread = np.sqrt(np.mean((robust / stderr) ** 2, axis=0))
         assert spread == pytest.approx(np.ones(3), abs=4 / np.sqrt(2 * repeats))
 
+    @pytest.mark.slow
     def test_costs_five_percent_where_there_are_none(self) -> None:
         repeats = 60
         robust, stderr = self._fits(0.0, "huber", repeats)

@@ -167,6 +167,7 @@ def test_what_is_refused(changed: dict[str, object], says: str) -> None:
     assert isinstance(caught.value, UsageError | NoTrustworthyResult | package.InputError)
 
 
+@pytest.mark.slow
 def test_a_robot_in_space_over_its_stroke() -> None:
     made = package.performance_map(
         robot="sealion", stroke="characteristic", over={"scale": (0.8, 1.2, 2)}, duration_s=6.0

@@ -407,6 +407,7 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # ---------------------------------------------------------------- size and odd figures
 
 
+@pytest.mark.slow
 def test_twenty_full_figures_stay_small_and_quick(tmp_path: Path) -> None:
     """Twenty figures of four traces with the most points allowed: below 3 MB, in seconds."""
     rng = np.random.default_rng(5)

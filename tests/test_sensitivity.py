@@ -258,6 +258,7 @@ def _lasting(file: SensitivityFile) -> dict[str, Any]:
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_sobol_of_recorded_trials(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         out = tmp_path / "sens.yaml"
         file = _run(swimid, tfish, out, "--samples", "8")
@@ -340,6 +341,7 @@ class TestCommand:
         assert (file.ranges["d_p"].low, file.ranges["d_p"].source) == (0.01, "given")
         assert all(e.mu_star >= abs(e.mu) for o in file.outputs for e in o.effects.values())
 
+    @pytest.mark.slow
     def test_sweep(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         params = _params(tmp_path, c_ma=0.1, c_d4=0.2)
         out = tmp_path / "sweep.yaml"
@@ -364,6 +366,7 @@ class TestCommand:
         assert {m.trial: m.inside for m in file.measured} == {"f14a25": True, "f18a20b15": False}
         assert evidence.read(evidence.sidecar(out)).figures[0].panels[0].heat is not None
 
+    @pytest.mark.slow
     def test_a_robot_in_space(self, swimid: Swimid, tmp_path: Path) -> None:
         time = np.arange(0, 3.0, 1 / 30)
         rows = "\n".join(f"{t:.5f},{0.1 * t:.5f},{-0.01 * t:.5f},0.0" for t in time)

@@ -138,6 +138,7 @@ def test_foil_lifts_across_its_motion_and_drags_along_it() -> None:
     assert across == pytest.approx(-c["cl"] * np.sin(0.4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "drive", "options"),
     [
