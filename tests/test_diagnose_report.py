@@ -17,7 +17,7 @@ from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
-from swimid.diagnosis.gap_file import GapFile, HeldOut, ranked
+from swimid.diagnosis.gap_file import GapFile, HeldOut, Value, ranked
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.errors import InputError
@@ -35,7 +35,7 @@ Run = Callable[..., Ran]
 LEVELS = {
     "none": "good",
     "explained": "good",
-    "pair": "good",
+    "pair": "caution",  # one of its sizes ends at a bound
     "ambiguous": "caution",
     "unexplained": "bad",
     "partly": "caution",
@@ -209,6 +209,10 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     (first, *rest) = cases.BACKLASH.extrapolation
     lost = replace(cases.BACKLASH, extrapolation=[replace(first, after=9.0), *rest])
     assert verdicts(replace(cases.EXPLAINED, causes=[lost]))["carries over to settings left out"] == "warn"
+    whole = Value(value=1.0, unit="1", status="at-bound")
+    bounded = replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, parameters={"gap_rad": whole})])
+    assert verdicts(bounded)["sizes of the causes"] == "warn"
+    assert (cases.EXPLAINED.level, bounded.level) == ("good", "caution")
 
 
 def test_the_methods_cite_what_was_done() -> None:

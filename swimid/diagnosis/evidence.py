@@ -87,7 +87,7 @@ def checks(file: GapFile) -> list[ev.Check]:
     parts = (
         (_nothing_gains,)
         if file.verdict == "none"
-        else (_gains, _rivals, _closed, _transfer, _coefficients, _left)
+        else (_gains, _rivals, _sizes, _closed, _transfer, _coefficients, _left)
     )
     return [check for part in (_at_bounds, _contradicted, _size, *parts) for check in part(file)]
 
@@ -167,6 +167,17 @@ def _rivals(file: GapFile) -> Iterable[ev.Check]:
             not sets,
             "none",
             "effects that have 90 % of the probability with the cause, the other causes given",
+        )
+
+
+def _sizes(file: GapFile) -> Iterable[ev.Check]:
+    if file.causes:
+        yield ev.check(
+            "sizes of the causes",
+            f"at a bound: {words.listed(file.bounded)}" if file.bounded else "inside their bounds",
+            not file.bounded,
+            "inside",
+            "an effect as large as it may be, a joint wholly locked, or one that stands in for another",
         )
 
 

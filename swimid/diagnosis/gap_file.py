@@ -245,11 +245,19 @@ class GapFile(yamlio.ResultFile):
 
     @property
     def level(self) -> Literal["good", "caution", "bad"]:
-        """How the report grades the verdict: worst where most of a gap stays unexplained."""
+        """How the report grades the verdict: worst where most of a gap stays unexplained; not good where the
+        size of a cause ends at a bound.
+        """
         if self.verdict in ("none", "explained"):
-            return "good"
+            return "caution" if self.bounded else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
+
+    @property
+    def bounded(self) -> list[str]:
+        """Parameters of the causes that end at a bound: ``joint-locked/share``."""
+        ends = [(c.effect, name, value) for c in self.causes for name, value in c.parameters.items()]
+        return [f"{effect}/{name}" for effect, name, value in ends if value.status == "at-bound"]
 
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""
