@@ -14,12 +14,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import swimid
 from swimid import diagnosis
@@ -49,35 +50,37 @@ class Constant:
     after: bool = False
 
     @property
-    def value(self) -> float:
+    def value(self) -> float | int:
         """As shipped."""
-        return float(getattr(import_module(f"swimid.diagnosis.{self.module}"), self.name))
+        value: float | int = getattr(import_module(f"swimid.diagnosis.{self.module}"), self.name)
+        return value
 
-    def changed(self, factor: float) -> float:
+    def changed(self, factor: float) -> float | int:
         """At a share of its size."""
         found = 1.0 - factor * (1.0 - self.value) if self.rest else factor * self.value
-        return type(getattr(import_module(f"swimid.diagnosis.{self.module}"), self.name))(found)
+        return type(self.value)(found)
 
     @contextmanager
-    def at(self, value: float) -> Iterator[None]:
-        """With another value, wherever it was imported."""
-        kept = getattr(import_module(f"swimid.diagnosis.{self.module}"), self.name)
-        owners = [import_module(f"swimid.diagnosis.{name}") for name in self._importers()]
-        for owner in owners:
-            setattr(owner, self.name, value)
-        try:
+    def at(self, factor: float) -> Iterator[None]:
+        """At a share of its size, wherever it was imported."""
+        value = self.changed(factor)
+        with ExitStack() as stack:
+            for name in (self.module, *importers().get((self.module, self.name), ())):
+                stack.enter_context(mock.patch(f"swimid.diagnosis.{name}.{self.name}", value))
             yield
-        finally:
-            for owner in owners:
-                setattr(owner, self.name, kept)
 
-    def _importers(self) -> list[str]:
-        found = [self.module]
-        for path in Path(diagnosis.__path__[0]).glob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ImportFrom) and node.module == f"swimid.diagnosis.{self.module}":
-                    found += [path.stem] * any(a.name == self.name and not a.asname for a in node.names)
-        return found
+
+@cache
+def importers() -> dict[tuple[str, str], list[str]]:
+    """The modules of the diagnosis that import a name of another one, by that module and the name."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for path in Path(diagnosis.__path__[0]).glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("swimid.diagnosis."):
+                module = str(node.module).removeprefix("swimid.diagnosis.")
+                for alias in node.names:
+                    found.setdefault((module, alias.name), []).append(path.stem)
+    return found
 
 
 def _of(module: str, *names: str, **how: bool) -> list[Constant]:
@@ -117,22 +120,20 @@ def answers(folder: Path, constants: Sequence[Constant]) -> dict[str, list[Any]]
     for step in fit:
         subprocess.run([sys.executable, "-m", "swimid", *step], cwd=folder, capture_output=True, check=False)
     params = folder / told[told.index("--params") + 1]
-    run, kept = search.run, []
+    kept: list[search.State] = []
+    run = search.run
 
     def searched(*given: Any, **options: Any) -> search.State:
         kept.append(run(*given, **options))
         return kept[-1]
 
-    search.run = searched
-    found = {"": answer(folder, params)}
-    search.run = run
+    with mock.patch.object(search, "run", searched):
+        found = {"": answer(folder, params)}
     for constant in constants:
+        known = mock.patch.object(search, "run", return_value=kept[0]) if constant.after else nullcontext()
         for factor in FACTORS:
-            with constant.at(constant.changed(factor)):
-                if constant.after:
-                    search.run = lambda *_, **__: kept[0]
+            with constant.at(factor), known:
                 found[f"{constant.module}.{constant.name} {factor}"] = answer(folder, params)
-                search.run = run
     return found
 
 

@@ -1011,7 +1011,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
         left=None,
         context=SimpleNamespace(trials=[]),
     )
-    told = judgement.judge(state, [piece(5.0, after)], {"x_m": 0.01}, dropout=False)
+    told, *_ = judgement.judge(state, [piece(5.0, after)], {"x_m": 0.01}, dropout=False)
     assert (told.verdict, list(told.names), told.refuted) == (verdict, named, refuted)
     assert told.base is (base if named else nominal)
     assert bool(told.reasons) == (verdict == "ambiguous")

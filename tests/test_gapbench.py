@@ -323,7 +323,7 @@ def test_only_what_every_entry_answers_may_be_compared(judged: tuple[Path, Path]
     few = tmp_path / "few.jsonl"
     few.write_text(f"{first}\n", encoding="utf-8")
     entries = {path.stem: scoring.scored(bench, path) for path in (whole, few)}
-    found = scoring.common(entries, [whole, few])
+    found = scoring.common(entries)
     assert [[r.answer.case for r in rows] for rows in found.values()] == [["0000"], ["0000"]]
 
 

@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         else:
             entries = {path.stem: scoring.scored(chosen.folder, path) for path in chosen.answers}
             if chosen.common:
-                entries = scoring.common(entries, chosen.answers)
+                entries = scoring.common(entries)
             text = table.markdown(entries)
             if chosen.out is not None:
                 chosen.out.write_text(text, encoding="utf-8")

@@ -31,6 +31,7 @@ class Scored:
 
     label: Label
     answer: Answer
+    answered: bool = True
 
     @property
     def causes(self) -> list[Cause]:
@@ -89,13 +90,14 @@ def scored(folder: Path, path: Path) -> list[Scored]:
         raise SystemExit(f"{folder} has no labels: it is no benchmark, or not a whole one")
     said = answers.read(path, truth)
     return [
-        Scored(label, said.get(case, Answer(case=case, verdict="failed"))) for case, label in truth.items()
+        Scored(label, said.get(case, Answer(case=case, verdict="failed")), case in said)
+        for case, label in truth.items()
     ]
 
 
-def common(entries: Mapping[str, Sequence[Scored]], paths: Sequence[Path]) -> dict[str, list[Scored]]:
-    """The entries on the cases that every file has an answer to: of a slow tool only some may be asked."""
-    answered = set.intersection(*(set(answers.read(path)) for path in paths))
+def common(entries: Mapping[str, Sequence[Scored]]) -> dict[str, list[Scored]]:
+    """The entries on the cases that each of them answers: of a slow tool only some may be asked."""
+    answered = set.intersection(*({r.label.case for r in rows if r.answered} for rows in entries.values()))
     return {name: [r for r in rows if r.label.case in answered] for name, rows in entries.items()}
 
 

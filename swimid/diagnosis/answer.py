@@ -102,9 +102,7 @@ def answer(
     outside = floor if more else shrinkage.capped(noise.levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    told = judgement.judge(state, held, floor, dropout=failed > 0)
-    gap = judgement.gap(state, told.base)
-    left = judgement.remaining(state, told.base, gap, floor)
+    told, gap, left = judgement.judge(state, held, floor, dropout=failed > 0)
     how = noise.how
     if told.verdict == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
@@ -118,22 +116,22 @@ def answer(
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
-    places_of = places.Map(context, nominal, gap, floor)
+    cells = places.Map(context, nominal, gap, floor)
     where = Where(
         channels=_channels(nominal, gap, floor, units, held, ranges),
         stage=stages,
-        phase=places.phases(places_of) if told.verdict != "none" else [],
-        regime=places.regimes(places_of),
-        time=places.times(places_of),
+        phase=places.phases(cells) if told.verdict != "none" else [],
+        regime=places.regimes(cells),
+        time=places.times(cells),
     )
     stuck = _at_bounds(context, nominal)
     generic = state.left
     file = GapFile(
         verdict=told.verdict,
         where=where,
-        causes=causes if told.verdict != "none" else [],
+        causes=causes,
         remaining=left,
-        advice=_advice(state, told, floor),
+        advice=_advice(state, told, left.where, floor),
         odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
         refuted=list(told.refuted),
         no_gap=state.posterior.none,
@@ -150,7 +148,7 @@ def answer(
         reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
     )
     return ranked(file), Drawings(
-        maps=places.maps(places_of),
+        maps=places.maps(cells),
         parts=[*where.regime, *where.phase, *where.time],
         overlays=shrinkage.overlays(held, units),
         sketches=places.sketches(generic) if generic is not None and generic.found else [],
@@ -332,19 +330,19 @@ def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
     return found
 
 
-def _advice(state: State, told: Judgement, floor: Mapping[str, float]) -> list[Advice]:
+def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
     if told.odd is not None:
         text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
-        return [Advice(text=text), *_repeat(state)]
+        return [Advice(text=text), *_repeat(left)]
     if not told.causes:
-        return _repeat(state) if told.verdict == "unexplained" else []
+        return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]
     names = (told.names[0], *told.causes[0].equivalent)
     rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
     if len(rivals) == 1:
         rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
     if len(rivals) == 1:
-        return _repeat(state) if told.verdict == "unexplained" else []
+        return _repeat(left) if told.verdict == "unexplained" else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
         return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
@@ -352,6 +350,6 @@ def _advice(state: State, told: Judgement, floor: Mapping[str, float]) -> list[A
         return []
 
 
-def _repeat(state: State) -> list[Advice]:
+def _repeat(left: str) -> list[Advice]:
     text = "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
-    return [Advice(text=f"{text}{judgement.where(state)})")]
+    return [Advice(text=f"{text}{left})")]

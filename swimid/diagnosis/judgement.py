@@ -51,8 +51,11 @@ class Judgement:
         return tuple(c.best.tried.effect.name for c in self.causes)
 
 
-def judge(state: State, held: Sequence[Piece], floor: Mapping[str, float], *, dropout: bool) -> Judgement:
-    """The verdict on everything that was tried.
+def judge(
+    state: State, held: Sequence[Piece], floor: Mapping[str, float], *, dropout: bool
+) -> tuple[Judgement, list[Array], Remaining]:
+    """The verdict on everything that was tried, the gap (what the model without effects leaves,
+    weighted, shape (n_k,) of each trial), and what is left of it.
 
     Parameters
     ----------
@@ -64,7 +67,11 @@ def judge(state: State, held: Sequence[Piece], floor: Mapping[str, float], *, dr
         Whether failed samples are a cause.
     """
     told = _by_held_out(_by_fits(state, dropout=dropout), state, held, floor)
-    return _by_remaining(_by_single_trials(told, state, floor), state, floor)
+    told = _by_single_trials(told, state, floor)
+    # what a cause accounts for is none of the random effects of the model without it
+    gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
+    left = remaining(state, told.base, gap, floor)
+    return _by_remaining(told, left), gap, left
 
 
 def _by_fits(state: State, *, dropout: bool) -> Judgement:
@@ -115,8 +122,7 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
     return replace(told, verdict="unexplained", causes=(), base=nominal, odd=found)
 
 
-def _by_remaining(told: Judgement, state: State, floor: Mapping[str, float]) -> Judgement:
-    left = remaining(state, told.base, gap(state, told.base), floor)
+def _by_remaining(told: Judgement, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
     why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
@@ -126,13 +132,6 @@ def _by_remaining(told: Judgement, state: State, floor: Mapping[str, float]) -> 
         causes=tuple(c for c in told.causes if c.probability > 0.5),
         reasons=(*told.reasons, why),
     )
-
-
-def gap(state: State, base: Fit) -> list[Array]:
-    """What the model without effects leaves, weighted: what a cause accounts for is none of its random
-    effects.
-    """
-    return state.nominal.marginal_residuals([e.name for e in base.effects])
 
 
 def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> Remaining:
@@ -149,7 +148,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     if left is None:
         return Remaining(share=0.0, where="", white=True, gain=0.0)
     if left.found:
-        return Remaining(share=state.posterior.left, where=where(state), white=False, gain=left.gain)
+        return Remaining(share=state.posterior.left, where=_where(state), white=False, gain=left.gain)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or conclusion.differs(state))
     share = float(apart)
@@ -157,10 +156,10 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
         whole = excess(state.nominal, residuals, floor)
         still = excess(base, state.nuisance_residuals, floor)
         share = min(sum(still[c] for c in moving) / max(sum(whole.values()), 1e-300), 1.0)
-    return Remaining(share=share, where=where(state), white=not apart, gain=max(left.gain, 0.0))
+    return Remaining(share=share, where=_where(state), white=not apart, gain=max(left.gain, 0.0))
 
 
-def where(state: State) -> str:
+def _where(state: State) -> str:
     """Where what is left acts, in words."""
     left = state.left
     if left is None or not left.found:

@@ -166,7 +166,8 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         t, roll = decay(k, effects=True, scatter=True).swing()
         chance = np.random.default_rng(seeds[k, 2])
         frames = np.arange(0.0, t[-1], 1.0 / rate)
-        read = np.interp(frames, t, roll) + chance.normal(0.0, noise, len(frames))
+        noisy = chance.normal(0.0, noise, len(frames))
+        read = np.interp(frames, t, roll) + noisy
         name = f"roll{k + 1:02d}"
         rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in zip(frames, read, strict=True))
         (folder / f"{name}.csv").write_text(f"t_s,roll_rad\n{rows}\n")
@@ -180,7 +181,7 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         frames_of.append(frames)
         # the noise of these very samples, and what scatter does there: of trials that errors are of
         if k in held or not len(held):
-            drawn.append((read - np.interp(frames, t, roll)) ** 2 + (moved - plain) ** 2)
+            drawn.append(noisy**2 + (moved - plain) ** 2)
         arrays |= {f"{name}/t_s": frames, f"{name}/roll_rad": fair, f"{name}/roll_rad_nominal": plain}
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
     (folder / "hull.yaml").write_text(

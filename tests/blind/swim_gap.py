@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
-from tests.blind import swim_case
-from tests.blind.swim_case import Channels, Trial
+from tests.blind.swim_case import Channels, Trial, held_out
 from tests.blind.swim_sensing import UP
 from tests.blind.swimmers import Noise, swim
 
@@ -113,7 +112,7 @@ def floors(label: dict[str, Any]) -> dict[str, float]:
     poses are fitted: of the trials that are held out, where there are any, else of all.
     """
     names, squares = label["channels"], {name: [] for name in label["channels"]}
-    for trial in swim_case.held_out(label["trials"]):
+    for trial in held_out(label["trials"]):
         plain = replace(trial, **dict.fromkeys(SCATTER, 0.0))
         seen, fair = label["with"][trial.id], swim(plain, label["coefficients"], label["acts"])
         change = np.concatenate([seen[n] - fair[n] for n in names])

@@ -289,20 +289,18 @@ def make_case(
     with_it = {t.id: swim(t, coefficients, acts) for t in trials}
     without = {t.id: swim(t, coefficients) for t in trials} if acts else with_it
     logs: dict[str, Channels] = {}
-    drawn: dict[str, list[np.ndarray]] = {name: [] for name in columns}
+    drawn: dict[str, Channels] = {}
     for trial in trials:
         clean = with_it[trial.id]
         own = trial.rng("noise")
-        noisy = {name: noise.draw(name, len(clean["t_s"]), own) for name in columns}
-        if trial in held_out(trials):
-            for name in columns:
-                drawn[name].append(noisy[name])
-        log = {name: clean[name] + noisy[name] for name in columns}
+        drawn[trial.id] = {name: noise.draw(name, len(clean["t_s"]), own) for name in columns}
+        log = {name: clean[name] + drawn[trial.id][name] for name in columns}
         logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
     if rng.random() < 2.0 / 3.0:
         swim_files.write_prior(Path(folder) / "params_prior.yaml", robot, coefficients, FITTED[robot], rng)
     sd = {name: noise.sd(name) for name in columns}
+    of_held = {name: np.concatenate([drawn[t.id][name] for t in held_out(trials)]) for name in columns}
     shown = {t.id: _broken(t, acts, with_it[t.id]) for t in trials}
     gap = {name: rms_change(shown, without, name) / sd[name] for name in channels}
     return {
@@ -315,7 +313,7 @@ def make_case(
         "columns": columns,
         "channels": channels,
         "noise_sd": sd,
-        "noise_rms": {name: float(np.sqrt(np.mean(np.concatenate(v) ** 2))) for name, v in drawn.items()},
+        "noise_rms": {name: float(np.sqrt(np.mean(v**2))) for name, v in of_held.items()},
         "gap_over_floor": {**gap, "overall": float(np.sqrt(np.mean(np.square(list(gap.values())))))},
         "with": with_it,
         "without": without,
