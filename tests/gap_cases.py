@@ -277,7 +277,14 @@ NONE = replace(
     ],
     rounds=[],
     reasons=[],
+    no_gap=0.91,
 )
+UNTOLD = replace(NONE, no_gap=0.3)
+UNREPEATED = replace(
+    NONE,
+    where=replace(NONE.where, channels=[replace(c, within=0.5 * c.nrmse) for c in NONE.where.channels]),
+)
+REPEATED = replace(UNREPEATED, repeats=True)
 AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=[CURRENT], scores=_scores("current"))
 PAIR = replace(_BRIEF, causes=[BACKLASH, replace(CURRENT, equivalent=[])])
 UNEXPLAINED = replace(
@@ -295,6 +302,9 @@ PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw m
 
 ALL = {
     "none": NONE,
+    "untold": UNTOLD,
+    "unrepeated": UNREPEATED,
+    "repeated": REPEATED,
     "explained": EXPLAINED,
     "pair": PAIR,
     "ambiguous": AMBIGUOUS,

@@ -223,27 +223,65 @@ def write_log(path: Path, **columns: np.ndarray) -> None:
     np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
 
 
-def drops_in_a_wave(folder: Path) -> None:
-    """Four weights, each let go three times, always at the same phase of a standing wave of the tank."""
-    folder.mkdir(parents=True, exist_ok=True)
-    omega, drag = 2.0 * np.pi * 0.25, 0.5 * rig_effects.DENSITY * 0.705 * rig_effects.AREA
+def drops(
+    stream: int,
+    change: Callable[[rig_effects.Rig, int], None],
+    weights_g: Sequence[float],
+    repeats: int = 1,
+    friction_sd: float = 0.01,
+) -> Callable[[Path], None]:
+    """Weights let go so many times each, seen by a camera at 30 Hz; change is given each drop and its place
+    among the weights.
+    """
+
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        entries = {}
+        for k, grams in enumerate(np.repeat(weights_g, repeats)):
+            own = rng(stream, k)
+            friction = 3080.0 * own.normal(1.0, friction_sd)
+            drag = 0.5 * rig_effects.DENSITY * 0.705 * rig_effects.AREA
+            drop = rig_effects.Rig(grams, drag, 685.0, friction, False, own)
+            change(drop, k // repeats)
+            t, x = drop.fall()
+            frames = np.arange(0.0, t[-1], 1.0 / 30.0)
+            place = np.interp(frames, t, x) / 100.0 + own.normal(0.0, 0.001, len(frames))
+            name = f"w{grams:g}{'abc'[k % repeats]}".replace(".", "_")
+            write_log(folder / f"{name}.csv", t_s=frames, x_m=place)
+            entries[name] = f", pulling_mass_kg: {grams / 1000:g}"
+        write_trials(folder, "falling-weight", "boxfish", entries)
+
+    return make
+
+
+def in_a_wave(drop: rig_effects.Rig, _: int) -> None:
+    """Let go always at the same phase of a standing wave of the tank."""
+    omega = 2.0 * np.pi * 0.25
 
     def wave(t: float, x: float) -> tuple[float, float]:
         level = 0.5 * np.cos(np.pi * (x - 30.0) / 300.0)
         return level * np.sin(omega * t + 0.8), level * omega * np.cos(omega * t + 0.8)
 
-    entries = {}
-    for k, grams in enumerate(np.repeat([12.5, 20.0, 30.0, 40.0], 3)):
-        own = rng(3, k)
-        drop = rig_effects.Rig(grams, drag, 685.0, 3080.0 * own.normal(1.0, 0.01), False, own)
-        drop.flow.append(wave)
-        t, x = drop.fall()
-        frames = np.arange(0.0, t[-1], 1.0 / 30.0)
-        place = np.interp(frames, t, x) / 100.0 + own.normal(0.0, 0.001, len(frames))
-        name = f"w{grams:g}{'abc'[k % 3]}".replace(".", "_")
-        write_log(folder / f"{name}.csv", t_s=frames, x_m=place)
-        entries[name] = f", pulling_mass_kg: {grams / 1000:g}"
-    write_trials(folder, "falling-weight", "boxfish", entries)
+    drop.flow.append(wave)
+
+
+def pushed(drop: rig_effects.Rig, _: int) -> None:
+    """A force of 12 mN that wanders with a memory of 3 s, unlike in each drop."""
+    time, memory = np.arange(0.0, 40.0, 0.05), 3.0
+    force = drop.rng.normal(0.0, 1200.0, len(time))
+    for n in range(1, len(time)):
+        kept = np.exp(-0.05 / memory)
+        force[n] = kept * force[n - 1] + np.sqrt(1.0 - kept**2) * force[n]
+    drop.forces.append(lambda t, x, v: float(np.interp(t, time, force)))
+
+
+def mislabelled(drop: rig_effects.Rig, place: int) -> None:
+    """Weights that are not what is written on them, by up to 0.8 g."""
+    drop.weight += (0.4, -0.6, 0.8, -0.3)[place]
+
+
+def as_it_is(drop: rig_effects.Rig, place: int) -> None:
+    """Nothing."""
 
 
 def dry_drive(folder: Path) -> None:
@@ -349,6 +387,7 @@ def drifting_camera(folder: Path) -> None:
 
 NONE = frozenset({"none"})
 EXPLAINED = frozenset({"explained"})
+UNNAMED = Truth(frozenset({"unexplained"}), most=0)
 CASES: dict[str, Case] = {
     "fish-current": Case(
         fish(steady(0.036), settings=TWELVE),
@@ -362,7 +401,7 @@ CASES: dict[str, Case] = {
         Truth(EXPLAINED, frozenset({"servo-lag"}), alone=True),
     ),
     "drops-wave": Case(
-        drops_in_a_wave,
+        drops(3, in_a_wave, (12.5, 20.0, 30.0, 40.0), 3),
         "a gap; waves if anything is named",
         Truth(ANY, frozenset({"waves"})),
         fit=(),
@@ -406,6 +445,18 @@ CASES: dict[str, Case] = {
         "unexplained, or none with a word of the odd trial",
         Truth(frozenset({"unexplained", "none"}), noted="w25"),
         fit=(),
+    ),
+    "drops-pushed": Case(
+        drops(7, pushed, (10, 15, 20, 25, 30, 40)),
+        "a gap, and no confident cause",
+        Truth(frozenset({"unexplained"}), anything=True, surest=0.5),
+        fit=(),
+    ),
+    "drops-mislabelled": Case(
+        drops(8, mislabelled, (10, 20, 30, 40), 3), "a gap, and nothing that causes it", UNNAMED, fit=()
+    ),
+    "drops-scatter": Case(
+        drops(9, as_it_is, (10, 20, 30, 40), 3, friction_sd=0.1), "none", Truth(NONE), fit=()
     ),
     "rounded-30mm": Case(coarse(0.030), "none", Truth(NONE), fit=()),
     "rounded-15mm": Case(coarse(0.015), "none", Truth(NONE), fit=()),

@@ -34,6 +34,9 @@ from tests.gap_cases import replace
 Run = Callable[..., Ran]
 LEVELS = {
     "none": "good",
+    "untold": "caution",  # that there is no gap has 30 %
+    "unrepeated": "caution",  # trials differ by more than noise, by chance or not
+    "repeated": "good",
     "explained": "good",
     "pair": "caution",  # one of its sizes ends at a bound
     "ambiguous": "caution",
@@ -99,9 +102,12 @@ def test_the_summary_does_not_choose_where_the_data_cannot() -> None:
 def test_the_other_verdicts_in_words() -> None:
     assert "No gap above the noise floor" in said("none")
     assert "cause" not in said("none")
+    assert "do not tell whether the model has a gap" in flat(said("untold"))
+    assert "nothing tells whether that is chance" in flat(said("unrepeated"))
+    assert "noise and what repeats differ by" in flat(said("repeated"))
     assert "servo-backlash and current together explain it" in flat(said("pair"))
     assert "no effect in the catalogue closes it" in said("unexplained")
-    assert "servo-backlash closes part of it, no known effect the rest" in said("partly")
+    assert "servo-backlash closes part of it, at work or as an imitation" in flat(said("partly"))
 
 
 def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:

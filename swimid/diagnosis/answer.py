@@ -22,7 +22,7 @@ from swimid.diagnosis import (
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.drawings import Drawings
-from swimid.diagnosis.floor import by_channel, excess, floors, rms, split
+from swimid.diagnosis.floor import FEWEST, by_channel, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
@@ -39,11 +39,15 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.diagnosis.judgement import Judgement
+from swimid.diagnosis.refutation import refutes
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
+
+#: How to tell a gap from chance.
+REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
 
 def answer(
@@ -102,7 +106,10 @@ def answer(
     outside = floor if more else shrinkage.capped(noise.levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    told, gap, left = judgement.judge(state, held, floor, dropout=failed > 0)
+    refuted = bool(state.base.effects) and refutes(
+        context, nominal, state.base, state.noise_model, validation
+    )
+    told, gap, left = judgement.judge(state, held, noise, refuted=refuted, dropout=failed > 0)
     how = noise.how
     if told.verdict == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
@@ -142,11 +149,14 @@ def answer(
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
         floor_from=how,
+        repeats=sum(len(g) - 1 for g in repeats(context)) >= FEWEST,
         scores=rows,
         forces={**generic.places} if generic is not None else {},
         rounds=state.told,
         reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
     )
+    if file.verdict == "none" and file.level != "good":
+        file.advice = [Advice(text=f"{REPEAT}")]
     return ranked(file), Drawings(
         maps=places.maps(cells),
         parts=[*where.regime, *where.phase, *where.time],
@@ -198,6 +208,7 @@ def _channels(
 ) -> list[ChannelGap]:
     pieces = shrinkage.by_channel(held)
     beyond = excess(nominal, residuals, floor)
+    within = {c: rms(v) for c, v in by_channel(nominal, nominal.residuals).items()}
     total = sum(beyond.values()) or 1.0
     found = []
     for channel, left in by_channel(nominal, residuals).items():
@@ -212,6 +223,7 @@ def _channels(
                 rmse=rmse,
                 unit=units.get(channel, "1"),
                 shipped=rms(np.concatenate(errors)) / size if errors else None,
+                within=within[channel] / size,
             )
         )
     return found
@@ -351,5 +363,4 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
 
 
 def _repeat(left: str) -> list[Advice]:
-    text = "repeat one setting three times: what repeats is physics, what does not is chance (now left: "
-    return [Advice(text=f"{text}{left})")]
+    return [Advice(text=f"{REPEAT} (now left: {left})")]

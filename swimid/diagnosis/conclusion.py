@@ -12,7 +12,6 @@ from swimid.diagnosis.context import Fit, errors
 from swimid.diagnosis.gap_file import Hypothesis, Score, Stage, Verdict
 from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.posterior import UNSURE
-from swimid.diagnosis.random_effects import LARGEST_SD
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
 from swimid.fitting.model import Array
@@ -34,6 +33,9 @@ class Named:
     ----------
     probability : float
         That it, or one of its equivalents, is among what the model lacks.
+    closing : float
+        That it, or one of these, closes most of what is closed, even if only as an imitation of something
+        from outside the catalogue.
     alone : float
         How likely it is against its rivals, the other causes given.
     crowded : bool
@@ -43,6 +45,7 @@ class Named:
     best: Refitted
     equivalent: tuple[str, ...]
     probability: float
+    closing: float
     alone: float
     crowded: bool = False
 
@@ -57,7 +60,14 @@ def named(state: State, found: Round) -> Named:
     before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
     shown = alike[:SET]
-    return Named(best, tuple(shown[1:]), posterior.having(*shown), share[name], len(alike) > SET)
+    return Named(
+        best,
+        tuple(shown[1:]),
+        posterior.having(*shown),
+        posterior.closing(*shown),
+        share[name],
+        len(alike) > SET,
+    )
 
 
 def scores(state: State) -> list[Score]:
@@ -147,7 +157,7 @@ def differs(state: State) -> list[str]:
     """In what the trials surely differ by more than chance would make them."""
     # two standard errors of a standard deviation
     least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
-    return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * LARGEST_SD]
+    return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 
 
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:

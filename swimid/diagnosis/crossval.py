@@ -171,6 +171,21 @@ def held_out(
     return misfit[:, 0] + equations.products[:, -1, -1] if draws is None else misfit
 
 
+def predictive(equations: NormalEquations) -> Array:
+    """Squared Mahalanobis distance of each fold in what the others predict, shape (folds,): by how much it
+    raises the squared residuals of the fit to all.
+    """
+    off, shared = float(equations.prior @ equations.pull**2), equations.shared
+
+    def left(products: Array) -> float:
+        normal = products[:shared, :shared] + np.diag(equations.prior)
+        right = (products[:shared, -1] + equations.prior * equations.pull)[:, None]
+        return float(products[-1, -1] + off - (right.T @ solved(normal, right))[0, 0])
+
+    whole = equations.products.sum(axis=0)
+    return np.array([left(whole) - left(whole - fold) for fold in equations.products])
+
+
 def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
     """Numbers fitted without each fold, shape (folds, c, m); shared ones lean on all folds by `SHRINKAGE`."""
     total, all_right = inner.sum(axis=0), right.sum(axis=0)

@@ -85,7 +85,7 @@ def verdict(file: GapFile) -> ev.Verdict:
 def checks(file: GapFile) -> list[ev.Check]:
     """The tests the answer has to pass."""
     parts = (
-        (_nothing_gains,)
+        (_nothing_gains, _between_trials, _left)
         if file.verdict == "none"
         else (_gains, _rivals, _sizes, _closed, _transfer, _coefficients, _left)
     )
@@ -125,23 +125,39 @@ def _contradicted(file: GapFile) -> Iterable[ev.Check]:
 
 def _size(file: GapFile) -> Iterable[ev.Check]:
     # the largest is first
+    none = file.verdict == "none"
     for largest in [c for c in file.where.channels if c.nrmse is not None][:1]:
         yield ev.check(
-            "size of the gap",
-            words.size_of(largest),
-            True if file.verdict == "none" else None,
+            "error of the model" if none else "size of the gap",
+            words.error_of(largest) if none else words.size_of(largest),
+            True if none else None,
             text="root-mean-square error of the refitted model over the measured range, in the channel with "
             f"most of the gap; {file.floor_from or 'the floor is what noise alone would leave'}",
         )
 
 
 def _nothing_gains(file: GapFile) -> Iterable[ev.Check]:
-    for best in words.refitted(file)[:1]:
+    best = words.likeliest(file)
+    if best is not None:
         yield ev.check(
-            "largest held-out gain",
-            f"{numbers.number(best.gain, 3)} ({best.effect})",
-            True,
-            text=f"of all effects tried; {words.otherwise_text(file)}",
+            "probability of the likeliest effect",
+            f"{numbers.percent(best.probability, 2)} ({best.effect})",
+            file.told_of_gap,
+            "no gap above 50 %",
+            f"of all effects tried; {words.otherwise_text(file)}",
+        )
+
+
+def _between_trials(file: GapFile) -> Iterable[ev.Check]:
+    apart = [c for c in file.where.channels if c.differs]
+    if apart:
+        yield ev.check(
+            "differences between trials",
+            "; ".join(words.error_of(c) for c in apart),
+            file.repeats,
+            "as between repeats",
+            "most of the squared error is that trials differ from one another; only repeats of a setting "
+            "tell whether that is chance",
         )
 
 

@@ -96,12 +96,15 @@ class Floor:
         What each trial adds to the squared level, up to a common factor, and its samples.
     how : str
         From what it was read.
+    repeated : bool
+        Whether that are repeats.
     """
 
     levels: dict[str, float]
     inside: dict[str, float]
     squares: dict[str, dict[str, tuple[float, int]]]
     how: str
+    repeated: bool = False
 
     def less(self, shares: Mapping[str, float]) -> Floor:
         """The same less a share of the squared noise of some channels."""
@@ -187,7 +190,7 @@ def floors(
         return min(lower.get(c, left), left)
 
     levels = {c: level(c, more[c]) for c in model}
-    return Floor(levels, {c: level(c, 1.0) for c in model}, squares, told or how)
+    return Floor(levels, {c: level(c, 1.0) for c in model}, squares, told or how, told is not None)
 
 
 def _between_repeats(

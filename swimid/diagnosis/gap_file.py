@@ -45,6 +45,15 @@ class ChannelGap(yamlio.Document):
     unit: str = "1"
     #: ``nrmse`` of the parameters as given.
     shipped: Number = None
+    #: The error once each trial has had what differs from trial to trial: noise within trials.
+    within: Number = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether most of its squared error is that trials differ from one another."""
+        if self.within is None or self.nrmse is None:
+            return False
+        return self.within**2 < 0.5 * self.nrmse**2
 
 
 class Cell(yamlio.Document):
@@ -227,6 +236,8 @@ class GapFile(yamlio.ResultFile):
     held_out: HeldOut | None = None
     #: How the noise floor was found.
     floor_from: str = ""
+    #: Whether settings were repeated often enough to tell what differs by chance.
+    repeats: bool = False
     #: Every effect tried, best first.
     scores: list[Score] = []
     #: Held-out gain of generic residual forces and sensor terms, by axis.
@@ -246,12 +257,27 @@ class GapFile(yamlio.ResultFile):
     @property
     def level(self) -> Literal["good", "caution", "bad"]:
         """How the report grades the verdict: worst where most of a gap stays unexplained; not good where the
-        size of a cause ends at a bound.
+        size of a cause ends at a bound, nor where that there is no gap is not told for sure.
         """
-        if self.verdict in ("none", "explained"):
+        if self.verdict == "none":
+            sure = self.told_of_gap and not self.unrepeated and self.remaining.white
+            return "good" if sure else "caution"
+        if self.verdict == "explained":
             return "caution" if self.bounded else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
+
+    @property
+    def told_of_gap(self) -> bool:
+        """Whether that there is no gap is likelier than not."""
+        return self.no_gap is None or self.no_gap > 0.5
+
+    @property
+    def unrepeated(self) -> bool:
+        """Whether most of the squared error in some channel is that trials differ from one another, and no
+        repeats of a setting tell that this is chance.
+        """
+        return not self.repeats and any(c.differs for c in self.where.channels)
 
     @property
     def bounded(self) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from swimid.diagnosis import conclusion, odd, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
-from swimid.diagnosis.floor import excess
+from swimid.diagnosis.floor import Floor, excess
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import State
@@ -52,7 +52,7 @@ class Judgement:
 
 
 def judge(
-    state: State, held: Sequence[Piece], floor: Mapping[str, float], *, dropout: bool
+    state: State, held: Sequence[Piece], noise: Floor, *, refuted: bool, dropout: bool
 ) -> tuple[Judgement, list[Array], Remaining]:
     """The verdict on everything that was tried, the gap (what the model without effects leaves,
     weighted, shape (n_k,) of each trial), and what is left of it.
@@ -61,16 +61,23 @@ def judge(
     ----------
     held : sequence of Piece
         Held-out predictions without and with the causes.
-    floor : mapping of channel to float
-        Noise in the fit, in the channel's unit.
+    noise : Floor
+    refuted : bool
+        Whether held-out data contradict the causes.
     dropout : bool
         Whether failed samples are a cause.
     """
-    told = _by_held_out(_by_fits(state, dropout=dropout), state, held, floor)
+    floor = noise.inside
+    told = _by_fits(state, dropout=dropout)
+    if told.causes and refuted:
+        told = replace(told, verdict="unexplained", causes=(), base=state.nominal, refuted=told.names)
+    told = _by_held_out(told, state, held, floor)
     told = _by_single_trials(told, state, floor)
     # what a cause accounts for is none of the random effects of the model without it
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
+    if told.verdict == "none":
+        return _by_differences(told, state, gap, noise, left), gap, left
     return _by_remaining(told, left), gap, left
 
 
@@ -80,8 +87,8 @@ def _by_fits(state: State, *, dropout: bool) -> Judgement:
     if state.posterior.none > UNSURE:
         chosen = []
     elif verdict == "unexplained":
-        # beside something from outside only what acts rather than not
-        chosen = [c for c in chosen if c.probability > 0.5]
+        # beside something from outside only what closes part of it rather than not
+        chosen = [c for c in chosen if c.closing > 0.5]
     return Judgement(verdict, tuple(chosen), state.base)
 
 
@@ -90,8 +97,6 @@ def _by_held_out(
 ) -> Judgement:
     if not told.causes:
         return told
-    if shrinkage.refute(held, floor):
-        return replace(told, verdict="unexplained", causes=(), base=state.nominal, refuted=told.names)
     sound = shrinkage.sound(held)
     if sound and (shrinkage.helps(held, floor) or _by_coefficients(state)):
         return told
@@ -122,6 +127,23 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
     return replace(told, verdict="unexplained", causes=(), base=nominal, odd=found)
 
 
+def _by_differences(
+    told: Judgement, state: State, gap: Sequence[Array], noise: Floor, left: Remaining
+) -> Judgement:
+    """That there is no gap, unless trials differ by more than chance makes them: more than in a trim or a
+    friction, or than repeats of one setting do.
+    """
+    apart = conclusion.differs(state)
+    if apart:
+        return replace(told, verdict="unexplained", reasons=(*told.reasons, left.where))
+    beyond = sum(excess(state.nominal, gap, noise.inside).values())
+    samples = sum(len(r) for r in gap)
+    if noise.repeated and beyond > shrinkage.MOST * (beyond + samples):
+        why = f"settings differ by more than their {noise.how}"
+        return replace(told, verdict="unexplained", reasons=(*told.reasons, why))
+    return told
+
+
 def _by_remaining(told: Judgement, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
@@ -129,7 +151,7 @@ def _by_remaining(told: Judgement, left: Remaining) -> Judgement:
     return replace(
         told,
         verdict="unexplained",
-        causes=tuple(c for c in told.causes if c.probability > 0.5),
+        causes=tuple(c for c in told.causes if c.closing > 0.5),
         reasons=(*told.reasons, why),
     )
 

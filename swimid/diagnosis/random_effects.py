@@ -10,10 +10,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import Hooks
@@ -28,8 +29,9 @@ OWN: dict[str, tuple[str, float] | None] = {
 }
 #: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
 FEWEST, CLEAR = 3, 2.0
-#: Chance differences are at most this large, in typical sizes: beyond, they are an effect.
-LARGEST_SD = 0.5
+#: Chance differences are at most this large, in typical sizes: beyond, they are an effect. Where settings are
+#: repeated these tell it: then at most what repeats differ by, at this level of its upper confidence bound.
+LARGEST_SD, LEVEL = 0.5, 0.95
 #: No trial is farther off than so many spreads; a spread that few trials tell may be this much larger, in
 #: typical sizes. Without an end random effects would take up any gap.
 FARTHEST, UNSURE = 3.0, 0.1
@@ -55,6 +57,8 @@ class RandomEffect:
         Parameters of the effect at which it vanishes.
     sd : float
         Standard deviation between trials, in typical sizes.
+    most : float
+        The largest that may be chance.
     """
 
     name: str
@@ -64,6 +68,11 @@ class RandomEffect:
     place: int
     null: tuple[float, ...] = ()
     sd: float = 0.0
+    most: float = LARGEST_SD
+
+    def scattering(self, sd: float) -> RandomEffect:
+        """The same with another spread, no larger than may be chance."""
+        return replace(self, sd=min(sd, self.most))
 
     @property
     def width(self) -> float:
@@ -147,15 +156,34 @@ def kinds(
     return found
 
 
+class Spread(NamedTuple):
+    """How much trials differ by one kind, in its typical size.
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation; 0 where it is not clear that they do.
+    most : float
+        The largest that may be chance.
+    likelihood : float
+        Logarithm of what the residuals gain by it, of all trials but that which gains most.
+    """
+
+    sd: float = 0.0
+    most: float = LARGEST_SD
+    likelihood: float = -math.inf
+
+
 def spread(
     whiten: Callable[[int, Array], Array],
     residuals: Sequence[Array],
     own: Sequence[Array],
     random_effects: Sequence[Array],
     *,
+    repeats: Sequence[Sequence[int]] = (),
     used: int = 0,
     cautious: bool = False,
-) -> Array:
+) -> list[Spread]:
     """How much trials differ by random_effects, as they show it.
 
     Parameters
@@ -168,6 +196,8 @@ def spread(
         Weighted derivatives to the trial's own start state, which is estimated.
     random_effects : sequence of ndarray, shape (n_k, q)
         Weighted derivatives to what may differ by random_effects, each per its typical size.
+    repeats : sequence of sequence of int
+        Trials of one setting, where there are several.
     used : int
         Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
     cautious : bool
@@ -175,41 +205,34 @@ def spread(
 
     Returns
     -------
-    ndarray, shape (q,)
-        Standard deviation of each kind of difference, in its typical size: the variance of the trials' own
-        least-squares estimates, robustly, less its sampling variance.
+    list of Spread, length q
+        Of each kind the variance of the trials' own least-squares estimates, robustly, less its sampling
+        variance.
     """
     q = random_effects[0].shape[1] if len(random_effects) else 0
-    sd = np.zeros(q)
+    found = [Spread()] * q
     if len(residuals) < FEWEST or not q:
-        return sd
+        return found
     seen = [whiten(k, np.column_stack((random_effects[k], r, own[k]))) for k, r in enumerate(residuals)]
     inner = [block.T @ block for block in seen]
     left = list(range(q))
     while left:
-        # one kind at a time, the clearest first: together they are too much alike to be told apart
+        # one kind at a time, the likeliest first: together they are too much alike to be told apart
+        sd = np.array([s.sd for s in found])
         known = np.flatnonzero(sd)
-        found = [
-            _variance(inner, i, known, np.minimum(sd[known], LARGEST_SD), q, used, cautious) for i in left
-        ]
-        i = int(np.argmax([clear for _, clear in found]))
-        variance, clear = found[i]
-        if variance <= 0.0 or clear <= CLEAR:
+        tried = {i: _spread(_estimates(inner, i, known, sd[known], q), repeats, used, cautious) for i in left}
+        i = max(left, key=lambda i: tried[i].likelihood)
+        if tried[i].sd <= 0.0:
             break
-        sd[left.pop(i)] = float(np.sqrt(variance))
-    return sd
+        found[i] = tried[i]
+        left.remove(i)
+    return found
 
 
-def _variance(
-    inner: Sequence[Array],
-    i: int,
-    known: NDArray[np.intp],
-    sd: Array,
-    kinds: int,
-    used: int,
-    cautious: bool,
-) -> tuple[float, float]:
-    """Variance of one kind of difference between trials, and how clear it is: its ratio to the sampling's.
+def _estimates(
+    inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int
+) -> dict[int, tuple[float, float]]:
+    """Each trial's own estimate of one kind of difference, and its sampling variance, by trial.
 
     Parameters
     ----------
@@ -218,8 +241,8 @@ def _variance(
     known, sd : ndarray
         Kinds whose spread is known, and it.
     """
-    estimates, errors = [], []
-    for products in inner:
+    found = {}
+    for k, products in enumerate(inner):
         starts = np.arange(kinds + 1, len(products))
         apart = np.concatenate((known, starts)).astype(int)
         ridge = np.concatenate((sd**-2.0, np.zeros(len(starts))))
@@ -233,20 +256,49 @@ def _variance(
             block = block - mixed.T @ np.linalg.solve(normal, mixed)
         size = float(block[0, 0])
         if size > 1e-9:
-            estimates.append(float(block[0, 1]) / size)
-            errors.append(1.0 / size)
+            found[k] = float(block[0, 1]) / size, 1.0 / size
+    return found
+
+
+def _spread(
+    estimates: Mapping[int, tuple[float, float]],
+    repeats: Sequence[Sequence[int]],
+    used: int,
+    cautious: bool,
+) -> Spread:
+    """Of estimates of single trials."""
     n = len(estimates)
     if n < FEWEST:
-        return 0.0, 0.0
-    b, c = np.array(estimates), np.array(errors)
+        return Spread()
+    b, c = (np.array(x) for x in zip(*estimates.values(), strict=True))
     # median absolute deviation against the standard deviation: one odd trial is not the rule
     middle = float(np.median(b))
     robust = 1.4826 * float(np.median(np.abs(b - middle))) * (1.0 + 0.8 / n)
     if cautious:
-        spread = min(robust**2, float(np.var(b, ddof=1)))
+        variance = min(robust**2, float(np.var(b, ddof=1)))
     else:
         near = np.clip(b, middle - FARTHEST * robust, middle + FARTHEST * robust)
-        spread = float(np.var(near, ddof=1))
-    spread *= (n - 1) / max(n - 1 - used, 1)
+        variance = float(np.var(near, ddof=1))
+    variance *= (n - 1) / max(n - 1 - used, 1)
     typical = float(np.median(c))
-    return spread - typical, spread / typical
+    if variance <= CLEAR * typical:
+        return Spread()
+    variance -= typical
+    # that estimates are of this spread and not of the sampling alone: the logarithm of their density
+    gained = 0.5 * (b**2 / c - b**2 / (c + variance) - np.log1p(variance / c))
+    return Spread(math.sqrt(variance), _most(estimates, repeats), float(gained.sum() - gained.max()))
+
+
+def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequence[int]]) -> float:
+    """The largest spread that may be chance: what repeats of one setting differ by at most, where there are
+    enough.
+    """
+    squares, freedom = 0.0, 0
+    for group in repeats:
+        b = np.array([estimates[k][0] for k in group if k in estimates])
+        if len(b) > 1:
+            squares += float(np.sum((b - b.mean()) ** 2))
+            freedom += len(b) - 1
+    if freedom < FEWEST - 1:
+        return LARGEST_SD
+    return math.sqrt(squares / float(chi2.ppf(1.0 - LEVEL, freedom)))

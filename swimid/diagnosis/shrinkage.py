@@ -318,13 +318,6 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     return gained > MOST * max(gap, 0.0) or not found
 
 
-def refute(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether with the causes squared held-out errors grow by more than the gap, and than the noise."""
-    gained, gap = _gained(found, floors)
-    noise = float(sum(len(p.seen(p.measured)) for p in found))
-    return gained < -max(gap, noise)
-
-
 def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
     """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
     gained, gap = 0.0, 0.0

@@ -34,6 +34,15 @@ def verdict_sentence(file: GapFile) -> str:
     """The verdict in one sentence."""
     names = [_or_rivals(c) for c in file.causes]
     if file.verdict == "none":
+        if not file.told_of_gap:
+            return f"These trials do not tell whether the model has a gap: {_likeliest(file)}."
+        if file.unrepeated:
+            return (
+                "No gap that the trials share: they differ from one another by more than the noise within "
+                "them, and without repeats of a setting nothing tells whether that is chance."
+            )
+        if any(c.differs for c in file.where.channels):
+            return "No gap above the noise floor: all that is left are noise and what repeats differ by."
         return "No gap above the noise floor: the model describes these trials as well as their noise allows."
     if file.verdict == "explained":
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
@@ -47,7 +56,10 @@ def verdict_sentence(file: GapFile) -> str:
         return f"The model has a gap, and {odd} contradicts the other trials: no effect of all explains it."
     if names:
         close = "close" if len(names) > 1 else "closes"
-        return f"The model has a gap; {listed(names)} {close} part of it, no known effect the rest."
+        return (
+            f"The model has a gap that no known effect closes; {listed(names)} {close} part of it, at work "
+            "or as an imitation of what is."
+        )
     return "The model has a gap, and no effect in the catalogue closes it."
 
 
@@ -61,6 +73,21 @@ def otherwise_text(file: GapFile) -> str:
     return (
         f"no gap {numbers.percent(file.no_gap, 2)}, a cause outside the catalogue "
         f"{numbers.percent(file.outside, 2)}"
+    )
+
+
+def likeliest(file: GapFile) -> Score | None:
+    """The effect that is likeliest among the causes, of those refitted."""
+    known = [s for s in file.scores if s.refitted and s.probability is not None]
+    return max(known, key=lambda s: s.probability or 0.0, default=None)
+
+
+def _likeliest(file: GapFile) -> str:
+    best = likeliest(file)
+    return (
+        f"{best.effect} {numbers.percent(best.probability, 2)}, {otherwise_text(file)}"
+        if best
+        else otherwise_text(file)
     )
 
 
@@ -82,6 +109,12 @@ def size_of(channel: ChannelGap) -> str:
         f"{channel.channel} {numbers.percent(channel.nrmse)} of its range, "
         f"noise alone {numbers.percent(channel.floor)}{share}"
     )
+
+
+def error_of(channel: ChannelGap) -> str:
+    """How large the error of a channel without a gap is, and how much of it is not that trials differ."""
+    apart = f", within trials {numbers.percent(channel.within)}" if channel.differs else ""
+    return f"{channel.channel} {numbers.percent(channel.nrmse)} of its range{apart}"
 
 
 def closed_text(s: Shrinkage) -> str:
@@ -238,9 +271,10 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
         if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL or file.verdict == "none")
     ]
     first = "error" if file.verdict == "none" else "gap"
-    rows = [("" if k else first, size_of(c)) for k, c in enumerate(shown)]
+    size = error_of if file.verdict == "none" else size_of
+    rows = [("" if k else first, size(c)) for k, c in enumerate(shown)]
     if file.verdict == "none":
-        best = next((s for s in file.scores if s.refitted and s.probability is not None), None)
+        best = likeliest(file)
         if best is not None:
             count = len({s.effect for s in file.scores})
             told = (

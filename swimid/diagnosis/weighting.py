@@ -10,9 +10,9 @@ import numpy as np
 
 from swimid.diagnosis import random_effects, remainder
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.floor import nuisance_residuals
+from swimid.diagnosis.floor import nuisance_residuals, repeats
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
-from swimid.diagnosis.random_effects import FEWEST, LARGEST_SD, RandomEffect
+from swimid.diagnosis.random_effects import FEWEST, RandomEffect
 from swimid.effects.base import Effect
 from swimid.fitting import noise as sample_noise
 from swimid.fitting.model import Array
@@ -106,7 +106,7 @@ def see(
     -------
     noise_model : NoiseModel
     kinds : list of RandomEffect
-        What may differ, with the spread the trials show: the noise model has at most `LARGEST_SD` of it.
+        What may differ, with the spread the trials show: the noise model has as much of it as may be chance.
     """
     apart = tells_noise(context)
     columns, kinds = random_effect_columns(context, fit, effects) if apart else ([], [])
@@ -126,11 +126,17 @@ def see(
     if common is None:
         return noise_model, []
     own = [fit.own(k) for k in range(len(context.trials))]
-    sd = random_effects.spread(
-        partial(noise_model.whiten, fit.problem), residuals, own, columns, used=common, cautious=cautious
+    shown = random_effects.spread(
+        partial(noise_model.whiten, fit.problem),
+        residuals,
+        own,
+        columns,
+        repeats=repeats(context),
+        used=common,
+        cautious=cautious,
     )
-    kinds = [replace(kind, sd=float(s)) for kind, s in zip(kinds, sd, strict=True)]
-    differing = tuple(replace(kind, sd=min(kind.sd, LARGEST_SD)) for kind in kinds if kind.sd > 0)
+    kinds = [replace(kind, sd=s.sd, most=s.most) for kind, s in zip(kinds, shown, strict=True)]
+    differing = tuple(kind.scattering(kind.sd) for kind in kinds if kind.sd > 0)
     return replace(noise_model, random_effects=differing), kinds
 
 
@@ -158,7 +164,7 @@ def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> Noise
         if not any(strained):
             break
         wider = [
-            replace(kind, sd=min(size, LARGEST_SD)) if grows else kind
+            kind.scattering(size) if grows else kind
             for kind, size, grows in zip(noise_model.random_effects, shown, strained, strict=True)
         ]
         noise_model = replace(noise_model, random_effects=tuple(wider))
