@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind import decays, rig_effects, swim_actuation
+from tests.blind import cruises, decays, rig_effects, swim_actuation
 from tests.blind.common import write_parameters
 from tests.blind.swim_case import Act, Channels, Trial
 from tests.generators import gap_trials, rig
@@ -151,6 +151,8 @@ class Case:
         What must be said, in words.
     fit : tuple of str
         Options of the fit that makes ``params.yaml``, where it is of these trials.
+    verb : str
+        The fit.
     asked : tuple of str
         Effects that are asked for alone in a second run, which must find the same sizes.
     """
@@ -159,6 +161,7 @@ class Case:
     says: str
     truth: Truth
     fit: tuple[str, ...] | None = None
+    verb: str = "fit-drag"
     asked: tuple[str, ...] = field(default=())
 
 
@@ -282,6 +285,18 @@ def mislabelled(drop: rig_effects.Rig, place: int) -> None:
 
 def as_it_is(drop: rig_effects.Rig, place: int) -> None:
     """Nothing."""
+
+
+def mislabelled_stroke(folder: Path) -> None:
+    """A table of cruises; what is written as 18 degrees was 16.5."""
+
+    def smaller(session: cruises.Session) -> None:
+        those = np.isclose(session.command, np.radians(18.0))
+        session.amplitude.append(lambda a: np.where(those, a - np.radians(1.5), a))
+
+    cruises.make_case(folder, robot="cruise", effect=None, size=1.0, rng=rng(10), more=(smaller,))
+    for unused in folder.glob("params*.yaml"):
+        unused.unlink()
 
 
 def dry_drive(folder: Path) -> None:
@@ -458,6 +473,9 @@ CASES: dict[str, Case] = {
     "drops-scatter": Case(
         drops(9, as_it_is, (10, 20, 30, 40), 3, friction_sd=0.1), "none", Truth(NONE), fit=()
     ),
+    "table-mislabelled": Case(
+        mislabelled_stroke, "a gap, and nothing that causes it", UNNAMED, fit=(), verb="fit-propulsion"
+    ),
     "rounded-30mm": Case(coarse(0.030), "none", Truth(NONE), fit=()),
     "rounded-15mm": Case(coarse(0.015), "none", Truth(NONE), fit=()),
     "slow-clock": Case(
@@ -514,7 +532,7 @@ def outcome(case: Case, folder: Path) -> Outcome:
     """Make a case, fit where a user would, diagnose, and judge."""
     case.make(folder)
     if case.fit is not None:
-        fitted = command("fit-drag", folder / "trials.yaml", *case.fit, "-o", folder / "params.yaml", "-q")
+        fitted = command(case.verb, folder / "trials.yaml", *case.fit, "-o", folder / "params.yaml", "-q")
         if not (folder / "params.yaml").exists():
             raise RuntimeError(fitted.stderr)
     begun = time.perf_counter()

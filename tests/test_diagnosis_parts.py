@@ -13,10 +13,10 @@ from scipy.signal import lfilter
 
 from swimid.diagnosis import (
     candidates,
-    conclusion,
     crossval,
     dropouts,
     folds,
+    generic,
     judgement,
     places,
     posterior,
@@ -34,7 +34,7 @@ from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.random_effects import LARGEST_SD, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
+from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
@@ -487,6 +487,30 @@ def test_each_trials_own_start_is_projected_out(context: FitContext) -> None:
     np.testing.assert_allclose(found.pull, [0.3, 0.0], rtol=1e-12)
 
 
+def test_a_table_has_a_factor_for_each_setting_and_each_fin() -> None:
+    """Settings that three runs share; of a frequency that is different in each there is no level."""
+    amplitude = np.repeat([0.2, 0.3], 3)
+    trials = [
+        Trial(
+            name,
+            "fit",
+            np.arange(6.0),
+            {},
+            inputs={"frequency_hz": first + np.arange(6), "amplitude_rad": amplitude},
+        )
+        for name, first in (("a", 1.0), ("b", 1.5))
+    ]
+    table = generic.StrokeTable(trials)
+    assert table.terms[len(table.curve) :] == ("amplitude 0.2", "amplitude 0.3", "fin a", "fin b")
+    values = np.zeros(len(table.terms))
+    values[table.terms.index("amplitude 0.3")] = 0.1
+    values[table.terms.index("fin b")] = -0.2
+    for trial, fin in zip(trials, (0.0, -0.2), strict=True):
+        (change,) = table.hooks(values, trial, SimpleNamespace()).stroke
+        stroke = change(Stroke(trial.inputs["frequency_hz"], amplitude, np.ones(6)))
+        np.testing.assert_allclose(np.log(stroke.thrust), np.repeat([fin, fin + 0.1], 3), atol=1e-12)
+
+
 class Tilt(Effect):
     """A slope that differs between trials."""
 
@@ -904,9 +928,7 @@ def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) 
     effects = [Seen("rise", rise), Seen("ring", ring)]
     state = search.run(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}, effects)
     assert state.posterior.none > 0.5
-    assert (
-        conclusion.verdict(state, [conclusion.named(state, r) for r in state.rounds], dropout=False) == "none"
-    )
+    assert judgement._by_fits(state, dropout=False).verdict == "none"
 
 
 def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0) -> posterior.Posterior:

@@ -9,9 +9,8 @@ import numpy as np
 
 from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import Fit, errors
-from swimid.diagnosis.gap_file import Hypothesis, Score, Stage, Verdict
+from swimid.diagnosis.gap_file import Hypothesis, Score, Stage
 from swimid.diagnosis.noise_model import NoiseModel, coloured
-from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import Round, State
 from swimid.effects.base import STAGES
 from swimid.fitting.model import Array
@@ -138,19 +137,6 @@ def structured_share(state: State) -> float:
         for k, r in enumerate(state.base.residuals)
     )
     return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
-
-
-def verdict(state: State, chosen: Sequence[Named], *, dropout: bool) -> Verdict:
-    """The verdict in one word: the likeliest of no gap, the causes told, and something else."""
-    posterior = state.posterior
-    if not chosen or posterior.none > UNSURE:
-        if dropout:
-            return "explained"
-        return "unexplained" if posterior.outside > posterior.none else "none"
-    first = chosen[0]
-    if posterior.outside > sum(posterior.sets.values()):
-        return "unexplained"
-    return "ambiguous" if first.crowded or first.alone <= 0.5 else "explained"
 
 
 def differs(state: State) -> list[str]:

@@ -7,7 +7,7 @@ cause themselves. After Kennedy and O'Hagan (2001): a discrepancy with its own p
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -23,6 +23,9 @@ TERMS = (
     "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
     "sin 2 phase", "cos phase x time", "sin phase x time",
 )  # fmt: skip
+#: A setting of a table is a level of its own where so many runs share it, within this share of it, and there
+#: are no more levels than so many.
+SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
@@ -189,19 +192,30 @@ class SensorTerm(_Generic):
 
 
 class StrokeTable(_Generic):
-    """A smooth factor on the thrust of a table of steady runs: by frequency, amplitude, order of the runs."""
+    """A factor on the thrust of a table of steady runs: smooth in frequency, amplitude and order, and of each
+    fin and each setting by itself.
+    """
 
     name: ClassVar[str] = "residual-thrust"
     stage: ClassVar[Stage] = "actuation"
     needs: ClassVar[frozenset[str]] = frozenset({"stroke"})
     place = "thrust"
-    terms = (
+    curve = (
         "frequency", "frequency squared", "amplitude", "amplitude squared", "product", "order",
     )  # fmt: skip
     size = 0.1
 
-    def __init__(self, frequency_hz: float, amplitude_rad: float, order: Mapping[str, float]) -> None:
-        self.frequency_hz, self.amplitude_rad, self.order = frequency_hz, amplitude_rad, order
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        frequency, amplitude = (
+            np.concatenate([t.inputs[name] for t in trials if name in t.inputs])
+            for name in ("frequency_hz", "amplitude_rad")
+        )
+        self.frequency_hz, self.amplitude_rad = float(np.median(frequency)), float(np.median(amplitude))
+        self.order = {t.id: k / max(len(trials) - 1, 1) - 0.5 for k, t in enumerate(trials)}
+        self.levels = {"frequency": _levels(frequency), "amplitude": _levels(amplitude)}
+        self.fins = list(self.order) if len(self.order) > 1 else []
+        each = [f"{kind} {level:.4g}" for kind, levels in self.levels.items() for level in levels]
+        self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The thrust of one trial."""
@@ -209,11 +223,22 @@ class StrokeTable(_Generic):
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)
             a = np.log(stroke.amplitude_rad / self.amplitude_rad)
-            parts = (f, f**2, a, a**2, f * a, self.order.get(trial.id, 0.0))
+            parts = [f, f**2, a, a**2, f * a, self.order.get(trial.id, 0.0)]
+            for kind, levels in self.levels.items():
+                mine = trial.inputs[f"{kind}_{'hz' if kind == 'frequency' else 'rad'}"]
+                parts += [np.isclose(mine, level, rtol=LEVEL) for level in levels]
+            parts += [float(name == trial.id) for name in self.fins]
             factor = np.exp(np.clip(sum(v * p for v, p in zip(values, parts, strict=True)), -3.0, 3.0))
             return replace(stroke, thrust=stroke.thrust * factor)
 
         return Hooks(stroke=(change,))
+
+
+def _levels(values: Array) -> list[float]:
+    """Settings that several runs of a table share; none where they are many."""
+    rounded = np.unique(values.round(6))
+    shared = [float(v) for v in rounded if np.isclose(values, v, rtol=LEVEL).sum() >= SHARED]
+    return shared if 1 < len(shared) <= LEVELS else []
 
 
 def _window(trial: Trial) -> tuple[float, float]:
@@ -264,12 +289,9 @@ def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
             found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed, 1.0))
     if "command" in model.offers and dynamic:
         found.append(StrokeDeviation())
-    if "stroke" in model.offers:
-        f = [float(np.median(t.inputs["frequency_hz"])) for t in trials if "frequency_hz" in t.inputs]
-        a = [float(np.median(t.inputs["amplitude_rad"])) for t in trials if "amplitude_rad" in t.inputs]
-        if f and a:
-            order = {t.id: k / max(len(trials) - 1, 1) - 0.5 for k, t in enumerate(trials)}
-            found.append(StrokeTable(float(np.median(f)), float(np.median(a)), order))
+    table = any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials)
+    if "stroke" in model.offers and table:
+        found.append(StrokeTable(trials))
     for channel in channels:
         found.append(SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic))
     return found

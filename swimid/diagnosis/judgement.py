@@ -82,13 +82,17 @@ def judge(
 
 
 def _by_fits(state: State, *, dropout: bool) -> Judgement:
-    chosen = [conclusion.named(state, r) for r in state.rounds]
-    verdict = conclusion.verdict(state, chosen, dropout=dropout)
-    if state.posterior.none > UNSURE:
-        chosen = []
-    elif verdict == "unexplained":
+    """The likeliest of no gap, the causes found, and something else."""
+    posterior = state.posterior
+    chosen = [] if posterior.none > UNSURE else [conclusion.named(state, r) for r in state.rounds]
+    verdict: Verdict
+    if not chosen:
+        verdict = "unexplained" if posterior.outside > posterior.none else "none"
+        return Judgement("explained" if dropout else verdict, (), state.base)
+    if posterior.outside > sum(posterior.sets.values()):
         # beside something from outside only what closes part of it rather than not
-        chosen = [c for c in chosen if c.closing > 0.5]
+        return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
+    verdict = "ambiguous" if chosen[0].crowded or chosen[0].alone <= 0.5 else "explained"
     return Judgement(verdict, tuple(chosen), state.base)
 
 
@@ -97,6 +101,9 @@ def _by_held_out(
 ) -> Judgement:
     if not told.causes:
         return told
+    if told.verdict == "unexplained" and not shrinkage.lowers(held, floor):
+        why = f"{', '.join(told.names)}: held-out trials, simulated anew, err no less with it"
+        return replace(told, causes=(), base=state.nominal, reasons=(why,))
     sound = shrinkage.sound(held)
     if sound and (shrinkage.helps(held, floor) or _by_coefficients(state)):
         return told

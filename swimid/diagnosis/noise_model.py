@@ -114,7 +114,7 @@ def _filtered(taps: Array, rows: Array) -> Array:
 
 
 def coloured(
-    problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: int = 0
+    problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: float = 0.0
 ) -> NoiseModel:
     """The noise model with autoregressions and sizes as the weighted residuals show them.
 
@@ -122,7 +122,7 @@ def coloured(
     ----------
     residuals : sequence of ndarray
         Of each trial, weighted by the noise model's ``sd``.
-    unknowns : int
+    unknowns : float
         Numbers fitted to them, for the degrees of freedom.
     """
     total = sum(len(r) for r in residuals)

@@ -57,6 +57,8 @@ class Left:
         Of all terms together, in their typical sizes, fitted to all trials.
     sizes : ndarray, shape (terms,)
         Typical sizes.
+    freedom : float
+        How many numbers fitted without a prior would take up as much of the noise as all terms do.
     """
 
     gain: float
@@ -68,6 +70,7 @@ class Left:
     names: list[tuple[str, str]]
     factors: Array
     sizes: Array
+    freedom: float
 
     @property
     def found(self) -> bool:
@@ -134,6 +137,9 @@ def find(
         ]
         places[place] = max(alone)
     factors = crossval.together(inner, every, best_prior)[inner.shared :]
+    normal = inner.products.sum(axis=0)[:-1, :-1]
+    ridge = np.diag(np.concatenate((inner.prior, best_prior)))
+    used = np.trace(crossval.solved(normal + ridge, normal)[inner.shared :, inner.shared :])
     samples = float(inner.samples.sum())
     return Left(
         float(best.sum()),
@@ -145,6 +151,7 @@ def find(
         names,
         factors,
         generic.sizes,
+        float(used),
     )
 
 

@@ -360,8 +360,10 @@ class Search:
             last = stays or turn == TURNS - 1
             columns: list[list[Array]] = []
             prior: list[float] = []
+            unknowns = float(len(fit.labels))
             if not whole or (last and left.found):
                 columns, prior = left.columns, left.prior
+                unknowns += left.freedom
             before = {kind.label: kind.sd for kind in noise_model.random_effects}
             noise_model, self.random_effects = see(
                 context,
@@ -369,7 +371,7 @@ class Search:
                 noise_model,
                 remainder.saturated(context, fit, noise_model, columns, prior),
                 self.scattering,
-                len(columns) + len(fit.labels),
+                unknowns,
                 common=len(fit.effects),
                 cautious=left.found,
             )

@@ -83,7 +83,7 @@ def see(
     noise_model: NoiseModel,
     residuals: Sequence[Array],
     effects: Sequence[Effect],
-    unknowns: int,
+    unknowns: float,
     *,
     common: int | None = None,
     cautious: bool = False,
@@ -94,7 +94,7 @@ def see(
     ----------
     residuals : sequence of ndarray, shape (n_k,)
         Weighted, with all that differs from trial to trial still in them.
-    unknowns : int
+    unknowns : float
         Numbers fitted to them.
     common : int, optional
         Of these, effects that all trials share; without it random effects are left out, as they would

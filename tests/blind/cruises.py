@@ -224,8 +224,16 @@ def plate_inertia(height: float, length: float) -> float:
     return 9 * np.pi * DENSITY * height * ((length + AXLE_GAP) ** 4 - AXLE_GAP**4) / 128
 
 
-def make_case(folder: Path, *, robot: str, effect: str | tuple[str, ...] | None, size: float, rng) -> dict:
-    """Write one blind cruise table (see :func:`tests.blind.rigs.make_case`)."""
+def make_case(
+    folder: Path,
+    *,
+    robot: str,
+    effect: str | tuple[str, ...] | None,
+    size: float,
+    rng,
+    more: tuple[Act, ...] = (),
+) -> dict:
+    """Write one blind cruise table (see :func:`tests.blind.rigs.make_case`), with effects of one's own."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
@@ -257,7 +265,7 @@ def make_case(folder: Path, *, robot: str, effect: str | tuple[str, ...] | None,
             np.random.default_rng(seeds[0]),
             order,
         )
-        for act in acts if effects else ():
+        for act in (*acts, *more) if effects else ():
             act(session)
         return session.times()
 
