@@ -78,6 +78,7 @@ def test_agrees_with_the_adaptive_generator(kind: str) -> None:
     np.testing.assert_allclose(angles[::10, -1], known[last], atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_steps_are_short_enough(kind: str) -> None:
     fine, coarse = (swimmers.swim(trial(kind), {}, step_s=h) for h in (0.001, 0.002))

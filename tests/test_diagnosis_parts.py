@@ -597,6 +597,15 @@ TIME = np.arange(0.0, 12.0, 0.04)
 TRUE = 0.3 * TIME + 0.02 * np.sin(2 * np.pi * TIME)
 
 
+def test_a_frame_that_failed_in_one_channel_is_blank_in_all_of_the_camera() -> None:
+    """A stray marker may be off by little along one axis."""
+    mask = np.arange(6) == 2
+    trial = Trial("t", "fit", np.arange(6.0), {"x_m": np.ones(6), "y_m": np.ones(6), "u_m_s": np.ones(6)})
+    (left,) = dropouts.Dropouts({"t": {"x_m": mask}}, []).without([trial])
+    for channel, values in left.measured.items():
+        np.testing.assert_array_equal(np.isnan(values), mask if channel in ("x_m", "y_m") else False)
+
+
 def _looked(values: np.ndarray, simulated: np.ndarray = TRUE) -> dropouts.Dropouts:
     return dropouts.look([Trial("t", "fit", TIME, {"x_m": values})], [{"x_m": simulated}])
 

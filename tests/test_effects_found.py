@@ -32,7 +32,8 @@ def rig(folder: Path, robot: str, effect: str, size: float, seed: int) -> dict[s
     return found(folder, effect, "params_prior.yaml")
 
 
-@pytest.mark.parametrize("size, seed", [(1.0, 5), pytest.param(3.0, 6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size, seed", [(1.0, 5), (3.0, 6)])
 def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float, seed: int) -> None:
     """An algebraic fall is not a Gaussian one: a tenth."""
     cause = rig(tmp_path, "falling-weight", "stribeck", size, seed)
@@ -40,6 +41,7 @@ def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float,
     assert 0.03 <= cause["stribeck_m_s"][0] <= 0.09
 
 
+@pytest.mark.slow
 def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
     value, stderr = rig(tmp_path, "falling-weight", "load-friction", 3.0, 6)["share"]
     assert value == pytest.approx(0.12, abs=3 * stderr)

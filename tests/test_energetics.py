@@ -79,8 +79,15 @@ def test_torques_of_random_trees(base: str) -> None:
     assert compared > 20
 
 
-@pytest.mark.parametrize("form", [MultilinkModel, MultibodyModel])
-@pytest.mark.parametrize(("name", "hz", "deg"), [("tfish", 1.0, 20.0), ("dolphin", 2.5, 27.0)])
+@pytest.mark.parametrize(
+    ("form", "name", "hz", "deg"),
+    [
+        (MultilinkModel, "tfish", 1.0, 20.0),
+        (MultilinkModel, "dolphin", 2.5, 27.0),
+        (MultibodyModel, "dolphin", 2.5, 27.0),
+        pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
+    ],
+)
 def test_balance_of_energy(form: type[LinkedModel], name: str, hz: float, deg: float) -> None:
     """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
     left = []

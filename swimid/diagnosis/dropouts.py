@@ -59,14 +59,16 @@ class Dropouts:
         return Dropouts(masks, kept)
 
     def without(self, trials: Sequence[Trial]) -> list[Trial]:
-        """The trials with the failed samples blank."""
+        """The trials with the frames in which a marker failed blank: in a channel that shows it less, too."""
         found = []
         for trial in trials:
             masks = self.masks.get(trial.id, {})
-            measured = {
-                c: np.where(masks[c], np.nan, v) if c in masks else v for c, v in trial.measured.items()
-            }
-            found.append(replace(trial, measured=measured))
+            if masks:
+                failed = np.logical_or.reduce(list(masks.values()))
+                seen = trial.measured.items()
+                measured = {c: np.where(failed, np.nan, v) if c in CAMERA else v for c, v in seen}
+                trial = replace(trial, measured=measured)
+            found.append(trial)
         return found
 
 

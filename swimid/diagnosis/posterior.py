@@ -30,7 +30,7 @@ from swimid.fitting.model import Array
 TENTH = 0.1
 #: Odds of one more cause, before any data (measured by no one: a gap of several causes is taken to be rarer).
 FURTHER = 0.1
-#: A gap, or one more cause, is told where that there is none is less likely than this.
+#: A gap is told where that there is none is less likely than this.
 UNSURE = 0.1
 #: Weightings of the folds.
 WEIGHTINGS = 200
@@ -138,13 +138,13 @@ class Posterior:
 
     @property
     def best(self) -> frozenset[str]:
-        """The likeliest set, of no more effects than are surely needed; empty if none was tried."""
+        """The likeliest set, of no more effects than are likelier needed than not; empty if none was tried."""
         known = self.known
         total = sum(known.values())
         size, fewer = 1, 0.0
         while size < max((len(names) for names in known), default=1):
             fewer += sum(p for names, p in known.items() if len(names) == size)
-            if fewer > UNSURE * total:
+            if fewer > 0.5 * total:
                 break
             size += 1
         mine = {names: p for names, p in known.items() if len(names) == size}
