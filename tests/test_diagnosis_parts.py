@@ -35,7 +35,7 @@ from swimid.diagnosis.random_effects import LARGEST_SD, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.inputs import RigInput, SwimInput
+from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from tests.toy_models import Toy, parameter
@@ -489,26 +489,25 @@ def test_each_trials_own_start_is_projected_out(context: FitContext) -> None:
 
 def test_a_table_has_a_factor_for_each_setting_and_each_fin() -> None:
     """Settings that three runs share; of a frequency that is different in each there is no level."""
-    amplitude = np.repeat([0.2, 0.3], 3)
+    amplitude = np.repeat([0.2, 0.3], 6)
     trials = [
         Trial(
-            name,
-            "fit",
-            np.arange(6.0),
-            {},
-            inputs={"frequency_hz": first + np.arange(6), "amplitude_rad": amplitude},
+            f"run{k}", "fit", np.zeros(1), {},
+            inputs={"frequency_hz": np.array([1.0 + 0.1 * k]), "amplitude_rad": np.array([a])},
+            cruise=CruiseInput(fin="ab"[k % 2]),
         )
-        for name, first in (("a", 1.0), ("b", 1.5))
-    ]
+        for k, a in enumerate(amplitude)
+    ]  # fmt: skip
     table = generic.StrokeTable(trials)
     assert table.terms[len(table.curve) :] == ("amplitude 0.2", "amplitude 0.3", "fin a", "fin b")
     values = np.zeros(len(table.terms))
     values[table.terms.index("amplitude 0.3")] = 0.1
     values[table.terms.index("fin b")] = -0.2
-    for trial, fin in zip(trials, (0.0, -0.2), strict=True):
+    for k, (trial, a) in enumerate(zip(trials, amplitude, strict=True)):
         (change,) = table.hooks(values, trial, SimpleNamespace()).stroke
-        stroke = change(Stroke(trial.inputs["frequency_hz"], amplitude, np.ones(6)))
-        np.testing.assert_allclose(np.log(stroke.thrust), np.repeat([fin, fin + 0.1], 3), atol=1e-12)
+        stroke = change(Stroke(trial.inputs["frequency_hz"], trial.inputs["amplitude_rad"], np.ones(1)))
+        expected = (0.1 if a == 0.3 else 0.0) - (0.2 if k % 2 else 0.0)
+        np.testing.assert_allclose(np.log(stroke.thrust), expected, atol=1e-12)
 
 
 class Tilt(Effect):

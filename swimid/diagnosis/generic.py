@@ -213,7 +213,8 @@ class StrokeTable(_Generic):
         self.frequency_hz, self.amplitude_rad = float(np.median(frequency)), float(np.median(amplitude))
         self.order = {t.id: k / max(len(trials) - 1, 1) - 0.5 for k, t in enumerate(trials)}
         self.levels = {"frequency": _levels(frequency), "amplitude": _levels(amplitude)}
-        self.fins = list(self.order) if len(self.order) > 1 else []
+        fins = list(dict.fromkeys(t.cruise.fin for t in trials if t.cruise.fin))
+        self.fins = fins if len(fins) > 1 else []
         each = [f"{kind} {level:.4g}" for kind, levels in self.levels.items() for level in levels]
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
@@ -227,7 +228,7 @@ class StrokeTable(_Generic):
             for kind, levels in self.levels.items():
                 mine = trial.inputs[f"{kind}_{'hz' if kind == 'frequency' else 'rad'}"]
                 parts += [np.isclose(mine, level, rtol=LEVEL) for level in levels]
-            parts += [float(name == trial.id) for name in self.fins]
+            parts += [float(name == trial.cruise.fin) for name in self.fins]
             factor = np.exp(np.clip(sum(v * p for v, p in zip(values, parts, strict=True)), -3.0, 3.0))
             return replace(stroke, thrust=stroke.thrust * factor)
 

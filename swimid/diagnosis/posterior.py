@@ -138,7 +138,7 @@ class Posterior:
 
     @property
     def best(self) -> frozenset[str]:
-        """The likeliest set, of no more effects than are likelier needed than not; empty if none was tried."""
+        """The likeliest set, of no more effects than are likelier needed than not; empty of none tried."""
         known = self.known
         total = sum(known.values())
         size, fewer = 1, 0.0

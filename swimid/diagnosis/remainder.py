@@ -18,6 +18,8 @@ from swimid.fitting.parallel import mapped
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: A description worth more numbers than this share of the samples describes their noise.
+MOST_USED = 0.5
 #: Ratio from which something moves that is not noise; and against the channel with the least.
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
@@ -120,15 +122,19 @@ def find(
     draws = crossval.noise_draws(inner, rng, DRAWS)
     plain_drawn = crossval.held_out(inner, draws=draws)
     every = list(range(len(columns)))
-    best, best_prior = np.full(len(plain), -np.inf), [1.0] * len(columns)
-    largest = np.full(DRAWS, -np.inf)
+    samples = float(inner.samples.sum())
+    best, best_prior, freedom = np.zeros(len(plain)), [WIDTHS[0] ** -2] * len(columns), 0.0
+    largest = np.zeros(DRAWS)
     for width in WIDTHS:
         prior = [width**-2] * len(columns)
+        used = _freedom(inner, prior)
+        if used > MOST_USED * samples:
+            break
         gains = plain - crossval.held_out(inner, every, prior)
         drawn = (plain_drawn - crossval.held_out(inner, every, prior, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
         if gains.sum() > best.sum():
-            best, best_prior = gains, prior
+            best, best_prior, freedom = gains, prior, used
     places = {}
     for place in dict.fromkeys(n for n, _ in names):
         mine = [i for i, (n, _) in enumerate(names) if n == place]
@@ -137,10 +143,6 @@ def find(
         ]
         places[place] = max(alone)
     factors = crossval.together(inner, every, best_prior)[inner.shared :]
-    normal = inner.products.sum(axis=0)[:-1, :-1]
-    ridge = np.diag(np.concatenate((inner.prior, best_prior)))
-    used = np.trace(crossval.solved(normal + ridge, normal)[inner.shared :, inner.shared :])
-    samples = float(inner.samples.sum())
     return Left(
         float(best.sum()),
         best,
@@ -151,8 +153,15 @@ def find(
         names,
         factors,
         generic.sizes,
-        float(used),
+        freedom,
     )
+
+
+def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
+    """How many numbers without a prior the generic terms are worth: the trace of their hat matrix."""
+    normal = inner.products.sum(axis=0)[:-1, :-1]
+    ridge = np.diag(np.concatenate((inner.prior, prior)))
+    return float(np.trace(crossval.solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
 
 
 def saturated(
