@@ -182,7 +182,8 @@ def _reasons(state: State) -> list[str]:
     if state.out_of_time:
         said.append("the time budget ran out before every effect was refitted")
     said += [
-        f"trials differ by chance in {kind.name}: {kind.sd:.2g} of its typical size; that is in the noise"
+        f"trials differ in {kind.name} by {kind.sd:.2g} of its typical size, which is in the noise"
+        + (f" as far as it may be chance: {kind.most:.2g}" if kind.sd > kind.most else "")
         for kind in state.random_effects
         if kind.sd > 0.02
     ]
