@@ -30,8 +30,9 @@ class Diagnosis(FileResult[GapFile]):
         By cause and channel, the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
         over the measured range), and the share ``closed`` with its ``ci95``.
     where : DataFrame
-        By channel, ``nrmse`` of the model refitted and its ``floor`` (over the measured range), ``share`` of
-        the whole gap, ``rmse`` (in ``unit``).
+        By channel, ``nrmse`` of the model refitted, its ``floor`` and what is left ``within`` trials once
+        each has what differs from trial to trial (over the measured range), ``share`` of the whole gap,
+        ``rmse`` (in ``unit``).
     file : GapFile
         What :meth:`save` writes; it also has rivals, what remains, advice and the scores of all effects.
     """
