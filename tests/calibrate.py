@@ -175,7 +175,7 @@ def acting(cases: Sequence[Truth], known: Calibration) -> float:
             continue
         right += weight * any(found.best <= names for names in c.true)
         all_of_them += weight
-    return right / all_of_them
+    return float(right / all_of_them)
 
 
 def bins(cases: Sequence[Truth], known: Calibration) -> list[tuple[float, float, int]]:
