@@ -22,7 +22,7 @@ from swimid.diagnosis import (
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.drawings import Drawings
-from swimid.diagnosis.floor import FEWEST, by_channel, excess, floors, repeats, rms, split
+from swimid.diagnosis.floor import by_channel, enough, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
@@ -149,14 +149,14 @@ def answer(
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
         floor_from=how,
-        repeats=sum(len(g) - 1 for g in repeats(context)) >= FEWEST,
+        repeats=enough(repeats(context)),
         scores=rows,
         forces={**generic.places} if generic is not None else {},
         rounds=state.told,
         reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
     )
     if file.verdict == "none" and file.level != "good":
-        file.advice = [Advice(text=f"{REPEAT}")]
+        file.advice = [Advice(text=REPEAT)]
     return ranked(file), Drawings(
         maps=places.maps(cells),
         parts=[*where.regime, *where.phase, *where.time],

@@ -37,6 +37,11 @@ def repeats(context: FitContext) -> list[list[int]]:
     return [g for g in groups.values() if len(g) > 1]
 
 
+def enough(groups: Sequence[Sequence[int]]) -> bool:
+    """Whether repeats are enough to read the noise from."""
+    return sum(len(g) - 1 for g in groups) >= FEWEST
+
+
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
     """Weighted residuals once each trial has had its own start state, trims, gains and clock.
 
@@ -198,7 +203,7 @@ def _between_repeats(
 ) -> tuple[dict[str, float], str | None]:
     """What repeats of one setting do not share, by channel, and of how many, in words; nothing of too few."""
     groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
-    if sum(len(g) - 1 for g in groups) < FEWEST or all(len(r) < 20 for r in last.residuals):
+    if not enough(groups) or all(len(r) < 20 for r in last.residuals):
         return {}, None
     parts: dict[str, list[Array]] = {}
     for group in groups:
