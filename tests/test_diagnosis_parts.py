@@ -423,6 +423,30 @@ def test_what_coefficients_do_not_tell_contradicts_no_model(held: str, rng: np.r
     assert off(20.0) > samples + 0.2 * 50 * 10.0**2
 
 
+def test_what_each_fitted_trial_has_of_an_effect_tells_a_held_out_one_nothing() -> None:
+    """Of two trials and one to come, each with a curve of a size of its own: right, and off by a curve."""
+    time = np.linspace(0.0, 6.0, 200)
+
+    class Apart(Seen):
+        def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+            return (parameter("size", 0.0, per_trial=True),)
+
+    def distance(more: float) -> float:
+        rng = np.random.default_rng(5)
+        first, second, last = (
+            Trial(f"t{k}", "fit", time, {"y": np.exp(-time) + k * ring(time) + 0.1 * rng.normal(size=200)})
+            for k in (1, -2, 3)
+        )
+        last.measured["y"] += more * np.cos(7.0 * time)
+        context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, [first, second], {})
+        noise_model = NoiseModel([[np.full(200, 0.1)]] * 2)
+        fit = context.fit((Apart("ring", ring),), noise_model, [np.array([1.0, 1.0, -2.0])])
+        return refutation.misfit(context, fit, noise_model, [last]).distance
+
+    assert distance(0.0) == pytest.approx(200.0, abs=5.0 * np.sqrt(400.0))
+    assert distance(1.0) > 200.0 + 0.5 * 200.0 * 0.5 / 0.1**2
+
+
 def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
     """Draws of noise, against refits to them: the misfit less that of the residuals themselves."""
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
@@ -1076,7 +1100,6 @@ def test_where_held_out_data_have_no_gap_causes_help_that_lower_the_errors() -> 
     [
         (0.0, False, "explained", ["waves"]),
         (4.9, False, "ambiguous", ["waves"]),
-        (np.nan, False, "ambiguous", ["waves"]),
         (4.9, True, "unexplained", []),
     ],
 )
@@ -1110,6 +1133,22 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
     assert told.refuted == (("waves",) if contradicts else ())
     assert told.base is (base if named else nominal)
     assert bool(told.reasons) == (verdict == "ambiguous")
+
+
+def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_are_at_work() -> None:
+    """Whatever the fits thought of the outside: of what closes most there, the share that is learnt."""
+    lag, slip = frozenset({"servo-lag"}), frozenset({"slip"})
+    found = posterior.Posterior(
+        {lag: 0.8, slip: 0.1},
+        0.0,
+        0.1,
+        {frozenset(): 0.02, lag: 0.06, slip: 0.02},
+        {frozenset(): 1.0},
+        (),
+        0.2,
+    )
+    assert found.beside_outside("servo-lag") == pytest.approx(0.2 * 0.6)
+    assert found.beside_outside("servo-lag", "slip") == pytest.approx(0.2 * 0.8)
 
 
 def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:

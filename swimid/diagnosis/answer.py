@@ -106,8 +106,8 @@ def answer(
     outside = floor if more else shrinkage.capped(noise.levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    refuted = bool(state.base.effects) and refutes(
-        context, nominal, state.base, state.noise_model, validation
+    refuted = bool(state.base.effects) and (
+        not shrinkage.sound(held) or refutes(context, nominal, state.base, state.noise_model, validation)
     )
     told, gap, left = judgement.judge(state, held, noise, refuted=refuted, dropout=failed > 0)
     how = noise.how
@@ -350,7 +350,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]
-    names = (told.names[0], *told.causes[0].equivalent)
+    names = told.causes[0].alike
     rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
     if len(rivals) == 1:
         rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]

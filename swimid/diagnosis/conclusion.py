@@ -48,6 +48,11 @@ class Named:
     alone: float
     crowded: bool = False
 
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """The cause and those that cannot be told from it."""
+        return (self.best.tried.effect.name, *self.equivalent)
+
 
 def named(state: State, found: Round) -> Named:
     """The cause of a round and those that cannot be told from it."""

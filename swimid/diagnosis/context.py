@@ -389,7 +389,7 @@ class FitContext:
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
         try:
-            best = self._search(problem, noise_model, starts, tolerance, iterations)
+            best = self.search(problem, noise_model, starts, tolerance, iterations)
             return self._at(problem, effects, best.x, best.cost)
         finally:
             problem.close()
@@ -423,8 +423,8 @@ class FitContext:
         problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
 
-        def search(start: Array, tolerance: float, steps: int) -> levenberg.Solution:
-            return self._search(problem, noise_model, [start], tolerance, steps)
+        def one(start: Array, tolerance: float, steps: int) -> levenberg.Solution:
+            return self.search(problem, noise_model, [start], tolerance, steps)
 
         def cost(found: levenberg.Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
@@ -434,10 +434,10 @@ class FitContext:
 
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[levenberg.Solution]:
             found: list[levenberg.Solution] = []
-            for one in sorted((search(s, tolerance, steps) for s in starts), key=cost):
+            for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
                 # what has come to the same point goes on once
-                if not any(_same(one, other, own) for other in found):
-                    found.append(one)
+                if not any(_same(ended, other, own) for other in found):
+                    found.append(ended)
             return found
 
         try:
@@ -449,36 +449,43 @@ class FitContext:
                     starts = [found.x for found in left]
                 problem.hold_derivatives((), ())
             found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
-            found.append(search(found[0].x if found else starts[0], FINE, STEPS))
+            found.append(one(found[0].x if found else starts[0], FINE, STEPS))
             best = min(found, key=cost)
             return self._at(problem, effects, best.x, best.cost)
         finally:
             problem.close()
 
-    def _search(
+    def search(
         self,
         problem: Mixed,
         noise_model: NoiseModel,
         starts: Sequence[Array],
         tolerance: float,
         iterations: int,
+        prior: tuple[Array, Array] | None = None,
     ) -> levenberg.Solution:
-        """The best optimum of a problem from several starts."""
+        """The best optimum of a problem from several starts.
+
+        Parameters
+        ----------
+        prior : tuple of ndarray, shapes (p,) and (m, p), optional
+            What is known of the numbers: their mean, and a root of their precision; default that of a fit.
+        """
         mean, weight = self.expected(problem)
-        held = weight > 0
+        mean, root = prior or (mean, np.diag(weight)[weight > 0])
 
         def residuals(theta: Array) -> Array:
             parts = [
                 noise_model.whiten(problem, k, problem.trial_residuals(theta, k))
                 for k in range(len(problem.trials))
             ]
-            return np.concatenate([*parts, ((theta - mean) * weight)[held]])
+            return np.concatenate([*parts, root @ (theta - mean)])
 
         def jacobian(theta: Array) -> Array:
             parts = [
                 noise_model.whiten(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))
             ]
-            return np.concatenate([*parts, np.diag(weight)[held]])
+            return np.concatenate([*parts, root])
 
         own: list[tuple[slice, NDArray[np.intp]]] = []
         for k, masks in enumerate(problem.masks):
@@ -494,7 +501,7 @@ class FitContext:
                     rows[part, columns] += np.outer(off[part], along / length)
             return rows
 
-        def search(start: Array) -> levenberg.Solution:
+        def one(start: Array) -> levenberg.Solution:
             return levenberg.minimise(
                 residuals,
                 jacobian,
@@ -508,7 +515,7 @@ class FitContext:
                 corrected=True,
             )
 
-        return min(map(search, starts), key=lambda found: found.cost)
+        return min(map(one, starts), key=lambda found: found.cost)
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""

@@ -78,7 +78,7 @@ def judge(
     left = remaining(state, told.base, gap, floor)
     if told.verdict == "none":
         return _by_differences(told, state, gap, noise, left), gap, left
-    return _by_remaining(told, left), gap, left
+    return _by_remaining(told, state, left), gap, left
 
 
 def _by_fits(state: State, *, dropout: bool) -> Judgement:
@@ -104,15 +104,11 @@ def _by_held_out(
     if told.verdict == "unexplained" and not shrinkage.lowers(held, floor):
         why = f"{', '.join(told.names)}: held-out trials, simulated anew, err no less with it"
         return replace(told, causes=(), base=state.nominal, reasons=(why,))
-    sound = shrinkage.sound(held)
-    if sound and (shrinkage.helps(held, floor) or _by_coefficients(state)):
+    if shrinkage.helps(held, floor) or _by_coefficients(state):
         return told
-    why = "close less than half of the squared gap with it" if sound else "break down with it"
-    return replace(
-        told,
-        verdict="ambiguous" if told.verdict == "explained" else told.verdict,
-        reasons=(f"{', '.join(told.names)}: held-out trials, simulated anew, {why}",),
-    )
+    why = "held-out trials, simulated anew, close less than half of the squared gap with it"
+    verdict = "ambiguous" if told.verdict == "explained" else told.verdict
+    return replace(told, verdict=verdict, reasons=(f"{', '.join(told.names)}: {why}",))
 
 
 def _by_coefficients(state: State) -> bool:
@@ -151,16 +147,14 @@ def _by_differences(
     return told
 
 
-def _by_remaining(told: Judgement, left: Remaining) -> Judgement:
+def _by_remaining(told: Judgement, state: State, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
     why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
-    return replace(
-        told,
-        verdict="unexplained",
-        causes=tuple(c for c in told.causes if c.closing > 0.5),
-        reasons=(*told.reasons, why),
-    )
+    # something from outside is at work, whatever the fits thought of that
+    beside = state.posterior.beside_outside
+    causes = (replace(c, probability=beside(*c.alike)) for c in told.causes if c.closing > 0.5)
+    return replace(told, verdict="unexplained", causes=tuple(causes), reasons=(*told.reasons, why))
 
 
 def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> Remaining:

@@ -157,6 +157,11 @@ class Posterior:
         )
         return min(within + self.acts * beside, 1.0)
 
+    def beside_outside(self, *names: str) -> float:
+        """Probability that one of some effects is at work, too, where something from outside is."""
+        closing = sum(p for found, p in self.beside.items() if found & set(names))
+        return self.acts * closing / self.outside if self.outside > 0 else 0.0
+
     def closing(self, *names: str) -> float:
         """Probability that one of some effects closes most of what is closed, at work or as an imitation."""
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)

@@ -15,7 +15,6 @@ import numpy as np
 from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext, Mixed
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.fitting import levenberg
 from swimid.fitting.model import Array, Trial
 
 #: Relative tolerance of the search, and steps at most.
@@ -69,52 +68,30 @@ def _of_trials(
     inner: crossval.NormalEquations,
     validation: Sequence[Trial],
 ) -> Misfit:
-    problem = context.problem(fit.effects, noise_model.random_effects, trials=validation)
-    _weigh(problem, fit, noise_model)
+    shared = [fit.labels[j] for j in context.shared(fit)]
     known = dict(zip(fit.labels, fit.theta, strict=True))
+    ended = {
+        label: known[label]
+        for label, (_, owner) in zip(fit.labels, fit.problem.slots, strict=True)
+        if owner is None and label not in shared
+    }
+    problem = context.problem(fit.effects, noise_model.random_effects, trials=validation, known=ended)
+    _weigh(problem, fit, noise_model)
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
-    mean, weight = context.expected(problem)
-    own = np.array([owner is not None for _, owner in problem.slots])
-    shared = [problem.labels.index(fit.labels[j]) for j in context.shared(fit)]
+    # what an effect has for each of the fitted trials tells a held-out one nothing
+    common = np.array([label in problem.labels for label in shared], dtype=bool)
     normal = inner.products.sum(axis=0)[:-1, :-1] + np.diag(inner.prior)
-    sizes, vectors = np.linalg.eigh(normal)
-    root = np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T
-    free = own.copy()
-    free[shared] = True
-    place = np.flatnonzero(free)
-    held = np.flatnonzero(own & (weight > 0))
-
-    def residuals(theta: Array) -> Array:
-        parts = [
-            noise_model.whiten(problem, k, problem.trial_residuals(theta, k)) for k in range(len(validation))
-        ]
-        return np.concatenate([*parts, root @ (theta - begin)[shared], ((theta - mean) * weight)[held]])
-
-    def jacobian(theta: Array) -> Array:
-        parts = [
-            noise_model.whiten(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))
-        ]
-        apart = np.zeros((len(root) + len(held), len(theta)))
-        apart[: len(root), shared] = root
-        apart[np.arange(len(held)) + len(root), held] = weight[held]
-        return np.vstack([*parts, apart])
-
-    def whole(some: Array) -> Array:
-        theta = begin.copy()
-        theta[place] = some
-        return theta
-
+    mixed = normal[np.ix_(~common, common)]
+    told = normal[np.ix_(common, common)] - mixed.T @ crossval.solved(normal[np.ix_(~common, ~common)], mixed)
+    sizes, vectors = np.linalg.eigh(told)
+    places = [problem.labels.index(label) for label in shared if label in problem.labels]
+    mean, weight = context.expected(problem)
+    mean[places], weight[places] = begin[places], 0.0
+    root = np.zeros((len(places) + len(begin), len(begin)))
+    root[: len(places), places] = np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T
+    root[len(places) :] = np.diag(weight)
     try:
-        found = levenberg.minimise(
-            lambda some: residuals(whole(some)),
-            lambda some: jacobian(whole(some))[:, place],
-            begin[place],
-            lower=problem.lower[place],
-            upper=problem.upper[place],
-            scale=problem.scale[place],
-            tolerance=TOLERANCE,
-            max_iterations=STEPS,
-        )
+        found = context.search(problem, noise_model, [begin], TOLERANCE, STEPS, (mean, root))
     finally:
         problem.close()
     samples = sum(int(m.sum()) for masks in problem.masks for m in masks)
