@@ -285,6 +285,7 @@ UNREPEATED = replace(
     where=replace(NONE.where, channels=[replace(c, within=0.5 * c.nrmse) for c in NONE.where.channels]),
 )
 REPEATED = replace(UNREPEATED, repeats=True)
+SINGLE = replace(NONE, setting_count=1)
 AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=[CURRENT], scores=_scores("current"))
 PAIR = replace(_BRIEF, causes=[BACKLASH, replace(CURRENT, equivalent=[])])
 UNEXPLAINED = replace(
@@ -294,6 +295,13 @@ UNEXPLAINED = replace(
     causes=[],
     remaining=_remaining(1.0, "surge force against speed", False, 911.0),
     advice=[],
+)
+FOLLOWS = replace(
+    NONE,
+    verdict="unexplained",
+    remaining=_remaining(1.0, "validation trials f10a15", False, _NAN),
+    held_out="validation",
+    unpredicted=[{"trial": "f10a15", "times": 22.0}],
 )
 REREAD = replace(
     _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
@@ -305,6 +313,8 @@ ALL = {
     "untold": UNTOLD,
     "unrepeated": UNREPEATED,
     "repeated": REPEATED,
+    "single": SINGLE,
+    "follows": FOLLOWS,
     "explained": EXPLAINED,
     "pair": PAIR,
     "ambiguous": AMBIGUOUS,

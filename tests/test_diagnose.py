@@ -322,6 +322,32 @@ def test_only_the_effects_asked_for_are_tried(rig: tuple[Path, Path]) -> None:
     assert {s["effect"] for s in result["scores"]}
 
 
+def test_a_validation_trial_that_is_not_predicted_is_told(tmp_path: Path) -> None:
+    """Drops without a gap, one of them, held out, with a tape that is 2 % long; and a single drop."""
+    shutil.copytree(SAMPLES / "rig", tmp_path / "rig")
+    trials, log = tmp_path / "rig" / "trials.yaml", tmp_path / "rig" / "w30.csv"
+    lines = [line for line in log.read_text().splitlines() if not line.startswith("#")]
+    columns = lines[0].split(",")
+    rows = np.array([[float(x) for x in line.split(",")] for line in lines[1:]])
+    rows[:, columns.index("x_m")] *= 1.02
+    log.write_text("\n".join([lines[0], *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n")
+    out = tmp_path / "gap.yaml"
+    whole = trials.read_text()
+    trials.write_text(whole.replace("{log: w30.csv,", "{log: w30.csv, role: validate,"))
+    ran = command("diagnose", trials, "-o", out, "-q")
+    assert ran.status == 0, ran.err
+    file = GapFile.read(out)
+    assert (file.verdict, [t.trial for t in file.unpredicted]) == ("unexplained", ["w30"])
+    assert "w30" in file.advice[0].text
+    single = [line for line in whole.splitlines() if "log:" not in line or "w20.csv" in line]
+    trials.write_text("\n".join(single) + "\n")
+    ran = command("diagnose", trials, "-o", out, "-q")
+    assert ran.status == 0, ran.err
+    file = GapFile.read(out)
+    assert (file.verdict, file.level, file.setting_count) == ("none", "caution", 1)
+    assert "another setting" in file.advice[0].text
+
+
 def test_a_sparse_budget_still_ends_with_an_answer(rig: tuple[Path, Path]) -> None:
     ran = command("diagnose", rig[0], "--params", rig[1], "--budget-s", "0.001", "--json")
     assert ran.status == 0, ran.err

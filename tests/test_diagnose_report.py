@@ -37,6 +37,8 @@ LEVELS = {
     "untold": "caution",  # that there is no gap has 30 %
     "unrepeated": "caution",  # trials differ by more than noise, by chance or not
     "repeated": "good",
+    "single": "caution",  # at another setting nothing is tested
+    "follows": "bad",  # validation trials are not predicted
     "explained": "good",
     "pair": "caution",  # one of its sizes ends at a bound
     "ambiguous": "caution",
@@ -105,6 +107,11 @@ def test_the_other_verdicts_in_words() -> None:
     assert "do not tell whether the model has a gap" in flat(said("untold"))
     assert "nothing tells whether that is chance" in flat(said("unrepeated"))
     assert "noise and what repeats differ by" in flat(said("repeated"))
+    assert "of one setting; another one is not tested" in flat(said("single"))
+    follows = flat(said("follows"))
+    assert "follows the trials it is fitted to, and does not predict f10a15." in follows
+    assert "predicts not f10a15: 22 times the error that may be expected" in follows
+    assert "gap " not in follows.split("left")[0].split("predict f10a15")[1]
     assert "servo-backlash and current together explain it" in flat(said("pair"))
     assert "no effect in the catalogue closes it" in said("unexplained")
     assert "servo-backlash closes part of it, at work or as an imitation" in flat(said("partly"))
@@ -219,6 +226,10 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     bounded = replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, parameters={"gap_rad": whole})])
     assert verdicts(bounded)["sizes of the causes"] == "warn"
     assert (cases.EXPLAINED.level, bounded.level) == ("good", "caution")
+    assert verdicts(cases.FOLLOWS)["validation trials are predicted"] == "warn"
+    assert verdicts(cases.SINGLE)["settings"] == "warn"
+    for weaker in ({"setting_count": 1}, {"unpredicted": [{"trial": "run01", "times": 3.0}]}):
+        assert replace(cases.EXPLAINED, **weaker).level == "caution"
 
 
 def test_the_methods_cite_what_was_done() -> None:

@@ -447,6 +447,31 @@ def test_what_each_fitted_trial_has_of_an_effect_tells_a_held_out_one_nothing() 
     assert distance(1.0) > 200.0 + 0.5 * 200.0 * 0.5 / 0.1**2
 
 
+@pytest.mark.parametrize(
+    ("more", "noise", "off"), [(0.0, 1.0, False), (0.0, 4.0, False), (0.3, 1.0, True), (0.3, 4.0, False)]
+)
+def test_a_validation_trial_is_not_predicted_that_is_off_by_more_than_noise(
+    more: float, noise: float, off: bool, rng: np.random.Generator
+) -> None:
+    """Slow errors of three times the noise; a trial that is only noisier than the others is predicted."""
+    time = np.linspace(0.0, 6.0, 200)
+
+    def trial(name: str, sd: float, added: float) -> Trial:
+        y = 2.0 * np.exp(-time) + added * ring(time) + sd * rng.normal(size=200)
+        return Trial(name, "fit", time, {"y": y})
+
+    known = [trial(f"t{k}", 0.1, 0.0) for k in range(4)]
+    context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, known, {})
+    noise_model = NoiseModel([[np.full(200, 0.1)]] * 4)
+    fit = context.fit((), noise_model, [np.array([1.0])])
+    held = [trial("as-ever", 0.1, 0.0), trial("other", 0.1 * noise, more)]
+    found = refutation.unpredicted(context, fit, noise_model, held)
+    assert [name for name, _ in found] == (["other"] if off else [])
+    if off:
+        # of a sine of 0.3 the root mean square, and the noise, over the noise
+        assert found[0][1] == pytest.approx(np.hypot(1.0, 0.3 / np.sqrt(2.0) / 0.1), rel=0.15)
+
+
 def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
     """Draws of noise, against refits to them: the misfit less that of the residuals themselves."""
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
@@ -1126,6 +1151,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
         base=base,
         left=None,
         context=SimpleNamespace(trials=[]),
+        noise_model=None,
     )
     noise = Floor({}, {"x_m": 0.01}, {}, "")
     told, *_ = judgement.judge(state, [piece(5.0, after)], noise, refuted=contradicts, dropout=False)

@@ -23,7 +23,7 @@ from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.drawings import Drawings
 from swimid.diagnosis.floor import by_channel, enough, excess, floors, repeats, rms, split
-from swimid.diagnosis.folds import Folds
+from swimid.diagnosis.folds import Folds, setting
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -46,7 +46,8 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
-#: How to tell a gap from chance.
+#: How to tell a gap from what coefficients imitate, and from chance.
+ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
 
@@ -109,7 +110,9 @@ def answer(
     refuted = bool(state.base.effects) and (
         not shrinkage.sound(held) or refutes(context, nominal, state.base, state.noise_model, validation)
     )
-    told, gap, left = judgement.judge(state, held, noise, refuted=refuted, dropout=failed > 0)
+    told, gap, left = judgement.judge(
+        state, held, noise, refuted=refuted, dropout=failed > 0, validation=validation
+    )
     how = noise.how
     if told.verdict == "none":
         # nothing it leaves can be told from noise and from what differs from trial to trial
@@ -141,6 +144,8 @@ def answer(
         advice=_advice(state, told, left.where, floor),
         odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
         refuted=list(told.refuted),
+        unpredicted=[OddTrial(trial=trial, times=times) for trial, times in told.unpredicted],
+        setting_count=len({setting(t) for t in (*context.trials, *validation)}),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
@@ -156,7 +161,7 @@ def answer(
         reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
     )
     if file.verdict == "none" and file.level != "good":
-        file.advice = [Advice(text=REPEAT)]
+        file.advice = [Advice(text=ANOTHER if file.single else REPEAT)]
     return ranked(file), Drawings(
         maps=places.maps(cells),
         parts=[*where.regime, *where.phase, *where.time],
@@ -347,6 +352,9 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if told.odd is not None:
         text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *_repeat(left)]
+    if told.unpredicted and not told.causes and not told.refuted:
+        trials = ", ".join(trial for trial, _ in told.unpredicted)
+        return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]

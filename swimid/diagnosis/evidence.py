@@ -85,9 +85,9 @@ def verdict(file: GapFile) -> ev.Verdict:
 def checks(file: GapFile) -> list[ev.Check]:
     """The tests the answer has to pass."""
     parts = (
-        (_nothing_gains, _between_trials, _left)
+        (_nothing_gains, _between_trials, _predicts, _left)
         if file.verdict == "none"
-        else (_gains, _rivals, _sizes, _closed, _transfer, _coefficients, _left)
+        else (_gains, _rivals, _sizes, _closed, _transfer, _predicts, _coefficients, _left)
     )
     return [check for part in (_at_bounds, _contradicted, _size, *parts) for check in part(file)]
 
@@ -158,6 +158,26 @@ def _between_trials(file: GapFile) -> Iterable[ev.Check]:
             "as between repeats",
             "most of the squared error is that trials differ from one another; only repeats of a setting "
             "tell whether that is chance",
+        )
+
+
+def _predicts(file: GapFile) -> Iterable[ev.Check]:
+    if file.held_out == "validation":
+        yield ev.check(
+            "validation trials are predicted",
+            f"not {words.unpredicted_text(file)}" if file.unpredicted else "yes",
+            not file.unpredicted,
+            "no worse than may be expected",
+            "error of a trial that took part in no fit, over what noise and the uncertainty of the "
+            "coefficients allow",
+        )
+    if file.single:
+        yield ev.check(
+            "settings",
+            "1",
+            False,
+            "≥ 2",
+            "of one setting coefficients may imitate what the model lacks; nothing is tested at another",
         )
 
 

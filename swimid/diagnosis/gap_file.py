@@ -184,10 +184,11 @@ class Score(yamlio.Document):
 
 
 class OddTrial(yamlio.Document):
-    """A trial that the others do not predict as they predict one another."""
+    """A trial that the others do not predict."""
 
     trial: str
-    #: Its error of prediction over the others' typical one.
+    #: Its error of prediction over that expected: the others' typical one, or what noise and the uncertainty
+    #: of the coefficients allow.
     times: float
 
 
@@ -238,6 +239,8 @@ class GapFile(yamlio.ResultFile):
     floor_from: str = ""
     #: Whether settings were repeated often enough to tell what differs by chance.
     repeats: bool = False
+    #: How many settings there are, of fitted and validation trials.
+    setting_count: int | None = None
     #: Every effect tried, best first.
     scores: list[Score] = []
     #: Held-out gain of generic residual forces and sensor terms, by axis.
@@ -251,19 +254,23 @@ class GapFile(yamlio.ResultFile):
     odd_trial: OddTrial | None = None
     #: The likeliest causes by the fits, if held-out errors are worse with them by more than the gap.
     refuted: list[str] = []
+    #: Validation trials farther off than noise and what is not known of the coefficients allow, the farthest
+    #: first; by how many times.
+    unpredicted: list[OddTrial] = []
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @property
     def level(self) -> Literal["good", "caution", "bad"]:
         """How the report grades the verdict: worst where most of a gap stays unexplained; not good where the
-        size of a cause ends at a bound, nor where that there is no gap is not told for sure.
+        size of a cause ends at a bound, a validation trial is not predicted, a single setting was tried, nor
+        where that there is no gap is not told for sure.
         """
         if self.verdict == "none":
-            sure = self.told_of_gap and not self.unrepeated and self.remaining.white
+            sure = self.told_of_gap and not self.unrepeated and self.remaining.white and not self.single
             return "good" if sure else "caution"
         if self.verdict == "explained":
-            return "caution" if self.bounded else "good"
+            return "caution" if self.bounded or self.unpredicted or self.single else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
 
@@ -271,6 +278,16 @@ class GapFile(yamlio.ResultFile):
     def told_of_gap(self) -> bool:
         """Whether that there is no gap is likelier than not."""
         return self.no_gap is None or self.no_gap > 0.5
+
+    @property
+    def follows(self) -> bool:
+        """Whether the model follows the trials it is fitted to, and not the validation trials."""
+        return bool(self.unpredicted) and not self.causes and not self.refuted
+
+    @property
+    def single(self) -> bool:
+        """Whether all trials have one setting: at another one nothing was tested."""
+        return self.setting_count is not None and self.setting_count < 2
 
     @property
     def unrepeated(self) -> bool:

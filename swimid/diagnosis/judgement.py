@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.diagnosis import conclusion, odd, remainder, shrinkage
+from swimid.diagnosis import conclusion, odd, refutation, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
 from swimid.diagnosis.floor import Floor, excess
@@ -15,7 +15,7 @@ from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, Trial
 from swimid.fitting.odd_trial import Odd
 
 
@@ -36,6 +36,8 @@ class Judgement:
         Causes with which held-out errors grow.
     odd : Odd or None
         The trial that contradicts the others.
+    unpredicted : tuple of (str, float)
+        Validation trials that the model with the causes does not predict, and by how many times each is off.
     """
 
     verdict: Verdict
@@ -44,6 +46,7 @@ class Judgement:
     reasons: tuple[str, ...] = ()
     refuted: tuple[str, ...] = ()
     odd: Odd | None = None
+    unpredicted: tuple[tuple[str, float], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -52,7 +55,13 @@ class Judgement:
 
 
 def judge(
-    state: State, held: Sequence[Piece], noise: Floor, *, refuted: bool, dropout: bool
+    state: State,
+    held: Sequence[Piece],
+    noise: Floor,
+    *,
+    refuted: bool,
+    dropout: bool,
+    validation: Sequence[Trial] = (),
 ) -> tuple[Judgement, list[Array], Remaining]:
     """The verdict on everything that was tried, the gap (what the model without effects leaves,
     weighted, shape (n_k,) of each trial), and what is left of it.
@@ -66,6 +75,8 @@ def judge(
         Whether held-out data contradict the causes.
     dropout : bool
         Whether failed samples are a cause.
+    validation : sequence of Trial
+        Trials that take part in no fit.
     """
     floor = noise.inside
     told = _by_fits(state, dropout=dropout)
@@ -76,6 +87,12 @@ def judge(
     # what a cause accounts for is none of the random effects of the model without it
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
+    model = told.base if told.causes else state.nominal
+    off = refutation.unpredicted(state.context, model, state.noise_model, validation)
+    told = replace(told, unpredicted=tuple(off))
+    if told.verdict == "none" and off:
+        where = f"validation trials {', '.join(trial for trial, _ in off)}"
+        return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
     if told.verdict == "none":
         return _by_differences(told, state, gap, noise, left), gap, left
     return _by_remaining(told, state, left), gap, left

@@ -7,18 +7,23 @@ likely as those leave: its distance in the predictive distribution.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
-from swimid.diagnosis import crossval
+from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.shrinkage import MOST
 from swimid.fitting.model import Array, Trial
 
 #: Relative tolerance of the search, and steps at most.
 TOLERANCE, STEPS = 1e-3, 12
+#: Chance that of all validation trials one is called unpredicted though the model is right.
+CHANCE = 0.025
 
 
 @dataclass(frozen=True)
@@ -30,10 +35,18 @@ class Misfit:
     distance : float
         Squared Mahalanobis distance: about `samples` where the model is right.
     samples : int
+    slow : bool
+        Whether what is left of the samples moves slower than noise, or is too short to tell.
     """
 
     distance: float
     samples: int
+    slow: bool = True
+
+    @property
+    def times(self) -> float:
+        """Root-mean-square over that of a model that is right."""
+        return math.sqrt(self.distance / max(self.samples, 1))
 
 
 def refutes(
@@ -51,6 +64,23 @@ def refutes(
     first, second = (misfit(context, fit, noise_model, validation) for fit in (before, after))
     gap = first.distance - first.samples
     return second.distance - first.distance > max(gap, first.samples)
+
+
+def unpredicted(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
+) -> list[tuple[str, float]]:
+    """Validation trials in whose squared distance from the prediction of a model the greater part is no
+    noise, and by how many times each is off, the largest first.
+
+    A trial whose noise is larger than that of the others, and no slower, is none.
+    """
+    found = []
+    for trial in validation:
+        seen = misfit(context, fit, noise_model, [trial])
+        chance = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
+        if seen.slow and seen.distance > max(seen.samples / (1.0 - MOST), chance):
+            found.append((trial.id, seen.times))
+    return sorted(found, key=lambda one: -one[1])
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
@@ -92,10 +122,12 @@ def _of_trials(
     root[len(places) :] = np.diag(weight)
     try:
         found = context.search(problem, noise_model, [begin], TOLERANCE, STEPS, (mean, root))
+        left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
     finally:
         problem.close()
-    samples = sum(int(m.sum()) for masks in problem.masks for m in masks)
-    return Misfit(float(found.cost), samples)
+    moving = remainder.low_frequency(problem, left)
+    slow = not moving or any(channel.ratio > remainder.SLOW for channel in moving.values())
+    return Misfit(float(found.cost), sum(len(r) for r in left), slow)
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.floor import split
 from swimid.diagnosis.generic import TERMS, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import mapped
+from swimid.fitting.problem import Problem
 
 #: Widths of the prior of a generic term tried, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -225,7 +225,7 @@ class LowFrequency:
     share: float
 
 
-def low_frequency(fit: Fit, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
+def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
     """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
 
     It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
@@ -237,10 +237,8 @@ def low_frequency(fit: Fit, residuals: Sequence[Array]) -> dict[str, LowFrequenc
         Weighted, as :func:`swimid.diagnosis.floor.nuisance_residuals` leaves them.
     """
     sums: dict[str, list[tuple[float, float, int]]] = {}
-    for k, r in enumerate(residuals):
-        if len(r) < 20:
-            continue
-        for channel, series in split(fit, k, r).items():
+    for channel, of_trials in problem.series(residuals).items():
+        for series in of_trials:
             steps = np.diff(series)
             there, moved = np.isfinite(series), np.isfinite(steps)
             if moved.sum() > 20:

@@ -627,7 +627,7 @@ def run(
         state.left = remainder.find(context, state.base, state.noise_model, generic, rng=rng)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
-        state.low_frequency = remainder.low_frequency(state.base, state.nuisance_residuals)
+        state.low_frequency = remainder.low_frequency(state.base.problem, state.nuisance_residuals)
     return state
 
 

@@ -41,6 +41,8 @@ def verdict_sentence(file: GapFile) -> str:
                 "No gap that the trials share: they differ from one another by more than the noise within "
                 "them, and without repeats of a setting nothing tells whether that is chance."
             )
+        if file.single:
+            return "No gap above the noise floor in these trials of one setting; another one is not tested."
         if any(c.differs for c in file.where.channels):
             return "No gap above the noise floor: all that is left are noise and what repeats differ by."
         return "No gap above the noise floor: the model describes these trials as well as their noise allows."
@@ -51,6 +53,9 @@ def verdict_sentence(file: GapFile) -> str:
         rivals = [cannot_tell(c) for c in file.causes if c.equivalent]
         likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
         return f"The model has a gap; {'; '.join(rivals) or likeliest}."
+    if file.follows:
+        trials = listed([t.trial for t in file.unpredicted])
+        return f"The model follows the trials it is fitted to, and does not predict {trials}."
     if file.odd_trial is not None:
         odd = file.odd_trial.trial
         return f"The model has a gap, and {odd} contradicts the other trials: no effect of all explains it."
@@ -197,6 +202,11 @@ def bounds_text(file: GapFile) -> str:
     return listed([f"{name} at {numbers.number(bound, 3)}" for name, bound in file.at_bound.items()])
 
 
+def unpredicted_text(file: GapFile) -> str:
+    """Validation trials that are not predicted: ``w30: 22 times``."""
+    return listed([f"{t.trial}: {numbers.number(t.times, 2)} times" for t in file.unpredicted])
+
+
 def parts(file: GapFile) -> list[Cell]:
     """The gap in each part of the data: settings, phases, times."""
     return [*file.where.regime, *file.where.phase, *file.where.time]
@@ -241,6 +251,8 @@ def summary(file: GapFile) -> str:
         rows.insert(
             0, ("odd", f"{file.odd_trial.trial}: the others predict it {times} times worse than one another")
         )
+    if file.unpredicted:
+        rows.append(("predicts", f"not {unpredicted_text(file)} the error that may be expected"))
     if file.refuted:
         names = listed(file.refuted)
         rows.append(
@@ -270,8 +282,9 @@ def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
         for k, c in enumerate(file.where.channels[:_CHANNELS])
         if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL or file.verdict == "none")
     ]
-    first = "error" if file.verdict == "none" else "gap"
-    size = error_of if file.verdict == "none" else size_of
+    no_gap = file.verdict == "none" or file.follows
+    first = "error" if no_gap else "gap"
+    size = error_of if no_gap else size_of
     rows = [("" if k else first, size(c)) for k, c in enumerate(shown)]
     if file.verdict == "none":
         best = likeliest(file)

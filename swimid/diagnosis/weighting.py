@@ -121,7 +121,7 @@ def see(
             brief(noise_model, fit.problem, still, list(noise_model.colour)), long_memory=noise_model
         ), []
     noise_model = brief(
-        noise_model, fit.problem, still, remainder.drifting(remainder.low_frequency(fit, still))
+        noise_model, fit.problem, still, remainder.drifting(remainder.low_frequency(fit.problem, still))
     )
     if common is None:
         return noise_model, []
