@@ -230,6 +230,15 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     assert verdicts(cases.SINGLE)["settings"] == "warn"
     for weaker in ({"setting_count": 1}, {"unpredicted": [{"trial": "run01", "times": 3.0}]}):
         assert replace(cases.EXPLAINED, **weaker).level == "caution"
+    stood_in = [
+        replace(a, with_effect=replace(a.with_effect, status="at-bound")) for a in cases.BACKLASH.absorbed
+    ]
+    hardly = [replace(s, closed=0.4) for s in cases.BACKLASH.shrinkage]
+    for more in ({"extrapolation": lost.extrapolation}, {"absorbed": stood_in}, {"shrinkage": hardly}):
+        weak = replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, **more)])
+        assert "warn" in verdicts(weak).values()
+        assert weak.level == "caution"
+    assert replace(cases.NONE, at_bound={"c_d4": 6.0}).level == "caution"
 
 
 def test_the_methods_cite_what_was_done() -> None:

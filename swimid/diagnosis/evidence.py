@@ -12,8 +12,6 @@ from swimid.diagnosis.gap_file import GapFile
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
-#: The causes should close at least this share of a channel's gap.
-GOOD_CLOSED = 0.5
 #: An effect that the nominal coefficients imitate beyond this share is seen through them only.
 HIDDEN = 0.9
 
@@ -72,7 +70,7 @@ def evidence(
 def verdict(file: GapFile) -> ev.Verdict:
     """The verdict as the report grades it."""
     said = words.verdict_sentence(file)
-    closed = next((s for s in words.held_out(file) if s.closed is not None), None)
+    closed = next((s for s in file.closing if s.closed is not None), None)
     if closed is not None:
         said += f" Of the gap in {closed.channel} {words.closed_text(closed)} is closed."
     text = blocks.verdict(checks(file), said).text
@@ -218,27 +216,23 @@ def _sizes(file: GapFile) -> Iterable[ev.Check]:
 
 
 def _closed(file: GapFile) -> Iterable[ev.Check]:
-    for s in words.held_out(file)[:3]:
-        if s.closed is None:
-            continue
-        low = s.ci95[0]
-        yield ev.check(
-            f"gap closed in {s.channel}",
-            words.closed_text(s),
-            s.closed >= GOOD_CLOSED and (low is None or low > 0),
-            f"≥ {100 * GOOD_CLOSED:g} %, interval above 0",
-            f"{words.held_out_text(file)}: {words.errors_text(s)}",
-        )
+    for s in file.closing[:3]:
+        if s.half_closed is not None:
+            yield ev.check(
+                f"gap closed in {s.channel}",
+                words.closed_text(s),
+                s.half_closed,
+                f"≥ {100 * gap_format.HALF:g} %, interval above 0",
+                f"{words.held_out_text(file)}: {words.errors_text(s)}",
+            )
 
 
 def _transfer(file: GapFile) -> Iterable[ev.Check]:
-    tried = [e for c in file.causes[:1] for e in c.extrapolation if None not in (e.before, e.after)]
-    lost = [e.left_out for e in tried if (e.after or 0.0) > (e.before or 0.0)]
-    if tried:
+    if any(None not in (e.before, e.after) for c in file.causes[:1] for e in c.extrapolation):
         yield ev.check(
             "carries over to settings left out",
-            f"not to {words.listed(lost)}" if lost else "yes",
-            not lost,
+            f"not to {words.listed(file.lost)}" if file.lost else "yes",
+            not file.lost,
             "all",
             "an effect that loses where it was not fitted takes up errors and causes none",
         )
@@ -248,11 +242,10 @@ def _coefficients(file: GapFile) -> Iterable[ev.Check]:
     known = words.absorbed(file.causes)
     if not known:
         return
-    stuck = [a.coefficient for a in known if a.with_effect.status == "at-bound"]
     yield ev.check(
         "coefficients with the causes",
-        f"at a bound: {words.listed(stuck)}" if stuck else "inside their bounds",
-        not stuck,
+        f"at a bound: {words.listed(file.stuck)}" if file.stuck else "inside their bounds",
+        not file.stuck,
         "inside",
         "a coefficient at its bound still stands in for something",
     )
@@ -407,7 +400,7 @@ def methods(file: GapFile) -> list[str]:
     )
     said += [f"{text.rstrip('.')}." for text in file.rounds]
     said.append(words.verdict_sentence(file))
-    for s in words.held_out(file)[:1]:
+    for s in file.closing[:1]:
         if s.closed is not None:
             said.append(
                 f"Of the gap in {s.channel}, {words.closed_text(s)} was closed {words.held_out_text(file)} "

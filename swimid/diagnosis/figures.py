@@ -138,7 +138,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
 
 
 def _shrinkage(file: GapFile) -> list[ev.Figure]:
-    found = [s for s in words.held_out(file) if s.before is not None and s.after is not None]
+    found = [s for s in file.closing if s.before is not None and s.after is not None]
     if not found:
         return []
     series = [

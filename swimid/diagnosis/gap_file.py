@@ -29,6 +29,8 @@ WORDS: dict[Verdict, str] = {
     "ambiguous": "Ambiguous",
     "unexplained": "Unexplained",
 }
+#: The causes should close at least this share of a channel's gap.
+HALF = 0.5
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
@@ -100,6 +102,14 @@ class Shrinkage(yamlio.Document):
     ci95: Pair = (None, None)
     #: The parameters as given.
     shipped: Number = None
+
+    @property
+    def half_closed(self) -> bool | None:
+        """Whether at least half of the gap closes, surely more than nothing; None where there is none."""
+        if self.closed is None:
+            return None
+        low = self.ci95[0]
+        return self.closed >= HALF and (low is None or low > 0)
 
 
 class Absorbed(yamlio.Document):
@@ -262,15 +272,17 @@ class GapFile(yamlio.ResultFile):
 
     @property
     def level(self) -> Literal["good", "caution", "bad"]:
-        """How the report grades the verdict: worst where most of a gap stays unexplained; not good where the
-        size of a cause ends at a bound, a validation trial is not predicted, a single setting was tried, nor
-        where that there is no gap is not told for sure.
+        """How the report grades the verdict: worst where most of a gap stays unexplained; not good where a
+        size or a coefficient ends at a bound, a validation trial is not predicted, a single setting was
+        tried, that there is no gap is not told for sure, or held-out errors do not bear a cause out.
         """
         if self.verdict == "none":
-            sure = self.told_of_gap and not self.unrepeated and self.remaining.white and not self.single
-            return "good" if sure else "caution"
+            sure = self.told_of_gap and not self.unrepeated and self.remaining.white
+            return "good" if sure and not self.single and not self.at_bound else "caution"
         if self.verdict == "explained":
-            return "caution" if self.bounded or self.unpredicted or self.single else "good"
+            weak = self.bounded or self.stuck or self.unpredicted or self.single or self.lost
+            first = self.closing[:1]
+            return "caution" if weak or any(s.half_closed is False for s in first) else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
 
@@ -301,6 +313,23 @@ class GapFile(yamlio.ResultFile):
         """Parameters of the causes that end at a bound: ``joint-locked/share``."""
         ends = [(c.effect, name, value) for c in self.causes for name, value in c.parameters.items()]
         return [f"{effect}/{name}" for effect, name, value in ends if value.status == "at-bound"]
+
+    @property
+    def closing(self) -> list[Shrinkage]:
+        """Errors on held-out data with all causes together, by channel, that with most of the gap first."""
+        return self.causes[0].shrinkage if self.causes else []
+
+    @property
+    def stuck(self) -> list[str]:
+        """Coefficients that end at a bound with the causes: they still stand in for something."""
+        known = [a for c in self.causes for a in c.absorbed if a.with_effect.status == "at-bound"]
+        return list(dict.fromkeys(a.coefficient for a in known))
+
+    @property
+    def lost(self) -> list[str]:
+        """Settings left out of the fit on which errors are larger with the causes."""
+        tried = [e for c in self.causes[:1] for e in c.extrapolation if None not in (e.before, e.after)]
+        return [e.left_out for e in tried if (e.after or 0.0) > (e.before or 0.0)]
 
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""

@@ -143,11 +143,6 @@ def errors_text(s: Shrinkage) -> str:
     return f"{numbers.percent(s.before)} → {numbers.percent(s.after)}, noise alone {numbers.percent(s.floor)}"
 
 
-def held_out(file: GapFile) -> list[Shrinkage]:
-    """Errors on held-out data with all causes together, by channel."""
-    return file.causes[0].shrinkage if file.causes else []
-
-
 def value_text(value: Value) -> str:
     """An estimate with its error and unit, angles in degrees beside."""
     if value.status == "unidentifiable":
@@ -316,7 +311,7 @@ def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
             rows.append(("", f"to work with it: --reading {cause.effect.removeprefix(PREFIX)}"))
         if cause.equivalent:
             rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"))
-    closing = [s for s in held_out(file) if s.closed is not None]
+    closing = [s for s in file.closing if s.closed is not None]
     rows += [
         ("" if k else "closed", f"{s.channel} {closed_text(s)}: {errors_text(s)}")
         for k, s in enumerate(closing[:_CHANNELS])
