@@ -931,6 +931,34 @@ def seen_trials(rng: np.random.Generator, rising: float, ringing: float) -> list
     return trials
 
 
+def test_a_smaller_set_is_fitted_from_where_a_larger_one_ends(rng: np.random.Generator) -> None:
+    """A tone caught in a side lobe, as its search began there; with a further effect it is found."""
+
+    class Tone(Seen):
+        def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+            return parameter("size", 0.0), parameter("frequency", 2.0)
+
+        def hooks(self, values: np.ndarray, trial: Trial, model: Model) -> Hooks:
+            return Seen("", lambda t: np.sin(values[1] * t)).hooks(values[:1], trial, model)
+
+    tone, slope = Tone("tone", ring), Seen("slope", rise)
+    context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.0, 0.3), {})
+    noise_model, own = NoiseModel([[np.full(200, 0.02)]] * 6), {"tone/size": 0.05, "tone/frequency": 7.5}
+    found = search.Search(context, noise_model, [tone, slope], [], rng=rng, jobs=1)
+    null = found.begin(np.array([1.0]))
+    caught = context.fit((tone,), noise_model, [context.start((tone,), noise_model, null.fit, own)])
+    own["tone/frequency"] = 2.1
+    whole = context.fit(
+        (tone, slope), noise_model, [context.start((tone, slope), noise_model, null.fit, own)]
+    )
+    assert abs(caught.value("tone/frequency") - 2.0) > 1.0
+    single, pair = found.judged(caught), found.judged(whole)
+    found.pool |= {h.key: h for h in (single, pair)}
+    assert found.without(pair, slope).fit.value("tone/frequency") == pytest.approx(2.0, abs=0.01)
+    assert found.pool[single.key].fit.cost < caught.cost
+    assert found.lessened().best == {"tone"}
+
+
 def test_two_effects_are_found_beside_one_that_stands_in_for_both(rng: np.random.Generator) -> None:
     """A curve like the sum of two others is better than either, and no cause once both are fitted jointly."""
 

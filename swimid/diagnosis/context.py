@@ -29,7 +29,7 @@ TOLERANCE = 1e-5
 #: Of many starts the better half goes on after each step with lent derivatives, the last for so many steps;
 #: so many of them go as far with their own, and the best to the end, in so many at most. The tolerances
 #: meanwhile and there.
-HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 20, 1e-3, 1e-4
+HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
 #: Two starts this near, in typical sizes of an effect and relatively in cost, are one.
 ALIKE = 0.1
 #: A coefficient this many prior standard deviations from what was known of it is distorted.

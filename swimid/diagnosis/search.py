@@ -215,6 +215,8 @@ class Search:
         self.pool: dict[Key, Hypothesis] = {}
         self.screens: dict[Key, Screen] = {}
         self._cosines: dict[frozenset[int], float] = {}
+        #: Sets from whose optimum a smaller one has been fitted.
+        self.returned: set[tuple[Key, Key]] = set()
         #: Fitted in a few steps only.
         self.hopeless: set[Key] = set()
         self.out_of_time = False
@@ -327,13 +329,38 @@ class Search:
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """A hypothesis less one of its effects."""
+        """A hypothesis less one of its effects, fitted from where it and the best other larger ones end, too:
+        what a poor optimum misses, further effects would seem to explain.
+        """
+        context, noise_model = self.context, self.noise_model
         rest = tuple(e for e in h.fit.effects if e is not effect)
-        key = h.key - {id(effect)}
-        if key not in self.pool:
-            starts = [self.context.start(rest, self.noise_model, fit) for fit in (h.fit, self.null.fit)]
-            self.pool[key] = self.judged(self.context.multistart(rest, self.noise_model, starts, warm=h.fit))
-        return self.pool[key]
+        known = self.pool.get(h.key - {id(effect)})
+        if known is None:
+            starts = [context.start(rest, noise_model, fit) for fit in (h.fit, self.null.fit)]
+            found = self.judged(context.multistart(rest, noise_model, starts, warm=h.fit))
+            self.pool[found.key] = found
+            return found
+        others = [o for o in self.pool.values() if known.key < o.key and o.fit.cost < known.fit.cost]
+        best = sorted(others, key=lambda o: o.fit.cost)[: PARENTS if rest else 0]
+        new = [o for o in {h, *best} if (o.key, known.key) not in self.returned]
+        if new:
+            self.returned.update((o.key, known.key) for o in new)
+            starts = [context.start(rest, noise_model, o.fit) for o in sorted(new, key=lambda o: o.fit.cost)]
+            again = context.multistart(rest, noise_model, starts, warm=h.fit)
+            if again.cost < known.fit.cost:
+                self._refitted(known, again.optimum)
+        return self.pool[known.key]
+
+    def lessened(self) -> Posterior:
+        """How likely each set is once the likeliest has come to be beside all its own parts."""
+        while True:
+            found = self.weighed()
+            best = self.likeliest(found)
+            before = len(self.returned)
+            for effect in best.fit.effects:
+                self.without(best, effect)
+            if len(self.returned) == before:
+                return found
 
     def best(self, size: int) -> list[Hypothesis]:
         """Hypotheses of so many effects, best first, the best form of each set."""
@@ -390,6 +417,7 @@ class Search:
         self.noise_model = noise_model
         self.screens.clear()
         self._cosines.clear()
+        self.returned.clear()
         kept, null = list(self.pool.values()), self.null
         self.pool.clear()
         self.begin(context.start((), noise_model, null.fit))
@@ -451,6 +479,8 @@ class Search:
         fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
         self.pool[h.key] = self.judged(fit, h.tried, parent)
+        self.screens.pop(h.key, None)
+        self.null = self.pool[frozenset()]
 
     def weighed(self) -> Posterior:
         """How likely each set of effects fitted so far is."""
@@ -615,7 +645,7 @@ def run(
             )  # fmt: skip
             search.begin(context.start((), noise_model, fit))
             search.beside([search.null])
-            found = search.weighed()
+            found = search.lessened()
             leader = search.likeliest(found)
             search.learn(leader if found.sets.get(found.best, 0.0) > found.none else search.null)
         search.effects = allowed
@@ -638,7 +668,7 @@ def chosen(
     search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
     told: list[str] = []
     search.finish()
-    found = search.weighed()
+    found = search.lessened()
     best = search.likeliest(found)
     count = search.count
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
@@ -652,7 +682,7 @@ def chosen(
             search.step = partial(show, shown)
             parents = search.best(size)[:PARENTS]
             search.beside([*parents, *([best] if best not in parents else [])], SETS)
-        larger = search.likeliest(search.weighed())
+        larger = search.likeliest(search.lessened())
         if len(larger.names) == size:
             break
         # the noise is what the larger set leaves
@@ -661,13 +691,13 @@ def chosen(
         search.pool = {key: h for key, h in search.pool.items() if key in keep}
         search.learn(larger)
         search.finish()
-        found = search.weighed()
+        found = search.lessened()
         told.append(_told(best.names, larger.names, found))
         best = search.likeliest(found)
     while not search.out_of_time:
         for effect in best.fit.effects if len(best.names) > 1 else ():
             search.beside([search.without(best, effect)], RIVALS)
-        found = search.weighed()
+        found = search.lessened()
         if search.likeliest(found).names == best.names:
             break
         best = search.likeliest(found)
