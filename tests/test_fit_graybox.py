@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,7 +29,7 @@ from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.blind import swim_actuation
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 from tests.generators import gap_trials, swimmer
 
 Swimid = Callable[..., Ran]
@@ -844,3 +845,19 @@ def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path
     ran = swimid("fit-graybox", path)
     assert ran.status == 3
     assert "did you mean 'K_s'" in ran.err
+
+
+def test_a_track_of_one_marker_has_a_heading_of_its_own(tmp_path: Path) -> None:
+    """Of the sample's logs without their heading: begun where the track sets out, and estimated."""
+    folder = tmp_path / "gap"
+    shutil.copytree(SAMPLES / "gap", folder)
+    whole = swimmer_trials.load(SAMPLES / "gap" / "trials.yaml")
+    for log in folder.glob("run*.csv"):
+        rows = [line.split(",") for line in log.read_text().splitlines() if not line.startswith("#")]
+        at = rows[0].index("yaw_rad")
+        log.write_text("".join(",".join(row[:at] + row[at + 1 :]) + "\n" for row in rows))
+    found = swimmer_trials.load(folder / "trials.yaml")
+    assert "start_yaw" in {p.name for p in found.model.parameters if p.free}
+    for trial, known in zip(found.trials, whole.trials, strict=True):
+        off = trial.swim.posed()[2] - known.swim.posed()[2]
+        assert abs((off + np.pi) % (2 * np.pi) - np.pi) < np.pi / 4

@@ -50,6 +50,8 @@ USES = dict.fromkeys(
 )
 #: The beat is looked for up to this multiple of the stated frequency.
 BEAT_RANGE = 8.0
+#: A track has set out once it is this share of its farthest from where it began.
+SETS_OUT = 0.25
 
 
 def robot_model(
@@ -127,6 +129,8 @@ def load(
         for name, column in zip(model.starts, model.pose, strict=True)
         if model.free_base and any(column in t.measured for t in trials)
     }
+    if any(_headless(model, log) for log in read):
+        free.add(model.starts[2])
     if start_state == "estimate" or (start_state == "auto" and moving):
         free |= set(model.initial([c for t in trials for c in t.measured]))
     held = {
@@ -257,11 +261,29 @@ def _trial(
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     pose = [log[name] if name in log else np.full(len(log), np.nan) for name in model.pose]
     # in its plane a robot is where the log says or nowhere; a side view tells half of a pose in space
-    if model.free_base and (len(pose) > 3 or all(name in log for name in model.pose)):
-        first = (float(v[np.isfinite(v)][0]) if np.isfinite(v).any() else 0.0 for v in pose)
+    if model.free_base and (len(pose) > 3 or all(name in log for name in model.pose[:2])):
+        first = [float(v[np.isfinite(v)][0]) if np.isfinite(v).any() else 0.0 for v in pose]
+        if _headless(model, log):
+            first[2] = _course(*pose[:2])
         swim = replace(swim, pose=tuple(first))
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
+
+
+def _headless(model: LinkedModel, log: Log) -> bool:
+    """Whether a log shows where a robot is in its plane, and not its heading: one marker."""
+    *place, heading = model.pose
+    known = [name in log and np.isfinite(log[name]).any() for name in (*place, heading)]
+    return model.free_base and len(place) == 2 and all(known[:2]) and not known[2]
+
+
+def _course(x: Array, y: Array) -> float:
+    """Where a track sets out to, rad: to where it is a quarter of its farthest from its first point."""
+    there = np.isfinite(x) & np.isfinite(y)
+    along, across = x[there] - x[there][0], y[there] - y[there][0]
+    gone = np.hypot(along, across)
+    at = int(np.argmax(gone >= SETS_OUT * gone.max()))
+    return math.atan2(across[at], along[at])
 
 
 def _own_coefficients(entry: FreeSwimTrial, path: Path, model: LinkedModel) -> dict[str, float]:
@@ -381,7 +403,11 @@ def _opening(log: Log) -> NDArray[np.bool_]:
 def _starts(trial: Trial, log: Log, model: LinkedModel) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
 
+    headless = _headless(model, log)
+
     def at_start(name: str, derivative: int) -> float | None:
+        if headless and name == model.pose[2] and not derivative:
+            return trial.swim.posed()[2]
         if name not in trial.measured:
             return None
         values = trial.measured[name]
