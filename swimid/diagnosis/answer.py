@@ -42,6 +42,7 @@ from swimid.diagnosis.judgement import Judgement
 from swimid.diagnosis.refutation import refutes
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
+from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
@@ -76,9 +77,15 @@ def answer(
     GapFile
         What was diagnosed is not yet named in it.
     Drawings
+
+    Raises
+    ------
+    NoTrustworthyResult
+        Where the model, refitted, simulates nothing like these trials.
     """
     context, nominal = state.context, state.nominal
     ranges = _ranges(context, nominal)
+    _insist_simulated(nominal, ranges)
     alike = _alone(state, nominal), _alone(state, state.base)
     share = conclusion.structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
@@ -168,6 +175,15 @@ def answer(
         overlays=shrinkage.overlays(held, units),
         sketches=places.sketches(generic) if generic is not None and generic.found else [],
     )
+
+
+def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
+    errors = by_channel(nominal, nominal.residuals)
+    if all(rms(left) > shrinkage.ASTRAY * ranges[channel] for channel, left in errors.items()):
+        raise NoTrustworthyResult(
+            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
+            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+        )
 
 
 def _alone(state: State, fit: Fit) -> Fit:

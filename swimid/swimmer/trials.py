@@ -402,7 +402,6 @@ def _opening(log: Log) -> NDArray[np.bool_]:
 
 def _starts(trial: Trial, log: Log, model: LinkedModel) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
-
     headless = _headless(model, log)
 
     def at_start(name: str, derivative: int) -> float | None:
