@@ -29,7 +29,7 @@ from swimid.diagnosis import (
 from swimid.diagnosis.candidates import _allowed, own_gains
 from swimid.diagnosis.context import START_PRIOR, FitContext, errors
 from swimid.diagnosis.crossval import Drawn, NormalEquations
-from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, split
+from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.random_effects import LARGEST_SD, kinds, spread
 from swimid.diagnosis.shrinkage import closed
@@ -178,6 +178,16 @@ def test_repeats_tell_how_much_of_a_difference_is_chance(repeated: bool, rng: np
     # estimates of one trial scatter by 1 / sqrt(n) beside
     within = np.hypot(0.3, 1.0 / np.sqrt(n))
     assert found.most == (pytest.approx(1.23 * within, rel=0.25) if repeated else LARGEST_SD)
+
+
+def test_a_recording_given_twice_is_no_repeat(context: FitContext) -> None:
+    """Between a recording and itself nothing differs, and that tells nothing of chance."""
+    context.trials[1:4] = [replace(context.trials[0], id=f"again{k}") for k in range(3)]
+    assert repeats(context) == []
+    context.trials[1] = replace(
+        context.trials[1], measured={c: y + 0.1 for c, y in context.trials[0].measured.items()}
+    )
+    assert repeats(context) == [[0, 1]]
 
 
 def test_the_kind_that_describes_the_trials_is_told_of_two_alike(rng: np.random.Generator) -> None:
@@ -1153,6 +1163,7 @@ def test_where_held_out_data_have_no_gap_causes_help_that_lower_the_errors() -> 
     [
         (0.0, False, "explained", ["waves"]),
         (4.9, False, "ambiguous", ["waves"]),
+        (6.0, False, "unexplained", []),
         (4.9, True, "unexplained", []),
     ],
 )
@@ -1186,7 +1197,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
     assert (told.verdict, list(told.names)) == (verdict, named)
     assert told.refuted == (("waves",) if contradicts else ())
     assert told.base is (base if named else nominal)
-    assert bool(told.reasons) == (verdict == "ambiguous")
+    assert bool(told.reasons) == (verdict != "explained" and not contradicts)
 
 
 def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_are_at_work() -> None:

@@ -30,10 +30,14 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
 
 def repeats(context: FitContext) -> list[list[int]]:
-    """Trials of one setting, where there are several."""
+    """Trials of one setting, where there are several; a recording given twice is no repeat."""
     groups: dict[str, list[int]] = {}
+    seen: set[tuple[str, ...]] = set()
     for k, trial in enumerate(context.trials):
-        groups.setdefault(setting(trial), []).append(k)
+        recording = (setting(trial), *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
+        if recording not in seen:
+            groups.setdefault(setting(trial), []).append(k)
+        seen.add(recording)
     return [g for g in groups.values() if len(g) > 1]
 
 

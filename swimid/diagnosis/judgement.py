@@ -118,9 +118,10 @@ def _by_held_out(
 ) -> Judgement:
     if not told.causes:
         return told
-    if told.verdict == "unexplained" and not shrinkage.lowers(held, floor):
+    useless = told.verdict == "unexplained" or shrinkage.shows(held, floor)
+    if useless and not shrinkage.lowers(held, floor):
         why = f"{', '.join(told.names)}: held-out trials, simulated anew, err no less with it"
-        return replace(told, causes=(), base=state.nominal, reasons=(why,))
+        return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(why,))
     if shrinkage.helps(held, floor) or _by_coefficients(state):
         return told
     why = "held-out trials, simulated anew, close less than half of the squared gap with it"

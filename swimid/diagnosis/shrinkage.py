@@ -323,6 +323,12 @@ def lowers(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     return _gained(found, floors)[0] > 0.0
 
 
+def shows(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
+    """Whether the greater part of the squared held-out errors is no noise."""
+    samples = sum(int(np.isfinite(p.measured).sum()) for p in found)
+    return _gained(found, floors)[1] > MOST / (1.0 - MOST) * samples
+
+
 def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
     """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
     gained, gap = 0.0, 0.0

@@ -136,7 +136,7 @@ def see(
         cautious=cautious,
     )
     kinds = [replace(kind, sd=s.sd, most=s.most) for kind, s in zip(kinds, shown, strict=True)]
-    differing = tuple(kind.scattering(kind.sd) for kind in kinds if kind.sd > 0)
+    differing = tuple(kind.scattering(kind.sd) for kind in kinds if min(kind.sd, kind.most) > 0)
     return replace(noise_model, random_effects=differing), kinds
 
 
