@@ -51,6 +51,17 @@ def test_one_axis_turned_round_is_mirrored(axis: int) -> None:
     assert seen.mirrored
 
 
+def test_headings_in_degrees_are_told_from_courses_that_differ() -> None:
+    """And no straight run, mirrored one, or one backwards is taken for that."""
+    rng = np.random.default_rng(2)
+    true, straight = tracks(TURNS), [swim(0.0, 0.0, rng, 0.0) for _ in range(4)]
+    mirrored = [[t, x, -y, yaw] for t, x, y, yaw in true]
+    backwards = [[t, -x, -y, yaw] for t, x, y, yaw in true]
+    assert course.in_degrees([[t, x, y, np.degrees(yaw)] for t, x, y, yaw in true], 1.0)
+    for others in (true, straight, mirrored, backwards):
+        assert not course.in_degrees(others, 1.0)
+
+
 def test_the_tail_for_the_head_is_half_a_turn() -> None:
     seen = course.of_tracks([[t, x, y, yaw + math.pi] for t, x, y, yaw in tracks(TURNS)], 1.0)
     assert seen is not None
@@ -89,23 +100,28 @@ def test_a_real_fish_swims_where_it_points_and_its_mirror_image_does_not(real_da
     folder = real_data / "msu_tail_fish"
     for amplitude in ("Amp15", "Amp20", "Amp30"):
         runs = [np.loadtxt(f) for f in sorted(folder.glob(f"{amplitude}*/STATES*.txt"))]
-        found = [
-            course.of_tracks([(a[:, 0], a[:, 5], side * a[:, 6], a[:, 4]) for a in runs], 1.0)
-            for side in (1.0, -1.0)
-        ]
+        sides = [[(a[:, 0], a[:, 5], side * a[:, 6], a[:, 4]) for a in runs] for side in (1.0, -1.0)]
+        found = [course.of_tracks(side, 1.0) for side in sides]
         assert [bool(f and f.mirrored) for f in found] == [False, True]
+        assert not any(course.in_degrees(side, 1.0) for side in sides)
 
 
-def test_mirrored_trials_are_told_before_they_are_fitted(swimid: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("column", "factor", "code", "word"),
+    [("y_m", -1.0, "SWM063", "mirrored"), ("yaw_rad", 180.0 / np.pi, "SWM002", "degrees")],
+)
+def test_logs_of_another_kind_are_told_before_they_are_fitted(
+    column: str, factor: float, code: str, word: str, swimid: Run, tmp_path: Path
+) -> None:
     for path in GAP.glob("run*.csv"):
         log = pd.read_csv(path, comment="#")
-        log["y_m"] *= -1
+        log[column] *= factor
         log.to_csv(tmp_path / path.name, index=False)
     (tmp_path / "trials.yaml").write_text((GAP / "trials.yaml").read_text())
     told = []
     for folder in (GAP, tmp_path):
         args = ("--params", GAP / "params.yaml", "-o", tmp_path / "c.yaml", "--force", "--json")
         ran = swimid("compare", folder / "trials.yaml", *args)
-        told.append([w["text"] for w in ran.json["warnings"] if w["code"] == "SWM063"])
+        told.append([w["text"] for w in ran.json["warnings"] if w["code"] == code])
     assert told[0] == []
-    assert "mirrored" in told[1][0]
+    assert word in told[1][0]

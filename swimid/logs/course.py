@@ -71,6 +71,25 @@ def of_tracks(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: flo
     return Course(float(np.angle(along)), spread, mirrored)
 
 
+def in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
+    """Whether the courses, which differ, follow the headings taken for degrees, and not as they are.
+
+    Parameters
+    ----------
+    tracks, window_s
+        As of :func:`of_tracks`.
+    """
+    tracks = list(tracks)
+    turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
+    plain, found = of_tracks(tracks, window_s), of_tracks(turned, window_s)
+    # against no heading at all: the spread of the courses themselves
+    still = of_tracks([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
+    if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
+        return False
+    follows = found.spread_rad < LARGEST_SLIP and abs(found.slip_rad) < LARGEST_SLIP
+    return follows and still.spread_rad > LARGEST_SLIP
+
+
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:

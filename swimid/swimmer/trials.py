@@ -170,7 +170,13 @@ def _check_course(
         if all(c in log for c in model.pose)
     ]
     slowest = min((f for f in frequencies_hz if f), default=1.0)
-    seen = course.of_tracks(tracks, max(1.0, 1.0 / slowest))
+    window_s = max(1.0, 1.0 / slowest)
+    if course.in_degrees(tracks, window_s):
+        warn(
+            "SWM002", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
+        )
+        return
+    seen = course.of_tracks(tracks, window_s)
     if seen is None:
         return
     if seen.mirrored:
