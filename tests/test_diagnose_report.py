@@ -17,6 +17,7 @@ from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.drawings import Drawings
 from swimid.diagnosis.gap_file import GapFile, HeldOut, Value, ranked
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
@@ -239,6 +240,13 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
         assert "warn" in verdicts(weak).values()
         assert weak.level == "caution"
     assert replace(cases.NONE, at_bound={"c_d4": 6.0}).level == "caution"
+
+
+def test_logs_that_contradict_what_is_written_of_them_make_no_good_answer() -> None:
+    against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
+    known = [diagnose_evidence.evidence(cases.EXPLAINED, Drawings(), notices=n) for n in ([], [against])]
+    assert [e.verdict.level for e in known] == ["good", "caution"]
+    assert known[1].checks[-1].verdict == "warn"
 
 
 def test_the_methods_cite_what_was_done() -> None:

@@ -12,6 +12,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from swimid.diagnosis import (
+    answer,
     candidates,
     crossval,
     dropouts,
@@ -1214,6 +1215,18 @@ def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_ar
     )
     assert found.beside_outside("servo-lag") == pytest.approx(0.2 * 0.6)
     assert found.beside_outside("servo-lag", "slip") == pytest.approx(0.2 * 0.8)
+
+
+@pytest.mark.parametrize(("value", "status"), [(0.995, "at-bound"), (0.9, "estimated"), (0.005, "estimated")])
+def test_a_size_that_its_error_does_not_tell_from_a_bound_is_there(value: float, status: str) -> None:
+    """But for the bound at which the effect vanishes."""
+    tried = SimpleNamespace(
+        effect=SimpleNamespace(name="slip"), parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),)
+    )
+    cause = SimpleNamespace(best=SimpleNamespace(tried=tried))
+    base = SimpleNamespace(labels=["slip/loss"], value=lambda label: value)
+    found = answer._values(base, cause, {"slip/loss": 0.01})["loss"]
+    assert (found.status, found.stderr) == (status, 0.01 if status == "estimated" else None)
 
 
 def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:

@@ -290,7 +290,10 @@ def _values(base: Fit, cause: Named, sd: Mapping[str, float]) -> dict[str, Value
             continue
         if p.per_trial:
             found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
-        elif values[0] <= p.lower or values[0] >= p.upper:
+            continue
+        # what its standard error does not tell from a bound is there, unless the effect vanishes at it
+        near = sd.get(labels[0], 0.0)
+        if any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper)):
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
         else:
             found[p.name] = Value(value=values[0], stderr=sd.get(labels[0]), unit=p.unit)

@@ -15,6 +15,9 @@ from swimid.results import evidence as ev
 #: An effect that the nominal coefficients imitate beyond this share is seen through them only.
 HIDDEN = 0.9
 
+#: Warnings that logs contradict what is written of them: of the beat, and of the course.
+CONTRADICTING = ("SWM032", "SWM063")
+
 KENNEDY = (
     "Kennedy, M. C., & O'Hagan, A. (2001). Bayesian calibration of computer models. Journal of the Royal "
     "Statistical Society B, 63(3), 425-464."
@@ -53,11 +56,19 @@ def evidence(
     """
     references = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
     named = [source for cause in file.causes for source in cause.sources]
+    said, tests = verdict(file), checks(file)
+    against = [notice.text for notice in notices if notice.code in CONTRADICTING]
+    if against:
+        tests.append(
+            ev.check("logs as written of", "contradicted", False, "no contradiction", "; ".join(against))
+        )
+        if said.level == "good":
+            said = said.model_copy(update={"level": "caution"})
     return ev.Evidence(
         verb="diagnose",
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
-        verdict=verdict(file),
-        checks=checks(file),
+        verdict=said,
+        checks=tests,
         tables=tables(file),
         figures=diagnose_figures.figures(file, drawings),
         notices=list(notices),
@@ -123,7 +134,7 @@ def _contradicted(file: GapFile) -> Iterable[ev.Check]:
 
 def _size(file: GapFile) -> Iterable[ev.Check]:
     # the largest is first
-    none = file.verdict == "none"
+    none = file.verdict == "none" or file.follows
     for largest in [c for c in file.where.channels if c.nrmse is not None][:1]:
         yield ev.check(
             "error of the model" if none else "size of the gap",
