@@ -244,6 +244,7 @@ def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
         drawn(performance.applied, 20, 1)
 
 
+@pytest.mark.slow
 def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
     """One uncertain coefficient: the interval runs from the best gait at one of its ends to the other's."""
     given = {"amplitude_deg": 27.0, "duration_s": 4.0, "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}}

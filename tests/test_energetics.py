@@ -46,7 +46,7 @@ def swum(model: LinkedModel, swim: SwimInput, duration_s: float, last_s: float) 
 
 
 @needs_casadi
-@pytest.mark.parametrize("base", ["free", "fixed"])
+@pytest.mark.parametrize("base", [pytest.param("free", marks=pytest.mark.slow), "fixed"])
 def test_torques_of_random_trees(base: str) -> None:
     """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
     from tests.generators import lagrange

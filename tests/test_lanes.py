@@ -432,6 +432,7 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
     assert module.integrate(2.0) == 4.0
 
 
+@pytest.mark.slow
 def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> None:
     code = (
         "from swimid.swimmer.lanes import kernel\n"
@@ -446,6 +447,7 @@ def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> No
     assert ran.stdout.split() == ["False", "True"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
 )
