@@ -37,7 +37,8 @@ class Judgement:
     odd : Odd or None
         The trial that contradicts the others.
     unpredicted : tuple of (str, float)
-        Validation trials that the model with the causes does not predict, and by how many times each is off.
+        Validation trials that the model with the causes does not predict, and by how many times each is off;
+        not looked for where the fitted trials show something unexplained.
     """
 
     verdict: Verdict
@@ -87,15 +88,18 @@ def judge(
     # what a cause accounts for is none of the random effects of the model without it
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
-    model = told.base if told.causes else state.nominal
-    off = refutation.unpredicted(state.context, model, state.noise_model, validation)
-    told = replace(told, unpredicted=tuple(off))
-    if told.verdict == "none" and off:
-        where = f"validation trials {', '.join(trial for trial, _ in off)}"
+    if told.verdict != "none":
+        told = _by_remaining(told, state, left)
+    if told.verdict != "unexplained":
+        model = told.base if told.causes else state.nominal
+        off = refutation.unpredicted(state.context, model, state.noise_model, validation)
+        told = replace(told, unpredicted=tuple(off))
+    if told.verdict == "none" and told.unpredicted:
+        where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
     if told.verdict == "none":
-        return _by_differences(told, state, gap, noise, left), gap, left
-    return _by_remaining(told, state, left), gap, left
+        told = _by_differences(told, state, gap, noise, left)
+    return told, gap, left
 
 
 def _by_fits(state: State, *, dropout: bool) -> Judgement:
