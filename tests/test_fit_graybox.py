@@ -861,3 +861,6 @@ def test_a_track_of_one_marker_has_a_heading_of_its_own(tmp_path: Path) -> None:
     for trial, known in zip(found.trials, whole.trials, strict=True):
         off = trial.swim.posed()[2] - known.swim.posed()[2]
         assert abs((off + np.pi) % (2 * np.pi) - np.pi) < np.pi / 4
+    # not where its place is not fitted
+    partial = swimmer_trials.load(folder / "trials.yaml", channels=["y_m"])
+    assert "start_yaw" not in {p.name for p in partial.model.parameters if p.free}

@@ -371,7 +371,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if told.odd is not None:
         text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *_repeat(left)]
-    if told.unpredicted and not told.causes and not told.refuted:
+    if told.verdict == "unexplained" and told.unpredicted:
         trials = ", ".join(trial for trial, _ in told.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     if not told.causes:

@@ -294,7 +294,7 @@ class GapFile(yamlio.ResultFile):
     @property
     def follows(self) -> bool:
         """Whether the model follows the trials it is fitted to, and not the validation trials."""
-        return bool(self.unpredicted) and not self.causes and not self.refuted
+        return self.verdict == "unexplained" and bool(self.unpredicted)
 
     @property
     def single(self) -> bool:

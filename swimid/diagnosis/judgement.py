@@ -90,7 +90,7 @@ def judge(
     left = remaining(state, told.base, gap, floor)
     if told.verdict != "none":
         told = _by_remaining(told, state, left)
-    if told.verdict != "unexplained":
+    if validation and told.verdict != "unexplained":
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=tuple(off))

@@ -74,9 +74,10 @@ def unpredicted(
 
     A trial whose noise is larger than that of the others, and no slower, is none.
     """
+    inner = crossval.normal_equations(context, fit, noise_model)
     found = []
     for trial in validation:
-        seen = misfit(context, fit, noise_model, [trial])
+        seen = _of_trials(context, fit, noise_model, inner, [trial])
         chance = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
         if seen.slow and seen.distance > max(seen.samples / (1.0 - MOST), chance):
             found.append((trial.id, seen.times))

@@ -129,7 +129,7 @@ def load(
         for name, column in zip(model.starts, model.pose, strict=True)
         if model.free_base and any(column in t.measured for t in trials)
     }
-    if any(_headless(model, log) for log in read):
+    if any(_headless(model, log) and model.pose[0] in t.measured for t, log in pairs):
         free.add(model.starts[2])
     if start_state == "estimate" or (start_state == "auto" and moving):
         free |= set(model.initial([c for t in trials for c in t.measured]))
