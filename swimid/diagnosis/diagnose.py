@@ -25,10 +25,6 @@ from swimid.results import blocks
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 
-#: Simulations of each trial that a diagnosis takes, about, and of these with effects that bring forces or
-#: elements: 13,300 and 3,620 of each of the six of ``sample_logs/gap``.
-RUNS, AFFECTED = 13000, 3600
-
 
 @takes(DiagnoseOptions)
 def diagnose(
@@ -116,9 +112,7 @@ def diagnose(
         tried = effect_catalogue.applicable(known, model, fitted)
         origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials)
-        ahead = {"simulated_s": RUNS * lasting, "affected_s": AFFECTED * lasting}
-        model.prepare(progress, **ahead, checkpoint=keep)
+        search.prepared(model, experiment.trials, progress, keep)
         workers = options.jobs or os.cpu_count() or 1
         about: dict[str, Any] = {
             "model": model.name,

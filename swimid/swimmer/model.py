@@ -220,7 +220,8 @@ class LinkedModel(Swimmer):
     ) -> None:
         """Compile the kernels where that has not been done on this machine and pays."""
         kernel = self.kernels(effects=affected_s > 0.0)
-        begun = None if checkpoint is None else checkpoint.get("kernels")
+        name = "+".join(("kernels", *(f"{q}={r.chosen}" for q, r in sorted(self.robot.readings.items()))))
+        begun = None if checkpoint is None else checkpoint.get(name)
         if begun is not None:
             # forms differ in the last digits: what is taken up goes on in its own
             self.side_by_side, self.wide_side_by_side = bool(begun[0]), bool(begun[1])
@@ -229,7 +230,7 @@ class LinkedModel(Swimmer):
         if self.side_by_side and self.wide is not None:
             self.wide_side_by_side = self.wide.worth(4.0 * affected_s / self.max_step, progress)
         if checkpoint is not None:
-            checkpoint.put("kernels", np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
+            checkpoint.put(name, np.array([self.side_by_side, self.wide_side_by_side], dtype=float))
 
     def kernels(self, *, effects: bool = True) -> Kernel:
         """Make the kernels, not compiled: the robot's own, and the one with room for what effects bring.
