@@ -970,6 +970,46 @@ def test_a_smaller_set_is_fitted_from_where_a_larger_one_ends(rng: np.random.Gen
     assert found.lessened().best == {"tone"}
 
 
+def test_a_set_that_its_own_noise_makes_needless_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two effects are likelier than one until the noise is learnt from them."""
+    one, two = (
+        SimpleNamespace(names=frozenset(names), key=frozenset(names), fit=SimpleNamespace(effects=()))
+        for names in (["a"], ["a", "b"])
+    )
+
+    class Turning:
+        pool: dict[frozenset[str], SimpleNamespace] = {}
+        count, out_of_time, record = 3, False, posterior.Record(600.0, 6, 3)
+        ahead, learnt = one, 0
+
+        def finish(self) -> None:
+            pass
+
+        def lessened(self) -> SimpleNamespace:
+            return SimpleNamespace(excess={one.names: 1e4}, sets={})
+
+        def likeliest(self, found: SimpleNamespace) -> SimpleNamespace:
+            return self.ahead
+
+        def screened(self, h: SimpleNamespace) -> SimpleNamespace:
+            return SimpleNamespace(tried=[])
+
+        def best(self, size: int) -> list[SimpleNamespace]:
+            return [one, two][size - 1 : size]
+
+        def beside(self, parents: list[SimpleNamespace], most: int) -> None:
+            self.ahead = two
+
+        def learn(self, leading: SimpleNamespace) -> None:
+            self.ahead, self.learnt = one, self.learnt + 1
+            assert self.learnt < 3
+
+    monkeypatch.setattr(search, "rounds", lambda search, best, *_: best)
+    turning = Turning()
+    assert search.chosen(turning, None, set(), 3) is one  # type: ignore[arg-type]
+    assert turning.learnt == 1
+
+
 def test_two_effects_are_found_beside_one_that_stands_in_for_both(rng: np.random.Generator) -> None:
     """A curve like the sum of two others is better than either, and no cause once both are fitted jointly."""
 

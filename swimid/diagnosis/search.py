@@ -23,7 +23,7 @@ from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.posterior import Candidate, Posterior, Record
+from swimid.diagnosis.posterior import TENTH, Candidate, Posterior, Record
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
@@ -32,9 +32,10 @@ from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import mapped
+from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
 
-#: A longer step of integration may change a sample by this share of the range: far below any noise.
+#: A longer step of integration may change a sample by this share of the range, or by a tenth of the noise.
 SMALL_CHANGE = 1e-4
 #: Hypotheses beside which further effects are tried, and how many of the sets that promise most are fitted.
 PARENTS, SETS = 4, 10
@@ -157,7 +158,7 @@ class State:
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """The model with twice the integration step, where that changes samples little.
+    """The model with twice the integration step, where that changes samples by far less than their noise.
 
     Parameters
     ----------
@@ -170,8 +171,9 @@ def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> 
     for values, trial in zip(vectors, trials, strict=True):
         fine, rough = model.simulate(values, trial), quick.simulate(values, trial)
         for channel in trial.measured:
-            span = float(np.ptp(fine[channel]))
-            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= SMALL_CHANGE * span:
+            noise = white_noise_sd(trial.measured[channel] - fine[channel], 0.0)
+            little = max(TENTH * noise, SMALL_CHANGE * float(np.ptp(fine[channel])))
+            if not np.max(np.abs(fine[channel] - rough[channel]), initial=0.0) <= little:
                 return None
     return quick
 
@@ -181,9 +183,7 @@ def prepared(
 ) -> None:
     """Compile a model where it pays, before it is simulated as often as a diagnosis does."""
     lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
-    model.prepare(
-        progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint
-    )
+    model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
 class Search:
@@ -696,7 +696,7 @@ def chosen(
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
         # noise read off the best of all has what it leaves in it: so much as the screen promises may be left
-        left = found.excess[best.names] + max(0.0, *(t.gain for t in search.screened(best).tried))
+        left = found.excess[best.names] + max([0.0, *(t.gain for t in search.screened(best).tried)])
         if posterior.most(left, search.record) < loses:
             break
         with progress(f"sets of {size + 1}", total=SETS) as shown:

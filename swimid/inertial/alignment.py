@@ -210,16 +210,3 @@ def _way(record: Record, source: Source) -> Array:
     force = force - force.mean(axis=0)
     way = strapdown.integral(record.time_s, strapdown.integral(record.time_s, force))
     return clock.without_slow(record.time_s, way, SLOW_WAY_S)
-
-
-def white_noise_sd(values: Array, least: float) -> float:
-    """Deviation of a channel's white noise, from its third differences (robust), at least ``least``.
-
-    The variance of a third difference of white noise is 20 times its own.
-    """
-    there = np.isfinite(values)
-    runs = np.convolve(there, np.ones(4), "valid") == 4
-    third = np.diff(np.nan_to_num(values), n=3)[runs]
-    if len(third) < 8:
-        return least
-    return max(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20), least)

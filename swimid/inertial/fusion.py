@@ -20,6 +20,7 @@ from swimid.inertial.record import Array
 from swimid.inertial.sensor import BAND, DEG, Sensor
 from swimid.inertial.setup import Setup
 from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
+from swimid.logs.sampling import white_noise_sd
 
 #: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
 #: its clock, s.
@@ -216,14 +217,14 @@ def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
     """
     fix_sd_m = setup.options.fix_sd_m
     position = poses.position.copy()
-    sd = np.array([alignment.white_noise_sd(position[:, k], LEAST_M) for k in range(3)])
+    sd = np.array([white_noise_sd(position[:, k], LEAST_M) for k in range(3)])
     # between sparse fixes the third difference holds motion too: the start is no more than a centimetre
     sd = np.minimum(sd, 0.01) if fix_sd_m is None else np.full(3, fix_sd_m)
     for axis in (1, 2):
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    noises = [alignment.white_noise_sd(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
+    noises = [white_noise_sd(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
     rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
     noise, weight, t = np.append(sd, [rotation_sd] * 3), np.ones((len(position), 2)), setup.record.time_s
     offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD

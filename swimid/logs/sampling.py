@@ -307,3 +307,23 @@ def longest_even(
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
     return even, np.interp(even, t, x)
+
+
+def white_noise_sd(values: np.ndarray, least: float) -> float:
+    """Standard deviation of a channel's white noise, from its third differences (robust).
+
+    The variance of a third difference of white noise is 20 times its own.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Evenly sampled, NaN where missing.
+    least : float
+        What it is at least, and where the samples are too few to tell.
+    """
+    there = np.isfinite(values)
+    runs = np.convolve(there, np.ones(4), "valid") == 4
+    third = np.diff(np.nan_to_num(values), n=3)[runs]
+    if len(third) < 8:
+        return least
+    return max(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20), least)
