@@ -85,7 +85,7 @@ def test_a_long_answer_is_cut_and_its_advice_kept() -> None:
 
 def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     text = flat(said("explained"))
-    assert "servo-backlash explains it in approximate cross-validation over trials" in text
+    assert "servo-backlash explains it in cross-validation over trials" in text
     assert "u_m_s 14.2 % of its range, noise alone 2.1 % (71 % of the gap)" in text
     assert "servo-backlash (actuation, probability 94 %)" in text
     assert "backlash_rad 0.0351 ± 0.0021 rad (2.01°)" in text
@@ -414,8 +414,8 @@ class TestWhatIsStatedIsWhatIsComputed:
         "held_out, said",
         [
             ("validation", "explains it on the validation trials"),
-            ("trials", "explains it in approximate cross-validation over trials"),
-            ("stretches", "explains it in approximate cross-validation over stretches of trials"),
+            ("trials", "explains it in cross-validation over trials"),
+            ("stretches", "explains it in cross-validation over stretches of trials"),
         ],
     )
     def test_held_out_data_are_called_what_they_are(self, held_out: HeldOut, said: str) -> None:

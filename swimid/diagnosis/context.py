@@ -18,6 +18,7 @@ from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
 from swimid.fitting import levenberg
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.parallel import mapped
 from swimid.fitting.problem import Problem
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
@@ -463,28 +464,30 @@ class FitContext:
         tolerance: float,
         iterations: int,
         prior: tuple[Array, Array] | None = None,
+        kept: Sequence[NDArray[np.bool_]] | None = None,
     ) -> levenberg.Solution:
         """The best optimum of a problem from several starts.
 
         Parameters
         ----------
+        kept : sequence of ndarray of bool, shape (n_k,), optional
+            Samples that take part; default all.
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
             What is known of the numbers: their mean, and a root of their precision; default that of a fit.
         """
         mean, weight = self.expected(problem)
         mean, root = prior or (mean, np.diag(weight)[weight > 0])
 
+        def whitened(k: int, rows: Array) -> Array:
+            seen = noise_model.whiten(problem, k, rows)
+            return seen if kept is None else (seen.T * kept[k]).T
+
         def residuals(theta: Array) -> Array:
-            parts = [
-                noise_model.whiten(problem, k, problem.trial_residuals(theta, k))
-                for k in range(len(problem.trials))
-            ]
+            parts = [whitened(k, problem.trial_residuals(theta, k)) for k in range(len(problem.trials))]
             return np.concatenate([*parts, root @ (theta - mean)])
 
         def jacobian(theta: Array) -> Array:
-            parts = [
-                noise_model.whiten(problem, k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))
-            ]
+            parts = [whitened(k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
             return np.concatenate([*parts, root])
 
         own: list[tuple[slice, NDArray[np.intp]]] = []
@@ -516,6 +519,24 @@ class FitContext:
             )
 
         return min(map(one, starts), key=lambda found: found.cost)
+
+    def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
+        """Numbers of a fit refitted without each fold, from the fit to all on; shape (p,) each.
+
+        The noise model stays that of all trials. Of what a fold has for itself nothing is asked.
+        """
+
+        def one(f: int) -> Array:
+            problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
+            noise_model.install(problem)
+            kept = [owner != f for owner in self.folds.owner]
+            # first with the derivatives of the fit to all, as far as they lead
+            problem.hold_derivatives(fit.labels, fit.rows)
+            begun = self.search(problem, noise_model, [fit.theta], ROUGH, STEPS, kept=kept)
+            problem.hold_derivatives((), ())
+            return self.search(problem, noise_model, [begun.x], FINE, STEPS, kept=kept).x
+
+        return list(mapped(one, range(self.folds.count), self.jobs))
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""

@@ -218,6 +218,7 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
 
 def without_each(context: FitContext, fit: Fit, noise_model: NoiseModel) -> list[Array]:
     """Numbers of a fit with each fold left out, by one Gauss-Newton step from the fit to all; within bounds.
+    :meth:`FitContext.without_each` refits them.
 
     The noise model and the spreads between trials stay those of all trials.
 

@@ -19,8 +19,8 @@ HeldOut = Literal["validation", "trials", "stretches"]
 HELD_OUT: dict[HeldOut | None, str] = {
     None: "on held-out data",
     "validation": "on the validation trials",
-    "trials": "in approximate cross-validation over trials",
-    "stretches": "in approximate cross-validation over stretches of trials",
+    "trials": "in cross-validation over trials",
+    "stretches": "in cross-validation over stretches of trials",
 }
 #: A verdict as a badge has it.
 WORDS: dict[Verdict, str] = {
@@ -242,8 +242,8 @@ class GapFile(yamlio.ResultFile):
     hypotheses: list[Hypothesis] = []
     samples: int | None = None
     tried: int | None = None
-    #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn by
-    #: approximate cross-validation, over ``trials`` or ``stretches`` of trials.
+    #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn, left
+    #: out of a refit: ``trials`` or ``stretches`` of trials.
     held_out: HeldOut | None = None
     #: How the noise floor was found.
     floor_from: str = ""

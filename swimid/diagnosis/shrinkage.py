@@ -1,4 +1,4 @@
-"""How far the gap shrinks on held-out data: validation trials, or by approximate cross-validation."""
+"""How far the gap shrinks on held-out data: validation trials, or by cross-validation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.drawings import Overlay
 from swimid.diagnosis.gap_file import Shrinkage
@@ -123,7 +122,7 @@ def pieces(
             found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
             step()
         return found
-    thetas = [crossval.without_each(context, f, noise_model) for f in (before, after)]
+    thetas = [context.without_each(f, noise_model) for f in (before, after)]
     for f in range(context.folds.count):
         shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
