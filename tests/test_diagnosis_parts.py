@@ -1064,7 +1064,7 @@ def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) 
     effects = [Seen("rise", rise), Seen("ring", ring)]
     state = search.run(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}, effects)
     assert state.posterior.none > 0.5
-    assert judgement._by_fits(state, dropout=False).verdict == "none"
+    assert judgement._by_fits(state).verdict == "none"
 
 
 def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0) -> posterior.Posterior:
@@ -1200,17 +1200,22 @@ def test_where_held_out_data_have_no_gap_causes_help_that_lower_the_errors() -> 
 
 
 @pytest.mark.parametrize(
-    ("after", "contradicts", "verdict", "named"),
+    ("after", "distance", "verdict", "named"),
     [
-        (0.0, False, "explained", ["waves"]),
-        (4.9, False, "ambiguous", ["waves"]),
-        (6.0, False, "unexplained", []),
-        (4.9, True, "unexplained", []),
+        (0.0, 1.0, "explained", ["waves"]),
+        (4.9, 1.0, "ambiguous", ["waves"]),
+        (6.0, 1.0, "ambiguous", ["waves"]),
+        (0.0, 26.0, "unexplained", []),
+        (0.0, 50.0, "unexplained", []),
     ],
 )
 def test_held_out_errors_may_only_weaken_what_the_fits_say(
-    after: float, contradicts: bool, verdict: str, named: list[str]
+    after: float, distance: float, verdict: str, named: list[str]
 ) -> None:
+    """What random effects account for is in the errors, and not in the squared Mahalanobis distance, which is
+    of 25 times the samples without a cause.
+    """
+    contradicts = distance > 49.0
     waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
     null = posterior.Candidate(frozenset(), 900.0, np.array([900.0]), 0)
     found = posterior.Candidate(waves, 200.0, np.array([200.0]), 1)
@@ -1234,11 +1239,30 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
         noise_model=None,
     )
     noise = Floor({}, {"x_m": 0.01}, {}, "")
-    told, *_ = judgement.judge(state, [piece(5.0, after)], noise, refuted=contradicts, dropout=False)
+    predicted = refutation.Compared(*(refutation.Misfit(d, 200) for d in (25 * 200.0, distance * 200.0)))
+    told, *_ = judgement.judge(state, [piece(5.0, after)], noise, predicted, dropout=False)
     assert (told.verdict, list(told.names)) == (verdict, named)
     assert told.refuted == (("waves",) if contradicts else ())
     assert told.base is (base if named else nominal)
     assert bool(told.reasons) == (verdict != "explained" and not contradicts)
+
+
+@pytest.mark.parametrize(
+    ("none", "dropout", "verdict"),
+    [(0.8, False, "none"), (0.8, True, "explained"), (0.2, False, "unexplained"), (0.2, True, "unexplained")],
+)
+def test_failed_samples_explain_only_where_nothing_else_is_lacking(
+    none: float, dropout: bool, verdict: str
+) -> None:
+    nominal = SimpleNamespace(effects=(), marginal_residuals=lambda _=(): [])
+    outside = {frozenset[str](): 1.0 - none}
+    state = SimpleNamespace(
+        posterior=posterior.Posterior({}, none, 1.0 - none, outside, {frozenset(): 100.0}, ()),
+        rounds=[], nominal=nominal, base=nominal, left=None, random_effects=[],
+        context=SimpleNamespace(trials=[None] * 3), noise_model=SimpleNamespace(random_effects=()),
+    )  # fmt: skip
+    told, *_ = judgement.judge(state, [], Floor({}, {}, {}, ""), None, dropout=dropout)
+    assert told.verdict == verdict
 
 
 def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_are_at_work() -> None:

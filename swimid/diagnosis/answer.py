@@ -39,7 +39,7 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.diagnosis.judgement import Judgement
-from swimid.diagnosis.refutation import refutes
+from swimid.diagnosis.refutation import compared
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -114,11 +114,11 @@ def answer(
     outside = floor if more else shrinkage.capped(noise.levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    refuted = bool(state.base.effects) and (
-        not shrinkage.sound(held) or refutes(context, nominal, state.base, state.noise_model, validation)
-    )
+    predicted = None
+    if state.base.effects:
+        predicted = compared(context, nominal, state.base, state.noise_model, validation)
     told, gap, left = judgement.judge(
-        state, held, noise, refuted=refuted, dropout=failed > 0, validation=validation
+        state, held, noise, predicted, dropout=failed > 0, validation=validation
     )
     how = noise.how
     if told.verdict == "none":

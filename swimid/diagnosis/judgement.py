@@ -13,6 +13,7 @@ from swimid.diagnosis.context import Fit
 from swimid.diagnosis.floor import Floor, excess
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.refutation import Compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
 from swimid.fitting.model import Array, Trial
@@ -59,8 +60,8 @@ def judge(
     state: State,
     held: Sequence[Piece],
     noise: Floor,
+    predicted: Compared | None,
     *,
-    refuted: bool,
     dropout: bool,
     validation: Sequence[Trial] = (),
 ) -> tuple[Judgement, list[Array], Remaining]:
@@ -72,18 +73,15 @@ def judge(
     held : sequence of Piece
         Held-out predictions without and with the causes.
     noise : Floor
-    refuted : bool
-        Whether held-out data contradict the causes.
+    predicted : Compared or None
+        Held-out data against what the model predicts without and with the effects found; None without these.
     dropout : bool
-        Whether failed samples are a cause.
+        Whether failed samples are a cause: they explain what was measured where nothing else is lacking.
     validation : sequence of Trial
         Trials that take part in no fit.
     """
     floor = noise.inside
-    told = _by_fits(state, dropout=dropout)
-    if told.causes and refuted:
-        told = replace(told, verdict="unexplained", causes=(), base=state.nominal, refuted=told.names)
-    told = _by_held_out(told, state, held, floor)
+    told = _by_held_out(_by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
     # what a cause accounts for is none of the random effects of the model without it
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
@@ -94,22 +92,24 @@ def judge(
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=tuple(off))
-    if told.verdict == "none" and told.unpredicted:
+    if told.verdict == "none" and told.unpredicted and not dropout:
         where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
     if told.verdict == "none":
         told = _by_differences(told, state, gap, noise, left)
+    if told.verdict == "none" and dropout:
+        told = replace(told, verdict="explained")
     return told, gap, left
 
 
-def _by_fits(state: State, *, dropout: bool) -> Judgement:
+def _by_fits(state: State) -> Judgement:
     """The likeliest of no gap, the causes found, and something else."""
     posterior = state.posterior
     chosen = [] if posterior.none > UNSURE else [conclusion.named(state, r) for r in state.rounds]
     verdict: Verdict
     if not chosen:
         verdict = "unexplained" if posterior.outside > posterior.none else "none"
-        return Judgement("explained" if dropout else verdict, (), state.base)
+        return Judgement(verdict, (), state.base)
     if posterior.outside > sum(posterior.sets.values()):
         # beside something from outside only what closes part of it rather than not
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
@@ -118,14 +118,20 @@ def _by_fits(state: State, *, dropout: bool) -> Judgement:
 
 
 def _by_held_out(
-    told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
+    told: Judgement,
+    state: State,
+    held: Sequence[Piece],
+    floor: Mapping[str, float],
+    predicted: Compared | None,
 ) -> Judgement:
-    if not told.causes:
+    if not told.causes or predicted is None:
         return told
-    useless = told.verdict == "unexplained" or shrinkage.shows(held, floor)
-    if useless and not shrinkage.lowers(held, floor):
-        why = f"{', '.join(told.names)}: held-out trials, simulated anew, err no less with it"
-        return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(why,))
+    refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
+    if predicted.refuted or not shrinkage.sound(held):
+        return replace(refused, refuted=told.names)
+    if predicted.useless and (predicted.shown or told.verdict == "unexplained"):
+        why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
+        return replace(refused, reasons=(why,))
     if shrinkage.helps(held, floor) or _by_coefficients(state):
         return told
     why = "held-out trials, simulated anew, close less than half of the squared gap with it"

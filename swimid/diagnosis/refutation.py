@@ -49,10 +49,34 @@ class Misfit:
         return math.sqrt(self.distance / max(self.samples, 1))
 
 
-def refutes(
+@dataclass(frozen=True)
+class Compared:
+    """How far held-out data are from what a model predicts without causes and with them."""
+
+    before: Misfit
+    after: Misfit
+
+    @property
+    def refuted(self) -> bool:
+        """Whether with the causes they are farther off, by more than the gap and than the noise."""
+        farther = self.after.distance - self.before.distance
+        return farther > max(self.before.distance - self.before.samples, self.before.samples)
+
+    @property
+    def useless(self) -> bool:
+        """Whether with the causes they are no nearer."""
+        return self.after.distance >= self.before.distance
+
+    @property
+    def shown(self) -> bool:
+        """Whether the greater part of the squared distance without causes is no noise."""
+        return self.before.distance > self.before.samples / (1.0 - MOST)
+
+
+def compared(
     context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
-) -> bool:
-    """Whether with the causes held-out data are farther off, by more than the gap and than the noise.
+) -> Compared:
+    """Held-out data against the predictions of two models.
 
     Parameters
     ----------
@@ -61,9 +85,7 @@ def refutes(
     validation : sequence of Trial
         Trials that took part in no fit; without any the folds are held out.
     """
-    first, second = (misfit(context, fit, noise_model, validation) for fit in (before, after))
-    gap = first.distance - first.samples
-    return second.distance - first.distance > max(gap, first.samples)
+    return Compared(*(misfit(context, fit, noise_model, validation) for fit in (before, after)))
 
 
 def unpredicted(

@@ -317,17 +317,6 @@ def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
     return gained > MOST * max(gap, 0.0) or not found
 
 
-def lowers(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether squared held-out errors are less with the causes, in units of the noise."""
-    return _gained(found, floors)[0] > 0.0
-
-
-def shows(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether the greater part of the squared held-out errors is no noise."""
-    samples = sum(int(np.isfinite(p.measured).sum()) for p in found)
-    return _gained(found, floors)[1] > MOST / (1.0 - MOST) * samples
-
-
 def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
     """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
     gained, gap = 0.0, 0.0
