@@ -860,6 +860,17 @@ def test_the_interval_of_a_share_knows_how_few_trials_tell_the_noise(rng: np.ran
     assert wide[1] - wide[0] > 0.1
 
 
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_the_bootstrap_of_few_trials_is_widened_to_what_it_says(count: int, rng: np.random.Generator) -> None:
+    """Of a mean of normal numbers it holds the truth in 95 % (two standard errors of 1,000)."""
+    values = rng.standard_normal((1000, count))
+    means = [v[rng.integers(0, count, (400, count))].mean(axis=1) for v in values]
+    low, high = np.quantile(means, (0.025, 0.975), axis=1)
+    middle, factor = values.mean(axis=1), shrinkage.widened(count)
+    inside = (middle + factor * (low - middle) <= 0) & (middle + factor * (high - middle) >= 0)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.014 + 0.01)
+
+
 @pytest.mark.parametrize(
     "before, after, floor, share", [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 0.5), (3.0, 4.0, 1.0, -0.5)]
 )

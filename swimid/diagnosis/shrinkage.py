@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.drawings import Overlay
@@ -217,7 +218,8 @@ def shrinkages(
     *,
     rng: np.random.Generator,
 ) -> list[Shrinkage]:
-    """Before, after, floor and closed share of each channel, with a bootstrap interval over trials.
+    """Before, after, floor and closed share of each channel, with a bootstrap interval over trials, expanded
+    as few of them need [1]_.
 
     Parameters
     ----------
@@ -228,6 +230,11 @@ def shrinkages(
         itself: a few trials do not tell the noise for sure, and errors are no lower where it is.
     ranges : mapping of channel to float
         Measured range of the fitted trials, in the channel's unit, which errors are given as shares of.
+
+    References
+    ----------
+    .. [1] T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4),
+       2015, section 5.2: of few it is too narrow, as a normal distribution is beside Student's.
     """
     result = []
     for channel, mine in by_channel(found).items():
@@ -242,10 +249,17 @@ def shrinkages(
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
         drawn = squares[picks].sum(axis=1)
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
-        levels = floor * _resampled(noise.get(channel, {}), len(picks), rng)
+        known_noise = noise.get(channel, {})
+        levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
+        # the noise that trials really have which took part in no fit, of which that of the others tells
+        levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
-        few = len(known) <= 20
+        share = closed(before, after, floor)
+        low, high = None, None
+        if len(known) > 20 and math.isfinite(share):
+            ends = np.quantile(known, (0.025, 0.975))
+            low, high = (share + widened(len(trials)) * (float(end) - share) for end in ends)
         result.append(
             Shrinkage(
                 channel=channel,
@@ -253,21 +267,28 @@ def shrinkages(
                 after=after,
                 shipped=shipped,
                 floor=floor,
-                closed=closed(before, after, floor),
-                ci95=(None, None)
-                if few
-                else (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))),
+                closed=share,
+                ci95=(low, high),
             )
         )
     return result
 
 
-def _resampled(noise: Mapping[str, tuple[float, int]], count: int, rng: np.random.Generator) -> Array:
-    """The noise of resampled trials over that of all, shape (count,)."""
-    if len(noise) < 2:
+def widened(count: int) -> float:
+    """By how much a bootstrap interval over so many trials is too narrow: the 97.5 % point of Student's
+    distribution with its standard error, over that of a normal one.
+    """
+    return float(math.sqrt(count / (count - 1)) * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
+
+
+def _resampled(
+    noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
+) -> Array:
+    """The noise of so many resampled trials over that of all, shape (count,)."""
+    if len(noise) < 2 or not trials:
         return np.ones(count)
     each = np.array(list(noise.values()))
-    drawn = each[rng.integers(0, len(each), (count, len(each)))].sum(axis=1)
+    drawn = each[rng.integers(0, len(each), (count, trials))].sum(axis=1)
     whole = each.sum(axis=0)
     return np.asarray(np.sqrt(drawn[:, 0] / drawn[:, 1] * whole[1] / max(whole[0], 1e-300)))
 
