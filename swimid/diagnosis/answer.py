@@ -109,8 +109,8 @@ def answer(
             ],
             floor,
         )
-    # where more than noise is left, what a fit takes up and misses elsewhere is of that, too
-    more = judgement.remaining(state, state.base, nominal.marginal_residuals(), floor).share
+    # where there is more than noise, what a fit takes up and misses elsewhere is of that, too
+    more = state.left is not None and state.left.found
     outside = floor if more else shrinkage.capped(noise.levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)

@@ -9,7 +9,7 @@ numbers, changes by effects, residuals. A fold is left out by one Gauss-Newton s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -214,27 +214,6 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
     return np.asarray(
         misfit + products[:, -1, -1] - 2.0 * factor * products[:, c, -1] + factor**2 * products[:, c, c]
     )
-
-
-def without_each(context: FitContext, fit: Fit, noise_model: NoiseModel) -> list[Array]:
-    """Numbers of a fit with each fold left out, by one Gauss-Newton step from the fit to all; within bounds.
-    :meth:`FitContext.without_each` refits them.
-
-    The noise model and the spreads between trials stay those of all trials.
-
-    Returns
-    -------
-    list of ndarray, shape (p,)
-    """
-    inner = normal_equations(context, fit, noise_model)
-    shared = context.shared(fit)
-    found = []
-    for f in range(context.folds.count):
-        rest = replace(inner, products=np.delete(inner.products, f, axis=0))
-        theta = fit.theta.copy()
-        theta[shared] += together(rest, (), ())
-        found.append(np.clip(theta, fit.problem.lower, fit.problem.upper))
-    return found
 
 
 def solved(normal: Array, right: Array) -> Array:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.diagnosis import crossval
 from swimid.diagnosis.context import Fit, FitContext, beyond
 from swimid.diagnosis.folds import setting
 from swimid.diagnosis.noise_model import NoiseModel
@@ -138,15 +137,13 @@ def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str
     ----------
     R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, section 2.2.
     """
-    shared = context.shared(fit)
     inside, outside = [np.zeros_like(r) for r in fit.residuals], [np.zeros_like(r) for r in fit.residuals]
-    for f, theta in enumerate(crossval.without_each(context, fit, noise_model)):
-        step = (theta - fit.theta)[shared]
+    for f, theta in enumerate(context.without_each(fit, noise_model)):
         for k, r in enumerate(fit.residuals):
             mine = context.folds.owner[k] == f
             if not np.any(mine):
                 continue
-            missed = r - fit.rows[k][:, shared] @ step
+            missed = fit.problem.trial_residuals(theta, k)
             own = fit.own(k)
             inside[k][mine], outside[k][mine] = (
                 (beyond(own, v) if context.folds.whole else v)[mine] for v in (r, missed)
