@@ -32,6 +32,7 @@ from swimid.diagnosis.gap_file import (
     Extrapolation,
     GapFile,
     OddTrial,
+    Predicted,
     Shrinkage,
     Stage,
     Value,
@@ -39,7 +40,7 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.diagnosis.judgement import Judgement
-from swimid.diagnosis.refutation import compared
+from swimid.diagnosis.refutation import Compared, compared
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -160,6 +161,7 @@ def answer(
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
+        predicted=_predicted(predicted) if told.causes else None,
         floor_from=how,
         repeats=enough(repeats(context)),
         scores=rows,
@@ -175,6 +177,10 @@ def answer(
         overlays=shrinkage.overlays(held, units),
         sketches=places.sketches(generic) if generic is not None and generic.found else [],
     )
+
+
+def _predicted(found: Compared | None) -> Predicted | None:
+    return None if found is None else Predicted(before=found.before.times, after=found.after.times)
 
 
 def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:

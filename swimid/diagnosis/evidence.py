@@ -227,6 +227,16 @@ def _sizes(file: GapFile) -> Iterable[ev.Check]:
 
 
 def _closed(file: GapFile) -> Iterable[ev.Check]:
+    if file.predicted is not None:
+        before, after = (numbers.number(v, 2) for v in (file.predicted.before, file.predicted.after))
+        yield ev.check(
+            "distance of held-out data from the prediction",
+            f"{before} without, {after} with the causes",
+            file.predicted.after < file.predicted.before,
+            "smaller with them",
+            "root mean square, 1 where the model is right: what the coefficients' uncertainty and chance "
+            "differences between trials allow is taken into account",
+        )
     for s in file.closing[:3]:
         if s.half_closed is not None:
             yield ev.check(

@@ -89,6 +89,15 @@ class Value(yamlio.Document):
     status: Status = "estimated"
 
 
+class Predicted(yamlio.Document):
+    """How far held-out data are from what the model predicts without and with the causes, over what noise,
+    uncertain coefficients and chance differences between trials allow: root-mean-square, 1 where it is right.
+    """
+
+    before: float
+    after: float
+
+
 class Shrinkage(yamlio.Document):
     """One channel on held-out data (see ``held_out`` of the file); errors over the measured range."""
 
@@ -245,6 +254,8 @@ class GapFile(yamlio.ResultFile):
     #: What the errors before and after are of: ``validation`` trials, or each part of the data in turn, left
     #: out of a refit: ``trials`` or ``stretches`` of trials.
     held_out: HeldOut | None = None
+    #: Of the causes, on these data.
+    predicted: Predicted | None = None
     #: How the noise floor was found.
     floor_from: str = ""
     #: Whether settings were repeated often enough to tell what differs by chance.

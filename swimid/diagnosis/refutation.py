@@ -68,6 +68,12 @@ class Compared:
         return self.after.distance >= self.before.distance
 
     @property
+    def halved(self) -> bool:
+        """Whether the causes close the greater part of what they are off by beyond the noise."""
+        gap = max(self.before.distance - self.before.samples, 0.0)
+        return self.before.distance - self.after.distance > MOST * gap
+
+    @property
     def shown(self) -> bool:
         """Whether the greater part of the squared distance without causes is no noise."""
         return self.before.distance > self.before.samples / (1.0 - MOST)

@@ -22,7 +22,7 @@ TOLERANCE = 1e-4
 #: Resamples of trials for the interval.
 RESAMPLES = 1000
 
-#: Of the squared errors on held-out data, beyond their noise, causes close the greater part.
+#: Of a squared gap causes close the greater part.
 MOST = 0.5
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
@@ -330,22 +330,6 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
             if channel in result and len(squares):
                 result[channel] = min(result[channel], float(np.sqrt(np.mean(squares))))
     return result
-
-
-def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
-    """Whether the causes close most of the squared gap on held-out data, in units of the noise."""
-    gained, gap = _gained(found, floors)
-    return gained > MOST * max(gap, 0.0) or not found
-
-
-def _gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
-    """What the causes take off the squared held-out errors, in units of the noise, and the gap in them."""
-    gained, gap = 0.0, 0.0
-    for p in found:
-        before, after = (_errors(p, which, floors) for which in ("before", "after"))
-        gained += float(np.sum(before - after))
-        gap += float(np.sum(before - 1.0))
-    return gained, gap
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
