@@ -40,7 +40,7 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.diagnosis.judgement import Judgement
-from swimid.diagnosis.refutation import Compared, compared
+from swimid.diagnosis.refutation import Compared, Misfit, compared
 from swimid.diagnosis.search import State
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -348,7 +348,7 @@ def _absorbed(
 
 
 def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
-    """Errors on the outermost frequency, amplitude or force, left out of the fit."""
+    """How far the outermost frequency, amplitude or force is from what the other trials predict."""
     context = state.context
     if not context.folds.whole:
         return []
@@ -364,12 +364,11 @@ def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
             cut = copy.copy(context)
             owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
             cut.folds = Folds(True, owner, ["rest", label])
-            ratios = []
+            times = []
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
-                misfit = float(crossval.held_out(inner)[1])
-                ratios.append(math.sqrt(max(misfit, 0.0) / max(float(inner.samples[1]), 1.0)))
-            found.append(Extrapolation(left_out=f"{kind} {label}", before=ratios[0], after=ratios[1]))
+                times.append(Misfit(float(crossval.predictive(inner)[1]), int(inner.samples[1])).times)
+            found.append(Extrapolation(left_out=f"{kind} {label}", before=times[0], after=times[1]))
     return found
 
 

@@ -365,8 +365,9 @@ def _extrapolations(file: GapFile) -> ev.Table:
         title="Settings left out of the fit",
         columns=["Left out", "Without the causes", "With them"],
         rows=[[name, numbers.number(e.before, 3), numbers.number(e.after, 3)] for name, e in known.items()],
-        caption="Root-mean-square error on all trials of a setting, left out of the fit by one Gauss-Newton "
-        "step from the fit to all, in units of the noise. Good: smaller with the causes, and near 1.",
+        caption="Distance of all trials of a setting from what the model fitted to the others predicts, "
+        "root-mean-square, over what noise and uncertain coefficients allow. Good: smaller with the causes, "
+        "and near 1.",
     )
 
 

@@ -132,7 +132,7 @@ class Absorbed(yamlio.Document):
 
 
 class Extrapolation(yamlio.Document):
-    """Error on a setting that was left out of the fit, in units of the noise."""
+    """Distance of a setting from what the model fitted to the others predicts, as :class:`Predicted`."""
 
     left_out: str
     before: Number
@@ -338,7 +338,7 @@ class GapFile(yamlio.ResultFile):
 
     @property
     def lost(self) -> list[str]:
-        """Settings left out of the fit on which errors are larger with the causes."""
+        """Settings that are farther from what the others predict with the causes than without."""
         tried = [e for c in self.causes[:1] for e in c.extrapolation if None not in (e.before, e.after)]
         return [e.left_out for e in tried if (e.after or 0.0) > (e.before or 0.0)]
 

@@ -46,7 +46,7 @@ class Misfit:
     @property
     def times(self) -> float:
         """Root-mean-square over that of a model that is right."""
-        return math.sqrt(self.distance / max(self.samples, 1))
+        return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
 @dataclass(frozen=True)
