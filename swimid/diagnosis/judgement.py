@@ -81,7 +81,7 @@ def judge(
         Trials that take part in no fit.
     """
     floor = noise.inside
-    told = _by_held_out(_by_fits(state), state, held, predicted)
+    told = _by_held_out(_by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
     # what a cause accounts for is none of the random effects of the model without it
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
@@ -118,19 +118,23 @@ def _by_fits(state: State) -> Judgement:
 
 
 def _by_held_out(
-    told: Judgement, state: State, held: Sequence[Piece], predicted: Compared | None
+    told: Judgement,
+    state: State,
+    held: Sequence[Piece],
+    floor: Mapping[str, float],
+    predicted: Compared | None,
 ) -> Judgement:
     if not told.causes or predicted is None:
         return told
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
     if predicted.refuted or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
-    if predicted.useless and (predicted.shown or told.verdict == "unexplained"):
+    if predicted.useless and (predicted.before.shown or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    if predicted.halved or _by_coefficients(state):
+    if shrinkage.helps(held, floor) or predicted.predicted or _by_coefficients(state):
         return told
-    why = "less than half of what held-out data are off its prediction beyond the noise is closed with it"
+    why = "held-out trials, simulated anew, close less than half of the squared gap with it"
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
     return replace(told, verdict=verdict, reasons=(f"{', '.join(told.names)}: {why}",))
 

@@ -44,6 +44,11 @@ class Misfit:
     slow: bool = True
 
     @property
+    def shown(self) -> bool:
+        """Whether the greater part of it is no noise."""
+        return self.distance > self.samples / (1.0 - MOST)
+
+    @property
     def times(self) -> float:
         """Root-mean-square over that of a model that is right."""
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
@@ -68,15 +73,10 @@ class Compared:
         return self.after.distance >= self.before.distance
 
     @property
-    def halved(self) -> bool:
-        """Whether the causes close the greater part of what they are off by beyond the noise."""
+    def predicted(self) -> bool:
+        """Whether with the causes they are as predicted, and nearer by most of what they are off without."""
         gap = max(self.before.distance - self.before.samples, 0.0)
-        return self.before.distance - self.after.distance > MOST * gap
-
-    @property
-    def shown(self) -> bool:
-        """Whether the greater part of the squared distance without causes is no noise."""
-        return self.before.distance > self.before.samples / (1.0 - MOST)
+        return not self.after.shown and self.before.distance - self.after.distance > MOST * gap
 
 
 def compared(
@@ -107,7 +107,7 @@ def unpredicted(
     for trial in validation:
         seen = _of_trials(context, fit, noise_model, inner, [trial])
         chance = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
-        if seen.slow and seen.distance > max(seen.samples / (1.0 - MOST), chance):
+        if seen.slow and seen.shown and seen.distance > chance:
             found.append((trial.id, seen.times))
     return sorted(found, key=lambda one: -one[1])
 

@@ -332,6 +332,16 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
     return result
 
 
+def helps(found: Sequence[Piece], floors: Mapping[str, float]) -> bool:
+    """Whether the causes close most of the squared gap on held-out data, in units of the noise."""
+    gained, gap = 0.0, 0.0
+    for p in found:
+        before, after = (_errors(p, which, floors) for which in ("before", "after"))
+        gained += float(np.sum(before - after))
+        gap += float(np.sum(before - 1.0))
+    return gained > MOST * max(gap, 0.0) or not found
+
+
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
     """Squared errors of a prediction, in units of the noise."""
     return piece.squares(getattr(piece, which), max(floors.get(piece.channel, 1.0), 1e-300))
