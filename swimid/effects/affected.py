@@ -62,7 +62,8 @@ class Affected(Model):
             # made for each run: an effect may keep in them what it reads off the run's tables
             acting = effect.hooks(own, trial, self.model)
             key = content + own.tobytes() if acting.moves else b""
-            hooks = hooks + replace(acting, key=key, command_key=key if acting.command else b"")
+            acting = replace(acting, key=key, command_key=key if acting.command else b"")
+            hooks = acting if hooks is hook_places.NONE else hooks + acting
         return hooks
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
