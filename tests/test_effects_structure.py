@@ -87,12 +87,18 @@ def _like(robot: str, change: Callable[[Any], None], effect: Effect, values: Any
         assert np.abs(seen[name] - plain[name]).max() > 1e-4
 
 
-def test_water_is_mass_at_the_centre_of_mass() -> None:
+@pytest.mark.parametrize("along", [0.0, -0.05])
+def test_water_is_mass_where_it_collects(along: float) -> None:
     def flooded(body: Any) -> None:
-        head = body.links[0]
-        head.mass_kg, head.inertia_kg_m2 = 2.133 + 0.3, 0.0916 + 0.3 * 0.192**2
+        head, water = body.links[0], 0.3
+        mass, com = 2.133 + water, 0.192 - water * along / (2.133 + water)
+        head.inertia_kg_m2 = 0.0916 + water * (0.192 - along) ** 2
+        head.mass_kg, head.com_m = mass, com
+        for element in body.elements:
+            if element.name == "head-added":
+                element.at_m = 0.192
 
-    _like("tfish", flooded, WaterIngress(), 0.3)
+    _like("tfish", flooded, WaterIngress(), (0.3, along))
 
 
 def test_water_in_a_rig_weighs_and_in_a_cruise_delays() -> None:

@@ -1,5 +1,7 @@
 """Water that has come into the hull and moves with it."""
 
+import numpy as np
+
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 
@@ -8,7 +10,10 @@ PER_MASS = "m/s^2"
 
 
 class WaterIngress(Effect):
-    """Mass added to the heaviest link at its centre of mass; its weight is taken as trimmed out."""
+    """Mass added to the heaviest link where the water collects; its weight is taken as trimmed out.
+
+    On rigs and in averages over a beat only how much it is matters.
+    """
 
     name = "water-ingress"
     meaning = "water inside the hull that moves with it"
@@ -24,18 +29,35 @@ class WaterIngress(Effect):
         return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Mass, kg; moment of inertia, kg m2, for an angle."""
+        """Mass, kg, and of a swimmer where it is, m ahead of the link's centre of mass; for an angle moment of
+        inertia, kg m2.
+        """
         name, unit, what = "mass_kg", "kg", "mass"
         if common.rotates(model):
             name, unit, what = "inertia_kg_m2", "kg m^2", "inertia"
         size = 0.05 * model.scales(trials).inertia
-        return (common.parameter(name, unit, size, f"{what} of the water inside", lower=0.0),)
+        much = common.parameter(name, unit, size, f"{what} of the water inside", lower=0.0)
+        body = model.body
+        if body is None:
+            return (much,)
+        length, (x, _) = body.lengths_m[body.hull], body.centre(body.hull)
+        words = "where it collects, ahead of the hull's centre of mass"
+        place = common.parameter("along_m", "m", 0.2 * length, words, lower=-length - x, upper=-x)
+        return much, place
+
+    def tries(self, parameters: Parameters) -> list[Array]:
+        """Of a swimmer at the centre of mass, and half way to either end."""
+        if len(parameters) == 1:
+            return super().tries(parameters)
+        much, place = parameters
+        return [np.array([much.scale, share]) for share in (0.0, 0.5 * place.lower, 0.5 * place.upper)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Adds to the inertia."""
         body = model.body
         if body is not None:
-            at, mass = body.centre(body.hull), values[0]
+            mass, (x, y) = values[0], body.centre(body.hull)
+            at = x + float(values[1]), y
             return Hooks(tables=(lambda tables: body.weigh(tables, body.hull, at, mass, mass),))
 
         def change(c: dict[str, float]) -> None:
