@@ -29,9 +29,7 @@ class WaterIngress(Effect):
         return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Mass, kg, and of a swimmer where it is, m ahead of the link's centre of mass; for an angle moment of
-        inertia, kg m2.
-        """
+        """Mass, kg, and of a swimmer its place, m ahead of the link's centre of mass; of an angle inertia, kg m2."""
         name, unit, what = "mass_kg", "kg", "mass"
         if common.rotates(model):
             name, unit, what = "inertia_kg_m2", "kg m^2", "inertia"
