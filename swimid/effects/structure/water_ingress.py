@@ -29,7 +29,7 @@ class WaterIngress(Effect):
         return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Mass, kg, and of a swimmer its place, m ahead of the link's centre of mass; of an angle inertia, kg m2."""
+        """Mass (kg; for an angle kg m2) and, of a swimmer, place (m ahead of the link's centre of mass)."""
         name, unit, what = "mass_kg", "kg", "mass"
         if common.rotates(model):
             name, unit, what = "inertia_kg_m2", "kg m^2", "inertia"
