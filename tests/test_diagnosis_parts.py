@@ -28,7 +28,7 @@ from swimid.diagnosis import (
     weighting,
 )
 from swimid.diagnosis.candidates import _allowed, own_gains
-from swimid.diagnosis.context import START_PRIOR, FitContext, errors
+from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, errors
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
@@ -406,6 +406,30 @@ def test_a_fold_is_as_far_off_as_it_raises_the_misfit_of_all(blocks: list[np.nda
         error = block[:, -1] - block[:, :3] @ _refit([*blocks[:f], *blocks[f + 1 :]], [0, 1, 2], PRIOR)
         predicted = np.eye(len(block)) + block[:, :3] @ covariance @ block[:, :3].T
         assert found[f] == pytest.approx(error @ np.linalg.solve(predicted, error), rel=1e-8)
+
+
+def test_a_fold_left_out_takes_no_part_in_the_refit(rng: np.random.Generator) -> None:
+    """Of a model in which one step from the fit to all leads far off."""
+
+    def decaying(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": values[0] * np.exp(-values[1] * t)}
+
+    coefficients = (parameter("a", 1.0), parameter("rate", 1.0, lower=0.0, upper=3.0))
+    trials, t = [], np.linspace(0.0, 3.0, 60)
+    for k in range(5):
+        y = np.exp(-(2.5 if k == 0 else 0.4) * t) * (3.0 if k == 0 else 0.3) + 0.01 * rng.normal(size=len(t))
+        trials.append(Trial(f"t{k}", "fit", t, {"y": y}, rig=RigInput(force=1.0 + k)))
+
+    def fitted(fit_trials: list[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
+        found = FitContext(Toy(decaying, coefficients), coefficients, fit_trials, {})
+        noise_model = NoiseModel([[np.full(60, 0.01)]] * len(fit_trials))
+        return found, noise_model, found.fit((), noise_model, [np.array([1.0, 1.0])], tolerance=1e-8)
+
+    context, noise_model, fit = fitted(trials)
+    without = context.without_each(fit, noise_model)
+    for k, theta in enumerate(without):
+        _, _, rest = fitted([trial for trial in trials if trial is not trials[k]])
+        np.testing.assert_allclose(theta, rest.theta, rtol=0.01)
 
 
 @pytest.mark.parametrize("held", ["validation", "folds"])
