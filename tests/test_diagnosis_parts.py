@@ -39,6 +39,7 @@ from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
+from swimid.logs.sampling import white_noise_sd
 from tests.toy_models import Toy, parameter
 
 LINE = (parameter("a", 0.5), parameter("b", 0.5), parameter("start", 0.0, per_trial=True))
@@ -406,6 +407,12 @@ def test_a_fold_is_as_far_off_as_it_raises_the_misfit_of_all(blocks: list[np.nda
         error = block[:, -1] - block[:, :3] @ _refit([*blocks[:f], *blocks[f + 1 :]], [0, 1, 2], PRIOR)
         predicted = np.eye(len(block)) + block[:, :3] @ covariance @ block[:, :3].T
         assert found[f] == pytest.approx(error @ np.linalg.solve(predicted, error), rel=1e-8)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 10])
+def test_few_samples_do_not_tell_their_noise(count: int, rng: np.random.Generator) -> None:
+    assert white_noise_sd(rng.normal(size=count), 0.5) == 0.5
+    assert white_noise_sd(rng.normal(size=4000), 0.5) == pytest.approx(1.0, rel=0.1)
 
 
 def test_a_fold_left_out_takes_no_part_in_the_refit(rng: np.random.Generator) -> None:

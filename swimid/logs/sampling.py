@@ -321,6 +321,8 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
     least : float
         What it is at least, and where the samples are too few to tell.
     """
+    if len(values) < 4:
+        return least
     there = np.isfinite(values)
     runs = np.convolve(there, np.ones(4), "valid") == 4
     third = np.diff(np.nan_to_num(values), n=3)[runs]
