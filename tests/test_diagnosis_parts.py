@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from swimid.diagnosis import (
     answer,
@@ -32,7 +33,7 @@ from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, errors
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
-from swimid.diagnosis.random_effects import LARGEST_SD, kinds, spread
+from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks, Stroke
@@ -870,6 +871,33 @@ def test_noise_is_no_more_than_held_out_errors_with_the_causes() -> None:
     assert floor["y_m"] == 0.01
 
 
+@pytest.mark.parametrize("size", [0.0, 0.2, -2.0])
+def test_what_differs_in_a_validation_trial_by_chance_is_read_from_it(
+    size: float, rng: np.random.Generator
+) -> None:
+    """As far as it may be chance: of a spread of 0.1 no more than the 97.5 % point of its square."""
+    time = np.linspace(0.0, 6.0, 200)
+
+    class Sized(Seen):
+        def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+            return (parameter("size", 0.0, scale=0.1),)
+
+    def trial(name: str, size: float) -> Trial:
+        return Trial(name, "fit", time, {"y": np.exp(-time) + size * ring(time) + 0.1 * rng.normal(size=200)})
+
+    known = [trial(f"t{k}", size) for k, size in enumerate((0.1, -0.1, 0.15, -0.15))]
+    kind = RandomEffect("ring", "chance/ring size", 0.1, Sized("ring", ring), 0, (0.0,), 1.0, 1.0)
+    context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, known, {})
+    noise_model = NoiseModel([[np.full(200, 0.1)]] * 4, random_effects=(kind,))
+    fit = context.fit((), noise_model, [np.array([1.0, *[0.0] * 4])])
+    found = refutation.misfit(context, fit, noise_model, [trial("last", size)]).chance["y"]
+    square = float(np.mean(ring(time) ** 2))
+    likely = min(size**2, chi2.ppf(0.975, 1) * 0.1**2) * square
+    # it is known to the noise over the root of the samples' squares; the average of the four as well
+    sd = 0.1 / np.sqrt(200 * square)
+    assert found == pytest.approx(likely, abs=3.0 * square * (2.0 * abs(size) * sd * 1.5 + 3.0 * sd**2))
+
+
 def test_errors_are_shares_of_the_fitted_range(rng: np.random.Generator) -> None:
     """A held-out trial of little motion has no other unit than the rest of the answer."""
     (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {"x_m": 0.01}, {}, {"x_m": 4.0}, rng=rng)
@@ -1281,7 +1309,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
         context=SimpleNamespace(trials=[]),
         noise_model=None,
     )
-    noise = Floor({}, {"x_m": 0.01}, {}, "")
+    noise = Floor({}, {"x_m": 0.01}, {}, {}, "")
     predicted = refutation.Compared(*(refutation.Misfit(d, 200) for d in (25 * 200.0, distance * 200.0)))
     told, *_ = judgement.judge(state, [piece(5.0, after)], noise, predicted, dropout=False)
     assert (told.verdict, list(told.names)) == (verdict, named)
@@ -1304,7 +1332,7 @@ def test_failed_samples_explain_only_where_nothing_else_is_lacking(
         rounds=[], nominal=nominal, base=nominal, left=None, random_effects=[],
         context=SimpleNamespace(trials=[None] * 3), noise_model=SimpleNamespace(random_effects=()),
     )  # fmt: skip
-    told, *_ = judgement.judge(state, [], Floor({}, {}, {}, ""), None, dropout=dropout)
+    told, *_ = judgement.judge(state, [], Floor({}, {}, {}, {}, ""), None, dropout=dropout)
     assert told.verdict == verdict
 
 

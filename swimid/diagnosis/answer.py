@@ -110,14 +110,15 @@ def answer(
             ],
             floor,
         )
-    # where there is more than noise, what a fit takes up and misses elsewhere is of that, too
-    more = state.left is not None and state.left.found
-    outside = floor if more else shrinkage.capped(noise.levels, held)
-    rng = np.random.default_rng(seed)
-    closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
     predicted = None
     if state.base.effects:
         predicted = compared(context, nominal, state.base, state.noise_model, validation)
+    # where there is more than noise, what a fit takes up and misses elsewhere is of that, too
+    more = state.left is not None and state.left.found
+    levels = noise.levels if predicted is None else noise.of_held_out(predicted.after.chance)
+    outside = shrinkage.capped(floor if more else levels, held)
+    rng = np.random.default_rng(seed)
+    closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
     told, gap, left = judgement.judge(
         state, held, noise, predicted, dropout=failed > 0, validation=validation
     )

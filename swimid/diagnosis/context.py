@@ -244,6 +244,7 @@ class FitContext:
         self.prior = dict(prior)
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
+        self._without: dict[tuple[bytes, ...], list[Array]] = {}
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -536,7 +537,10 @@ class FitContext:
             problem.hold_derivatives((), ())
             return self.search(problem, noise_model, [begun.x], FINE, STEPS, kept=kept).x
 
-        return list(mapped(one, range(self.folds.count), self.jobs))
+        key = fit.theta.tobytes(), *(r.tobytes() for r in fit.residuals)
+        if key not in self._without:
+            self._without[key] = list(mapped(one, range(self.folds.count), self.jobs))
+        return self._without[key]
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""

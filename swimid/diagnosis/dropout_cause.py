@@ -78,7 +78,7 @@ def among(
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
         known = closing[channel].after if channel in closing else None
         after = rms(own) / span if known is None else known
-        level = floor[channel] / span
+        level = min(floor[channel] / span, before, after)
         widened[channel] = Shrinkage(
             channel=channel,
             before=before,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -100,6 +101,8 @@ class Floor:
         did not differ. All but the repeats with what fitted numbers take up, :func:`taken_up`.
     inside : dict of channel to float
         The same less what fitted numbers take up of it: what residuals of the fit are to be held against.
+    within : dict of channel to float
+        The levels without what differs from trial to trial.
     squares : dict of channel to dict of trial to (float, int)
         What each trial adds to the squared level, up to a common factor, and its samples.
     how : str
@@ -110,6 +113,7 @@ class Floor:
 
     levels: dict[str, float]
     inside: dict[str, float]
+    within: dict[str, float]
     squares: dict[str, dict[str, tuple[float, int]]]
     how: str
     repeated: bool = False
@@ -117,10 +121,18 @@ class Floor:
     def less(self, shares: Mapping[str, float]) -> Floor:
         """The same less a share of the squared noise of some channels."""
         left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
-        levels, inside = (
-            {c: v * left.get(c, 1.0) for c, v in kind.items()} for kind in (self.levels, self.inside)
+        levels, inside, within = (
+            {c: v * left.get(c, 1.0) for c, v in kind.items()}
+            for kind in (self.levels, self.inside, self.within)
         )
-        return replace(self, levels=levels, inside=inside)
+        return replace(self, levels=levels, inside=inside, within=within)
+
+    def of_held_out(self, chance: Mapping[str, float]) -> dict[str, float]:
+        """The levels of trials in which chance makes a known mean square, by channel."""
+        return {
+            c: math.hypot(self.within[c], math.sqrt(chance[c])) if c in chance else v
+            for c, v in self.levels.items()
+        }
 
 
 def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:
@@ -196,7 +208,8 @@ def floors(
         return min(lower.get(c, left), left)
 
     levels = {c: level(c, more[c]) for c in model}
-    return Floor(levels, {c: level(c, 1.0) for c in model}, squares, told or how, told is not None)
+    within = {c: min(float(np.sqrt(more[c] * rest * v)), levels[c]) for c, v in noise.items()}
+    return Floor(levels, {c: level(c, 1.0) for c in model}, within, squares, told or how, told is not None)
 
 
 def _between_repeats(

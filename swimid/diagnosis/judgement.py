@@ -132,7 +132,7 @@ def _by_held_out(
     if predicted.useless and (predicted.before.shown or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    if shrinkage.helps(held, floor) or predicted.predicted or _by_coefficients(state):
+    if shrinkage.helps(held, floor) or predicted.borne_out or _by_coefficients(state):
         return told
     why = "held-out trials, simulated anew, close less than half of the squared gap with it"
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict

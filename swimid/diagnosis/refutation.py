@@ -8,14 +8,14 @@ likely as those leave: its distance in the predictive distribution.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import chi2
 
 from swimid.diagnosis import crossval, remainder
-from swimid.diagnosis.context import Fit, FitContext, Mixed
+from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.shrinkage import MOST
 from swimid.fitting.model import Array, Trial
@@ -37,11 +37,15 @@ class Misfit:
     samples : int
     slow : bool
         Whether what is left of the samples moves slower than noise, or is too short to tell.
+    chance : dict of channel to float
+        Of validation trials, the mean square of what differs in them by chance, in the channel's unit
+        squared: its expectation given their samples.
     """
 
     distance: float
     samples: int
     slow: bool = True
+    chance: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def shown(self) -> bool:
@@ -73,7 +77,7 @@ class Compared:
         return self.after.distance >= self.before.distance
 
     @property
-    def predicted(self) -> bool:
+    def borne_out(self) -> bool:
         """Whether with the causes they are as predicted, and nearer by most of what they are off without."""
         gap = max(self.before.distance - self.before.samples, 0.0)
         return not self.after.shown and self.before.distance - self.after.distance > MOST * gap
@@ -152,11 +156,38 @@ def _of_trials(
     try:
         found = context.search(problem, noise_model, [begin], TOLERANCE, STEPS, (mean, root))
         left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
+        chance = _chance(problem, found.x, fit, noise_model)
     finally:
         problem.close()
     moving = remainder.low_frequency(problem, left)
     slow = not moving or any(channel.ratio > remainder.SLOW for channel in moving.values())
-    return Misfit(float(found.cost), sum(len(r) for r in left), slow)
+    return Misfit(float(found.cost), sum(len(r) for r in left), slow, chance)
+
+
+def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
+    """Mean square of what the random effects of validation trials change, start states refitted, by channel:
+    its expectation given their samples, effects no larger than is likely.
+    """
+    centre = fit.centre()
+    squares: dict[str, list[Array]] = {}
+    for k, jacobian in enumerate(problem.trial_jacobians(theta)):
+        mine, scale = problem.differing(k), problem.scale
+        if not mine:
+            return {}
+        names = [problem.parameters[problem.slots[j][0]].name for j in mine]
+        away = (theta[mine] - [centre[name] for name in names]) / scale[mine]
+        likely = chi2.ppf(1.0 - CHANCE, len(mine))
+        away *= math.sqrt(min(1.0, likely / max(float(away @ away), likely)))
+        rows = jacobian[:, mine] * scale[mine]
+        own = problem.begun(k)
+        seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
+        seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
+        root = np.linalg.cholesky(np.linalg.inv(seen.T @ seen + np.eye(len(mine))))
+        moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
+        moved = moved / problem.sample_weights(k)[:, None]
+        for channel, _, part in problem.by_channel(k, moved):
+            squares.setdefault(channel, []).append(np.sum(part**2, axis=1))
+    return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
