@@ -91,6 +91,7 @@ CONSTANTS = (
     *_of("posterior", "TENTH", "FURTHER", "UNSURE"),
     *_of("conclusion", "CREDIBLE", rest=True, after=True),
     *_of("conclusion", "DIFFERS", after=True),
+    *_of("judgement", "SURE", rest=True, after=True),
     *_of("shrinkage", "MOST", "ASTRAY", after=True),
     *_of("odd", "MAJORITY", after=True),
     *_of("dropout_cause", "FAILED_MISFIT", after=True),

@@ -1319,6 +1319,20 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
 
 
 @pytest.mark.parametrize(
+    ("outside", "verdict"), [(0.1, "explained"), (0.3, "ambiguous"), (0.6, "unexplained")]
+)
+def test_an_explanation_is_likelier_than_a_cause_from_outside(outside: float, verdict: str) -> None:
+    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
+    beside = {frozenset[str](): outside, waves: 0.0}
+    state = SimpleNamespace(
+        posterior=posterior.Posterior({waves: 1.0 - outside}, 0.0, outside, beside, {frozenset(): 9.0}, ()),
+        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))])],
+        base=SimpleNamespace(effects=[effect]),
+    )
+    assert judgement._by_fits(state).verdict == verdict
+
+
+@pytest.mark.parametrize(
     ("none", "dropout", "verdict"),
     [(0.8, False, "none"), (0.8, True, "explained"), (0.2, False, "unexplained"), (0.2, True, "unexplained")],
 )

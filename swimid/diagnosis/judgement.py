@@ -19,6 +19,9 @@ from swimid.diagnosis.shrinkage import Piece
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.odd_trial import Odd
 
+#: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
+SURE = 0.8
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -106,15 +109,13 @@ def _by_fits(state: State) -> Judgement:
     """The likeliest of no gap, the causes found, and something else."""
     posterior = state.posterior
     chosen = [] if posterior.none > UNSURE else [conclusion.named(state, r) for r in state.rounds]
-    verdict: Verdict
     if not chosen:
-        verdict = "unexplained" if posterior.outside > posterior.none else "none"
-        return Judgement(verdict, (), state.base)
+        return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
     if posterior.outside > sum(posterior.sets.values()):
         # beside something from outside only what closes part of it rather than not
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
-    verdict = "ambiguous" if chosen[0].crowded or chosen[0].alone <= 0.5 else "explained"
-    return Judgement(verdict, tuple(chosen), state.base)
+    unsure = posterior.outside > 1.0 - SURE or chosen[0].crowded or chosen[0].alone <= 0.5
+    return Judgement("ambiguous" if unsure else "explained", tuple(chosen), state.base)
 
 
 def _by_held_out(
