@@ -133,7 +133,9 @@ def _by_held_out(
     if predicted.useless and (predicted.before.shown or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    if shrinkage.helps(held, floor) or predicted.borne_out or _by_coefficients(state):
+    lowered, gap = shrinkage.gained(held, floor)
+    close = lowered > shrinkage.MOST * gap or (predicted.borne_out and lowered > 0.0)
+    if close or not held or _by_coefficients(state):
         return told
     why = "held-out trials, simulated anew, close less than half of the squared gap with it"
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict

@@ -69,7 +69,8 @@ class Wall(Effect):
             values = values[np.isfinite(values)]
             for end in ends if len(values) else ():
                 extreme = float(values.max() if end == "max" else values.min())
-                walls.append(Wall(f"{name.removesuffix('_m')}_{end}", extreme))
+                kind = _Push if common.free_body(model) else Wall
+                walls.append(kind(f"{name.removesuffix('_m')}_{end}", extreme))
         return walls
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -107,3 +108,9 @@ class Wall(Effect):
             constants[0] = c["quadratic"]
 
         return Hooks(coefficients=(take,), force=(Force(blockage, constants),))
+
+
+class _Push(Wall):
+    """Of a free swimmer, which is moved by what it feels three lengths of its body away by any slow force."""
+
+    inside = frozenset(f"{axis}_{end}_decay_m" for axis in "xyz" for end in ("min", "max"))

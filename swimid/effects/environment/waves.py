@@ -13,6 +13,8 @@ from swimid.effects.common import parameter
 
 #: Frequencies looked at, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
+#: A wave has so many periods in a trial: of fewer nothing tells it from a force that changes slowly.
+PERIODS = 1.5
 #: Lines of the tracks' spectrum that are tried, and the order of the slow course taken out before.
 LINES, ORDER = 4, 5
 #: Most frequencies looked at.
@@ -44,7 +46,6 @@ class Waves(Effect):
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
-    # of less than a period nothing tells a wave from a current that grows
     inside = frozenset({"frequency_hz"})
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
@@ -69,10 +70,12 @@ class Waves(Effect):
         """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
-        least = max(0.5 * LOWEST, 1.0 / scales.duration)
-        band, words = (least, max(2.0 * HIGHEST, 2.0 * least)), "frequency of the waves"
+        near, words = 0.2 / scales.duration, "frequency of the waves"
+        # within its scale of a bound it is no hypothesis
+        least = max(0.5 * LOWEST, PERIODS / scales.duration - near)
+        band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
-            Parameter("frequency_hz", "Hz", *band, self.frequency_hz, 0.2 / scales.duration, meaning=words),
+            Parameter("frequency_hz", "Hz", *band, self.frequency_hz, near, meaning=words),
             *(
                 parameter(f"{part}_{self.axis}_m_s", "m/s", size, f"{part} {along}", per_trial=True)
                 for part in ("cos", "sin")
@@ -219,7 +222,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         return ()
     length = model.scales(use).duration
     count = min(max(int((HIGHEST - LOWEST) * 2.0 * length), 8), FINEST)
-    grid = np.linspace(max(LOWEST, 1.5 / length), HIGHEST, count)
+    grid = np.linspace(max(LOWEST, PERIODS / length), HIGHEST, count)
     power, weight = np.zeros(count), np.zeros(count)
     for trial in use:
         there = np.isfinite(trial.measured[name])
