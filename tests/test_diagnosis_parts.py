@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, s
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
-from swimid.effects.base import Effect
+from swimid.effects.base import Effect, Inside
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
@@ -1111,13 +1112,13 @@ def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Gen
 class Bounded(Seen):
     """The same, of a size that tells it only below one of 0.5."""
 
-    inside = frozenset({"size"})
+    inside: ClassVar[Inside] = {"size": "upper"}
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
         return (replace(parameter("size", 0.0), lower=-0.5, upper=0.5, scale=0.05),)
 
 
-@pytest.mark.parametrize(("size", "told"), [(0.3, ["rise"]), (0.7, [])])
+@pytest.mark.parametrize(("size", "told"), [(0.3, ["rise"]), (-0.7, ["rise"]), (0.7, [])])
 def test_an_effect_that_ends_where_it_stands_for_others_is_no_hypothesis(
     rng: np.random.Generator, size: float, told: list[str]
 ) -> None:

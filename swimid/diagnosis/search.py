@@ -96,10 +96,14 @@ class Hypothesis:
     @property
     def ends(self) -> list[str]:
         """Numbers of its effects at bounds where these could stand for others (:attr:`Effect.inside`)."""
-        wanted = {f"{e.name}/{name}" for e in self.fit.effects for name in e.inside}
-        problem = self.fit.problem
-        near = np.minimum(self.fit.theta - problem.lower, problem.upper - self.fit.theta) < self.fit.scale
-        return [label for label, at in zip(self.fit.labels, near, strict=True) if at and label in wanted]
+        fit, problem = self.fit, self.fit.problem
+        ends = {"lower": problem.lower, "upper": problem.upper}
+        wanted = {f"{e.name}/{name}": end for e in fit.effects for name, end in e.inside.items()}
+        return [
+            label
+            for j, label in enumerate(fit.labels)
+            if label in wanted and abs(fit.theta[j] - ends[wanted[label]][j]) < fit.scale[j]
+        ]
 
 
 @dataclass

@@ -6,7 +6,7 @@ import itertools
 import pickle
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -19,6 +19,8 @@ STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "
 #: What an effect is given and gives.
 Trials = Sequence[Trial]
 Parameters = tuple[Parameter, ...]
+#: Bounds that parameters must not come near.
+Inside = Mapping[str, Literal["lower", "upper"]]
 #: Sizes at which an effect is tried, in units of its parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
 
@@ -48,9 +50,9 @@ class Effect(ABC):
         trials then belongs to the noise.
     smooth : bool
         Whether what it changes grows in proportion to its parameters, so that one size tells all.
-    inside : frozenset of str
-        Parameters that must end within their bounds by their typical size at least: nearer to one the effect
-        could stand for others, and is no hypothesis.
+    inside : mapping of name to end
+        Bounds, ``lower`` or ``upper``, from which parameters must end by their typical size at least: nearer
+        the effect could stand for others, and is no hypothesis.
     """
 
     name: ClassVar[str]
@@ -60,7 +62,7 @@ class Effect(ABC):
     needs: ClassVar[frozenset[str]]
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
-    inside: ClassVar[frozenset[str]] = frozenset()
+    inside: ClassVar[Inside] = {}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -1,12 +1,13 @@
 """A wall near the tracks."""
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Inside, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, traceable
 
 #: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
@@ -113,4 +114,4 @@ class Wall(Effect):
 class _Push(Wall):
     """Of a free swimmer, which is moved by what it feels three lengths of its body away by any slow force."""
 
-    inside = frozenset(f"{axis}_{end}_decay_m" for axis in "xyz" for end in ("min", "max"))
+    inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}

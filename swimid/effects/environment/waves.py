@@ -2,13 +2,25 @@
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.constants import g
 from scipy.interpolate import CubicSpline
 from scipy.signal import lombscargle
 
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
+from swimid.effects.base import (
+    Array,
+    Effect,
+    Effects,
+    Hooks,
+    Inside,
+    Model,
+    Parameter,
+    Parameters,
+    Trial,
+    Trials,
+)
 from swimid.effects.common import parameter
 
 #: Frequencies looked at, Hz.
@@ -46,7 +58,7 @@ class Waves(Effect):
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
-    inside = frozenset({"frequency_hz"})
+    inside: ClassVar[Inside] = {"frequency_hz": "lower"}
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
         self.axis = axis
