@@ -92,7 +92,7 @@ def among(
     samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
     effect = Cause(
         effect=MarkerDropout.name,
-        probability=0.97,
+        probability=1.0 - (1.0 - state.posterior.acts) * state.posterior.outside,
         parameters={
             "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
             "first_failure_s": Value(value=min(s[2] for s in stretches), unit="s"),
