@@ -326,11 +326,10 @@ ALL = {
 
 def drawings(gap: GapFile) -> Drawings:
     """What is drawn of one of them."""
-    maps, overlays, where = _maps(), _overlays(), gap.where
-    brief = len(where.phase) < 2
+    maps, overlays = _maps(), _overlays()
+    brief = len(gap.where.phase) < 2
     return Drawings(
         maps={"trial by channel": maps["trial by channel"]} if brief else maps,
-        parts=[*where.regime, *where.phase, *where.time],
         overlays=overlays[:1] if brief else overlays,
         sketches=[] if brief else _SKETCHES,
     )

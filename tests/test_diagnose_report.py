@@ -176,7 +176,7 @@ def test_a_coefficient_moved_by_two_errors_and_a_tenth(
     number = cases.number
     a = cases.absorbed("c", None, number(without, error, "1"), number(with_effect, error, "1"))
     file = ranked(replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, absorbed=[a])]))
-    assert bool(diagnose_summary.moved(file.causes)) is found
+    assert bool(diagnose_summary.moved(file)) is found
 
 
 # ---------------------------------------------------------------- the report

@@ -174,7 +174,6 @@ def answer(
         file.advice = [Advice(text=ANOTHER if file.single else REPEAT)]
     return ranked(file), Drawings(
         maps=places.maps(cells),
-        parts=[*where.regime, *where.phase, *where.time],
         overlays=shrinkage.overlays(held, units),
         sketches=places.sketches(generic) if generic is not None and generic.found else [],
     )

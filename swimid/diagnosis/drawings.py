@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from swimid.diagnosis.gap_file import Cell
 from swimid.fitting.model import Array
 
 
@@ -52,11 +51,8 @@ class Drawings:
     ----------
     maps : mapping of title to (row labels, column labels, ratios)
         Heat maps of root-mean-square residual over floor: trial by channel, phase by trial ...
-    parts : sequence of Cell
-        Those of the file, the largest share first: settings, phases, times.
     """
 
     maps: Mapping[str, tuple[list[str], list[str], Array]] = field(default_factory=dict)
-    parts: Sequence[Cell] = ()
     overlays: Sequence[Overlay] = ()
     sketches: Sequence[Sketch] = ()

@@ -8,7 +8,7 @@ from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as words
 from swimid.diagnosis.drawings import Drawings
-from swimid.diagnosis.gap_file import GapFile
+from swimid.diagnosis.gap_file import GapFile, Score
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
@@ -93,46 +93,38 @@ def verdict(file: GapFile) -> ev.Verdict:
 
 def checks(file: GapFile) -> list[ev.Check]:
     """The tests the answer has to pass."""
-    parts = (
-        (_nothing_gains, _between_trials, _predicts, _left)
-        if file.verdict == "none"
-        else (_gains, _rivals, _sizes, _closed, _transfer, _predicts, _coefficients, _left)
-    )
-    return [check for part in (_at_bounds, _contradicted, _size, *parts) for check in part(file)]
+    of_answer = _no_gap if file.verdict == "none" else _causes
+    return [check for part in (_data, of_answer, _predicts, _coefficients, _left) for check in part(file)]
 
 
-def _at_bounds(file: GapFile) -> Iterable[ev.Check]:
+def _data(file: GapFile) -> Iterable[ev.Check]:
     if file.at_bound:
-        yield ev.Check(
-            name="bounds without effects",
-            value=words.bounds_text(file),
-            limit="inside",
-            verdict="warn",
-            text="a coefficient that the refit without effects takes to its bound may stand in for a cause",
+        yield ev.check(
+            "bounds without effects",
+            words.bounds_text(file),
+            False,
+            "inside",
+            "a coefficient that the refit without effects takes to its bound may stand in for a cause",
         )
-
-
-def _contradicted(file: GapFile) -> Iterable[ev.Check]:
     if file.odd_trial is not None:
         times = numbers.number(file.odd_trial.times, 2)
-        yield ev.Check(
-            name="no trial contradicts the others",
-            value=f"{file.odd_trial.trial}: {times} times the others' error",
-            limit="as the others",
-            verdict="fail",
+        yield blocks.check(
+            "no trial contradicts the others",
+            f"{file.odd_trial.trial}: {times} times the others' error",
+            "as the others",
+            False,
+            otherwise="fail",
             text="error of a trial predicted from all others; look at what is written of it",
         )
     if file.refuted:
-        yield ev.Check(
-            name="held-out trials bear the likeliest cause out",
-            value=words.listed(file.refuted),
-            limit="no worse with it",
-            verdict="fail",
+        yield blocks.check(
+            "held-out trials bear the likeliest cause out",
+            words.listed(file.refuted),
+            "no worse with it",
+            False,
+            otherwise="fail",
             text="squared held-out errors grow with it by more than the gap and the noise",
         )
-
-
-def _size(file: GapFile) -> Iterable[ev.Check]:
     # the largest is first
     none = file.verdict == "none" or file.follows
     for largest in [c for c in file.where.channels if c.nrmse is not None][:1]:
@@ -145,7 +137,7 @@ def _size(file: GapFile) -> Iterable[ev.Check]:
         )
 
 
-def _nothing_gains(file: GapFile) -> Iterable[ev.Check]:
+def _no_gap(file: GapFile) -> Iterable[ev.Check]:
     best = words.likeliest(file)
     if best is not None:
         yield ev.check(
@@ -155,9 +147,6 @@ def _nothing_gains(file: GapFile) -> Iterable[ev.Check]:
             "no gap above 50 %",
             f"of all effects tried; {words.otherwise_text(file)}",
         )
-
-
-def _between_trials(file: GapFile) -> Iterable[ev.Check]:
     apart = [c for c in file.where.channels if c.differs]
     if apart:
         yield ev.check(
@@ -167,6 +156,62 @@ def _between_trials(file: GapFile) -> Iterable[ev.Check]:
             "as between repeats",
             "most of the squared error is that trials differ from one another; only repeats of a setting "
             "tell whether that is chance",
+        )
+
+
+def _causes(file: GapFile) -> Iterable[ev.Check]:
+    for cause in file.causes:
+        won = next((s.won for s in file.scores if s.effect == cause.effect and s.won[1]), None)
+        most = f"; positive in {won[0]} of {won[1]} folds" if won else ""
+        yield ev.check(
+            f"held-out gain of {cause.effect}",
+            numbers.measured(cause.gain, cause.gain_stderr) + most,
+            cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0),
+            "> 2 std. errors",
+            "drop of the squared residuals, in units of the noise, in approximate cross-validation",
+        )
+    if file.causes:
+        sets = [f"{c.effect}: {words.listed(c.equivalent)}" for c in file.causes if c.equivalent]
+        yield ev.check(
+            "rivals",
+            "; ".join(sets) or "none",
+            not sets,
+            "none",
+            "effects that have 90 % of the probability with the cause, the other causes given",
+        )
+        yield ev.check(
+            "sizes of the causes",
+            f"at a bound: {words.listed(file.bounded)}" if file.bounded else "inside their bounds",
+            not file.bounded,
+            "inside",
+            "an effect as large as it may be, a joint wholly locked, or one that stands in for another",
+        )
+    if file.predicted is not None:
+        before, after = (numbers.number(v, 2) for v in (file.predicted.before, file.predicted.after))
+        yield ev.check(
+            "distance of held-out data from the prediction",
+            f"{before} without, {after} with the causes",
+            file.predicted.after < file.predicted.before,
+            "smaller with them",
+            "root mean square, 1 where the model is right: what the coefficients' uncertainty and chance "
+            "differences between trials allow is taken into account",
+        )
+    for s in file.closing[:3]:
+        if s.half_closed is not None:
+            yield ev.check(
+                f"gap closed in {s.channel}",
+                words.closed_text(s),
+                s.half_closed,
+                f"≥ {100 * gap_format.HALF:g} %, interval above 0",
+                f"{words.held_out_text(file)}: {words.errors_text(s)}",
+            )
+    if any(None not in (e.before, e.after) for e in file.extrapolation):
+        yield ev.check(
+            "carries over to settings left out",
+            f"not to {words.listed(file.lost)}" if file.lost else "yes",
+            not file.lost,
+            "all",
+            "an effect that loses where it was not fitted takes up errors and causes none",
         )
 
 
@@ -190,87 +235,16 @@ def _predicts(file: GapFile) -> Iterable[ev.Check]:
         )
 
 
-def _gains(file: GapFile) -> Iterable[ev.Check]:
-    for cause in file.causes:
-        won = next((s.won for s in file.scores if s.effect == cause.effect and s.won[1]), None)
-        most = f"; positive in {won[0]} of {won[1]} folds" if won else ""
-        yield ev.check(
-            f"held-out gain of {cause.effect}",
-            numbers.measured(cause.gain, cause.gain_stderr) + most,
-            cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0),
-            "> 2 std. errors",
-            "drop of the squared residuals, in units of the noise, in approximate cross-validation",
-        )
-
-
-def _rivals(file: GapFile) -> Iterable[ev.Check]:
-    sets = [f"{c.effect}: {words.listed(c.equivalent)}" for c in file.causes if c.equivalent]
-    if file.causes:
-        yield ev.check(
-            "rivals",
-            "; ".join(sets) or "none",
-            not sets,
-            "none",
-            "effects that have 90 % of the probability with the cause, the other causes given",
-        )
-
-
-def _sizes(file: GapFile) -> Iterable[ev.Check]:
-    if file.causes:
-        yield ev.check(
-            "sizes of the causes",
-            f"at a bound: {words.listed(file.bounded)}" if file.bounded else "inside their bounds",
-            not file.bounded,
-            "inside",
-            "an effect as large as it may be, a joint wholly locked, or one that stands in for another",
-        )
-
-
-def _closed(file: GapFile) -> Iterable[ev.Check]:
-    if file.predicted is not None:
-        before, after = (numbers.number(v, 2) for v in (file.predicted.before, file.predicted.after))
-        yield ev.check(
-            "distance of held-out data from the prediction",
-            f"{before} without, {after} with the causes",
-            file.predicted.after < file.predicted.before,
-            "smaller with them",
-            "root mean square, 1 where the model is right: what the coefficients' uncertainty and chance "
-            "differences between trials allow is taken into account",
-        )
-    for s in file.closing[:3]:
-        if s.half_closed is not None:
-            yield ev.check(
-                f"gap closed in {s.channel}",
-                words.closed_text(s),
-                s.half_closed,
-                f"≥ {100 * gap_format.HALF:g} %, interval above 0",
-                f"{words.held_out_text(file)}: {words.errors_text(s)}",
-            )
-
-
-def _transfer(file: GapFile) -> Iterable[ev.Check]:
-    if any(None not in (e.before, e.after) for c in file.causes[:1] for e in c.extrapolation):
-        yield ev.check(
-            "carries over to settings left out",
-            f"not to {words.listed(file.lost)}" if file.lost else "yes",
-            not file.lost,
-            "all",
-            "an effect that loses where it was not fitted takes up errors and causes none",
-        )
-
-
 def _coefficients(file: GapFile) -> Iterable[ev.Check]:
-    known = words.absorbed(file.causes)
-    if not known:
-        return
-    yield ev.check(
-        "coefficients with the causes",
-        f"at a bound: {words.listed(file.stuck)}" if file.stuck else "inside their bounds",
-        not file.stuck,
-        "inside",
-        "a coefficient at its bound still stands in for something",
-    )
-    stood_in = [a.coefficient for a in words.moved(file.causes)]
+    if file.absorbed:
+        yield ev.check(
+            "coefficients with the causes",
+            f"at a bound: {words.listed(file.stuck)}" if file.stuck else "inside their bounds",
+            not file.stuck,
+            "inside",
+            "a coefficient at its bound still stands in for something",
+        )
+    stood_in = [a.coefficient for a in words.moved(file)]
     if stood_in:
         yield ev.check(
             "coefficients that stood in for the causes",
@@ -312,19 +286,11 @@ def tables(file: GapFile) -> list[ev.Table]:
 def _equivalence(file: GapFile) -> ev.Table:
     scores = {s.effect: s for s in file.scores}
     rows = []
-    for cause in file.causes:
-        for name in (cause.effect, *cause.equivalent) if cause.equivalent else ():
-            s = scores.get(name)
-            told = (
-                [
-                    s.stage or numbers.NOTHING,
-                    numbers.measured(s.gain, s.stderr),
-                    numbers.percent(s.probability, 2),
-                ]
-                if s
-                else [numbers.NOTHING] * 3
-            )
-            rows.append([cause.effect, name, *told])
+    for cause in (c for c in file.causes if c.equivalent):
+        for name in (cause.effect, *cause.equivalent):
+            s = scores.get(name, Score(effect=name, gain=None))
+            gain, probability = numbers.measured(s.gain, s.stderr), numbers.percent(s.probability, 2)
+            rows.append([cause.effect, name, s.stage or numbers.NOTHING, gain, probability])
     return ev.Table(
         id="equivalent",
         title="What these trials cannot tell apart",
@@ -336,16 +302,18 @@ def _equivalence(file: GapFile) -> ev.Table:
 
 
 def _absorbed(file: GapFile) -> ev.Table:
-    strayed = {a.coefficient for a in words.moved(file.causes)}
+    strayed = {a.coefficient for a in words.moved(file)}
     rows = [
         [
             a.coefficient,
-            "–" if a.given is None else numbers.measured(a.given.value, a.given.stderr, a.given.unit),
+            numbers.NOTHING
+            if a.given is None
+            else numbers.measured(a.given.value, a.given.stderr, a.given.unit),
             *(words.value_text(v) for v in (a.without, a.with_effect)),
             numbers.bounds_text(a.bounds),
             "yes" if a.coefficient in strayed else "no",
         ]
-        for a in words.absorbed(file.causes)
+        for a in file.absorbed
     ]
     return ev.Table(
         id="coefficients",
@@ -359,12 +327,13 @@ def _absorbed(file: GapFile) -> ev.Table:
 
 
 def _extrapolations(file: GapFile) -> ev.Table:
-    known = {e.left_out: e for c in file.causes for e in c.extrapolation}
     return ev.Table(
         id="extrapolation",
         title="Settings left out of the fit",
         columns=["Left out", "Without the causes", "With them"],
-        rows=[[name, numbers.number(e.before, 3), numbers.number(e.after, 3)] for name, e in known.items()],
+        rows=[
+            [e.left_out, numbers.number(e.before, 3), numbers.number(e.after, 3)] for e in file.extrapolation
+        ],
         caption="Distance of all trials of a setting from what the model fitted to the others predicts, "
         "root-mean-square, over what noise and uncertain coefficients allow. Good: smaller with the causes, "
         "and near 1.",
@@ -422,12 +391,12 @@ def methods(file: GapFile) -> list[str]:
     )
     said += [f"{text.rstrip('.')}." for text in file.rounds]
     said.append(words.verdict_sentence(file))
-    for s in file.closing[:1]:
-        if s.closed is not None:
-            said.append(
-                f"Of the gap in {s.channel}, {words.closed_text(s)} was closed {words.held_out_text(file)} "
-                f"({words.errors_text(s)})."
-            )
+    said += [
+        f"Of the gap in {s.channel}, {words.closed_text(s)} was closed {words.held_out_text(file)} "
+        f"({words.errors_text(s)})."
+        for s in file.closing[:1]
+        if s.closed is not None
+    ]
     if file.advice:
         said.append(
             "The next experiment was chosen by how far the rivals' predictions differ in it (Box and Hill "

@@ -27,7 +27,7 @@ def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:
     """Where the gap is, what closes it, and what is left."""
     return [
         *_maps(drawings.maps),
-        *_parts(drawings.parts),
+        *_parts(file),
         *_ranked(file),
         *_shrinkage(file),
         *_overlays(drawings.overlays, bool(file.causes)),
@@ -70,10 +70,11 @@ def _maps(maps: Mapping[str, tuple[list[str], list[str], Array]]) -> list[ev.Fig
     return [blocks.panels("gap-map", "Where the gap is", caption, panels, 1)] if panels else []
 
 
-def _parts(parts: Sequence[Cell]) -> list[ev.Figure]:
+def _parts(file: GapFile) -> list[ev.Figure]:
     groups: dict[str, list[Cell]] = {}
-    for cell in parts:
-        groups.setdefault(cell.kind, []).append(cell)
+    for part in (file.where.regime, file.where.phase, file.where.time):
+        for cell in sorted(part, key=lambda c: -(c.share or 0.0)):
+            groups.setdefault(cell.kind, []).append(cell)
     return _figure(
         "gap-parts",
         "The gap over settings, phase and time",
@@ -99,7 +100,7 @@ def _part(kind: str, cells: Sequence[Cell]) -> ev.Panel:
 
 
 def _ranked(file: GapFile) -> list[ev.Figure]:
-    shown = words.refitted(file)[:MOST_EFFECTS]
+    shown = [s for s in file.scores if s.refitted and s.gain is not None][:MOST_EFFECTS]
     best = max((s.gain for s in shown if s.gain is not None), default=0.0)
     # another reading of the robot may lose millions
     shown = [s for s in shown if best <= 0 or s.gain is None or s.gain >= -best]

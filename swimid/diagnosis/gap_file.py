@@ -331,16 +331,28 @@ class GapFile(yamlio.ResultFile):
         return self.causes[0].shrinkage if self.causes else []
 
     @property
+    def absorbed(self) -> list[Absorbed]:
+        """The model's coefficients without and with all causes."""
+        return self.causes[0].absorbed if self.causes else []
+
+    @property
+    def extrapolation(self) -> list[Extrapolation]:
+        """How far settings are from what the others predict, without and with all causes."""
+        return self.causes[0].extrapolation if self.causes else []
+
+    @property
     def stuck(self) -> list[str]:
         """Coefficients that end at a bound with the causes: they still stand in for something."""
-        known = [a for c in self.causes for a in c.absorbed if a.with_effect.status == "at-bound"]
-        return list(dict.fromkeys(a.coefficient for a in known))
+        return [a.coefficient for a in self.absorbed if a.with_effect.status == "at-bound"]
 
     @property
     def lost(self) -> list[str]:
         """Settings that are farther from what the others predict with the causes than without."""
-        tried = [e for c in self.causes[:1] for e in c.extrapolation if None not in (e.before, e.after)]
-        return [e.left_out for e in tried if (e.after or 0.0) > (e.before or 0.0)]
+        return [
+            e.left_out
+            for e in self.extrapolation
+            if e.before is not None and e.after is not None and e.after > e.before
+        ]
 
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""

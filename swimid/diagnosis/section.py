@@ -100,8 +100,8 @@ def _blocks(file: GapFile) -> list[Block]:
         blocks.append(_causes(file))
         if any(c.parameters for c in file.causes):
             blocks.append(_sizes(file.causes))
-        if any(c.shrinkage for c in file.causes[:1]):
-            blocks.append(_shrinkage(file.causes[0], file.held_out))
+        if file.closing:
+            blocks.append(_shrinkage(file))
     if file.advice:
         blocks.append(Note([_sentence(a.text) for a in file.advice], title="Next experiment"))
     if file.reasons or file.rounds:
@@ -169,7 +169,7 @@ def _interval(v: Value) -> Cell:
     return Cell(numbers.interval(*ends, v.stderr) if ends else numbers.NOTHING, numeric=True)
 
 
-def _shrinkage(cause: Cause, held_out: gap.HeldOut | None) -> Grid:
+def _shrinkage(file: GapFile) -> Grid:
     rows = [
         [
             Cell(s.channel, "code"),
@@ -177,11 +177,11 @@ def _shrinkage(cause: Cause, held_out: gap.HeldOut | None) -> Grid:
             _percent(s.closed, 2),
             Cell(words.interval_text(s), numeric=True),
         ]
-        for s in cause.shrinkage
+        for s in file.closing
     ]
     columns = ["Channel", "As given", "Without", "With the causes", "Noise floor", "Closed", "95 % interval"]
     caption = (
-        f"Errors over the measured range {gap.HELD_OUT[held_out]}: parameters as given, "
+        f"Errors over the measured range {words.held_out_text(file)}: parameters as given, "
         "the model refitted without the causes, and with them. Closed is the share of the root-mean-square "
         "error above the noise floor that the causes take away. Good: near 100 %."
     )

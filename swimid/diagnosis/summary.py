@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChannelGap, GapFile, Score, Shrinkage, Value
+from swimid.diagnosis.gap_file import Absorbed, Cell, ChannelGap, GapFile, Score, Shrinkage, Value
 from swimid.effects.reading import PREFIX
 from swimid.results import numbers
 
@@ -32,10 +32,17 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 def verdict_sentence(file: GapFile) -> str:
     """The verdict in one sentence."""
-    names = [_or_rivals(c) for c in file.causes]
+    names = [
+        f"{c.effect} (or {listed(c.equivalent, 'or')}, which these trials cannot tell from it)"
+        if c.equivalent
+        else c.effect
+        for c in file.causes
+    ]
     if file.verdict == "none":
         if not file.told_of_gap:
-            return f"These trials do not tell whether the model has a gap: {_likeliest(file)}."
+            best = likeliest(file)
+            known = f"{best.effect} {numbers.percent(best.probability, 2)}, " if best else ""
+            return f"These trials do not tell whether the model has a gap: {known}{otherwise_text(file)}."
         if file.unrepeated:
             return (
                 "No gap that the trials share: they differ from one another by more than the noise within "
@@ -50,9 +57,13 @@ def verdict_sentence(file: GapFile) -> str:
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
         return f"The model has a gap, and {both} it {held_out_text(file)}."
     if file.verdict == "ambiguous":
-        rivals = [cannot_tell(c) for c in file.causes if c.equivalent]
-        likeliest = f"{listed(names)} is the likeliest cause, but not by enough to name it"
-        return f"The model has a gap; {'; '.join(rivals) or likeliest}."
+        rivals = [
+            f"these trials cannot tell {c.effect} from {listed(c.equivalent, 'or')}"
+            for c in file.causes
+            if c.equivalent
+        ]
+        unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
+        return f"The model has a gap; {'; '.join(rivals) or unsure}."
     if file.follows:
         trials = listed([t.trial for t in file.unpredicted])
         return f"The model follows the trials it is fitted to, and does not predict {trials}."
@@ -85,26 +96,6 @@ def likeliest(file: GapFile) -> Score | None:
     """The effect that is likeliest among the causes, of those refitted."""
     known = [s for s in file.scores if s.refitted and s.probability is not None]
     return max(known, key=lambda s: s.probability or 0.0, default=None)
-
-
-def _likeliest(file: GapFile) -> str:
-    best = likeliest(file)
-    return (
-        f"{best.effect} {numbers.percent(best.probability, 2)}, {otherwise_text(file)}"
-        if best
-        else otherwise_text(file)
-    )
-
-
-def _or_rivals(cause: Cause) -> str:
-    if not cause.equivalent:
-        return cause.effect
-    return f"{cause.effect} (or {listed(cause.equivalent, 'or')}, which these trials cannot tell from it)"
-
-
-def cannot_tell(cause: Cause) -> str:
-    """Which effects the data cannot tell from a cause: ``these trials cannot tell a from b or c``."""
-    return f"these trials cannot tell {cause.effect} from {listed(cause.equivalent, 'or')}"
 
 
 def size_of(channel: ChannelGap) -> str:
@@ -148,24 +139,15 @@ def value_text(value: Value) -> str:
     if value.status == "unidentifiable":
         return "not determined by these trials"
     text = numbers.measured(value.value, value.stderr, value.unit)
-    if value.unit in ("rad", "rad/s") and value.value is not None:
-        text += f" ({numbers.number(math.degrees(value.value), 3, 'deg' + value.unit[3:])})"
+    factor, unit = numbers.in_degrees(value.unit)
+    if unit != value.unit and value.value is not None:
+        text += f" ({numbers.number(factor * value.value, 3, unit)})"
     return text + (" (at its bound)" if value.status == "at-bound" else "")
 
 
-def refitted(file: GapFile) -> list[Score]:
-    """Scores of the effects that were refitted, best first."""
-    return [s for s in file.scores if s.refitted and s.gain is not None]
-
-
-def absorbed(causes: Iterable[Cause]) -> list[Absorbed]:
-    """The model's coefficients without and with the causes."""
-    return list({a.coefficient: a for c in causes for a in c.absorbed}.values())
-
-
-def moved(causes: Iterable[Cause]) -> list[Absorbed]:
+def moved(file: GapFile) -> list[Absorbed]:
     """Coefficients that stood in for the causes, those that moved farthest first."""
-    far = [(_shift(a), a) for a in absorbed(causes)]
+    far = [(_shift(a), a) for a in file.absorbed]
     return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
 
 
@@ -178,18 +160,6 @@ def _shift(a: Absorbed) -> float:
     by = abs(before - after)
     count = by / max(errors)
     return count if count > MOVED_STDERR and by > MOVED_SHARE * abs(after) else 0.0
-
-
-def moved_text(a: Absorbed) -> str:
-    """What a coefficient absorbed."""
-    without, with_effect = (numbers.measured(v.value, v.stderr, v.unit) for v in (a.without, a.with_effect))
-    text = f"{a.coefficient} {without} without, {with_effect} with the effect"
-    return text + ("; at its bound without" if a.without.status == "at-bound" else "")
-
-
-def place(cell: Cell) -> str:
-    """A part of the data in words: ``phase 30-60 deg``, ``start-up``."""
-    return cell.label if cell.kind in ("time", "change") else f"{cell.kind} {cell.label}"
 
 
 def bounds_text(file: GapFile) -> str:
@@ -205,14 +175,6 @@ def unpredicted_text(file: GapFile) -> str:
 def parts(file: GapFile) -> list[Cell]:
     """The gap in each part of the data: settings, phases, times."""
     return [*file.where.regime, *file.where.phase, *file.where.time]
-
-
-def worst_cells(file: GapFile) -> list[Cell]:
-    """The parts of the data in which the gap is largest, one of each kind."""
-    first: dict[str, Cell] = {}
-    for cell in sorted((c for c in parts(file) if c.ratio is not None), key=lambda c: -(c.ratio or 0.0)):
-        first.setdefault(cell.kind, cell)
-    return list(first.values())
 
 
 def remaining_text(file: GapFile) -> str:
@@ -233,94 +195,88 @@ def summary(file: GapFile) -> str:
         At most :data:`MOST_LINES` lines of :data:`WIDTH` characters.
     """
     head = f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}"
-    lines = [*_wrapped("", head, ""), ""]
-    lines += [*_wrapped("", f"{file.verdict.upper()}: {verdict_sentence(file)}", ""), ""]
-    rows = _gap_rows(file)
-    if file.at_bound:
-        rows.insert(0, ("bounds", f"{bounds_text(file)} in the refit without effects: look there first"))
-    if file.verdict != "none":
-        rows += _cause_rows(file)
-        rows.append(("left", remaining_text(file)))
-    if file.odd_trial is not None:
-        times = numbers.number(file.odd_trial.times, 2)
-        rows.insert(
-            0, ("odd", f"{file.odd_trial.trial}: the others predict it {times} times worse than one another")
-        )
-    if file.unpredicted:
-        rows.append(("predicts", f"not {unpredicted_text(file)} the error that may be expected"))
-    if file.refuted:
-        names = listed(file.refuted)
-        rows.append(
-            ("refuted", f"{names}: likeliest by the fits, but held-out errors are worse by more than the gap")
-        )
-    if file.advice:
-        rows.append(("next", file.advice[0].text))
-    body = [_wrapped(f"  {label:<{_MARGIN - 2}}", text, " " * _MARGIN) for label, text in rows]
+    verdict = f"{file.verdict.upper()}: {verdict_sentence(file)}"
+    lines = [*_wrapped(head), "", *_wrapped(verdict), ""]
     # what comes last matters least of the cause's details, but the next step has to be seen
-    tail = body.pop() if file.advice else []
-    flat = [line for part in body for line in part]
-    room = MOST_LINES - len(lines) - min(len(tail), 4)
-    if len(flat) > room:
-        flat = [*flat[: room - 1], " " * _MARGIN + "... the rest is in the gap file and its report"]
-    return "\n".join([*lines, *flat, *_cut(tail, 4)])
+    tail = _row("next", file.advice[0].text, max_lines=4) if file.advice else []
+    body = [line for label, text in _rows(file) for line in _row(label, text)]
+    room = MOST_LINES - len(lines) - len(tail)
+    if len(body) > room:
+        body = [*body[: room - 1], " " * _MARGIN + "... the rest is in the gap file and its report"]
+    return "\n".join([*lines, *body, *tail])
 
 
-def _cut(lines: list[str], most: int) -> list[str]:
-    return (
-        lines if len(lines) <= most else [*lines[: most - 1], lines[most - 1][: WIDTH - 4].rstrip() + " ..."]
-    )
+_wrapped = partial(textwrap.wrap, width=WIDTH, break_on_hyphens=False, placeholder=" ...")
 
 
-def _gap_rows(file: GapFile) -> list[tuple[str, str]]:
+def _row(label: str, text: str, max_lines: int | None = None) -> list[str]:
+    """The lines of a row, its label in the left column."""
+    first = f"  {label:<{_MARGIN - 2}}"
+    return _wrapped(text, initial_indent=first, subsequent_indent=" " * _MARGIN, max_lines=max_lines)
+
+
+def _rows(file: GapFile) -> Iterable[tuple[str, str]]:
+    """Label and text of each row but the last; without a label it goes on with what is above."""
+    if file.odd_trial is not None:
+        odd, times = file.odd_trial.trial, numbers.number(file.odd_trial.times, 2)
+        yield "odd", f"{odd}: the others predict it {times} times worse than one another"
+    if file.at_bound:
+        yield "bounds", f"{bounds_text(file)} in the refit without effects: look there first"
+    yield from _gap_rows(file)
+    if file.verdict == "none":
+        best = likeliest(file)
+        if best is not None:
+            told = f"the likeliest, {best.effect}, has {numbers.percent(best.probability, 2)}"
+            yield "tried", f"{len({s.effect for s in file.scores})} effects; {told}; {otherwise_text(file)}"
+    else:
+        yield from _cause_rows(file)
+        yield "left", remaining_text(file)
+    if file.unpredicted:
+        yield "predicts", f"not {unpredicted_text(file)} the error that may be expected"
+    if file.refuted:
+        worse = "likeliest by the fits, but held-out errors are worse by more than the gap"
+        yield "refuted", f"{listed(file.refuted)}: {worse}"
+
+
+def _gap_rows(file: GapFile) -> Iterable[tuple[str, str]]:
     shown = [
         c
         for k, c in enumerate(file.where.channels[:_CHANNELS])
         if c.nrmse is not None and (k == 0 or c.share is None or c.share >= _SMALL or file.verdict == "none")
     ]
-    no_gap = file.verdict == "none" or file.follows
-    first = "error" if no_gap else "gap"
-    size = error_of if no_gap else size_of
-    rows = [("" if k else first, size(c)) for k, c in enumerate(shown)]
+    first, size = ("error", error_of) if file.verdict == "none" or file.follows else ("gap", size_of)
+    for k, c in enumerate(shown):
+        yield "" if k else first, size(c)
     if file.verdict == "none":
-        best = likeliest(file)
-        if best is not None:
-            count = len({s.effect for s in file.scores})
-            told = (
-                f"{count} effects; the likeliest, {best.effect}, has {numbers.percent(best.probability, 2)}"
-            )
-            rows.append(("tried", f"{told}; {otherwise_text(file)}"))
-        return rows
-    cells = worst_cells(file)[:_CELLS]
-    if cells:
-        rows.append(
-            ("largest", ", ".join(f"{place(c)} {numbers.number(c.ratio, 2)} ×" for c in cells) + " the noise")
-        )
-    return rows
+        return
+    worst: dict[str, Cell] = {}
+    for cell in sorted((c for c in parts(file) if c.ratio is not None), key=lambda c: -(c.ratio or 0.0)):
+        worst.setdefault(cell.kind, cell)
+    if worst:
+        told = [f"{_place(c)} {numbers.number(c.ratio, 2)} ×" for c in worst.values()]
+        yield "largest", f"{', '.join(told[:_CELLS])} the noise"
 
 
-def _cause_rows(file: GapFile) -> list[tuple[str, str]]:
-    rows = []
+def _place(cell: Cell) -> str:
+    """A part of the data in words: ``phase 30-60 deg``, ``start-up``."""
+    return cell.label if cell.kind in ("time", "change") else f"{cell.kind} {cell.label}"
+
+
+def _cause_rows(file: GapFile) -> Iterable[tuple[str, str]]:
     for cause in file.causes[:_CAUSES]:
         meaning = f": {cause.meaning.rstrip('.')}" if cause.meaning else ""
         sure = f"probability {numbers.percent(cause.probability, 2)}"
-        known = [cause.stage or "", "" if cause.equivalent else sure]
-        said = ", ".join(part for part in known if part)
-        rows.append(("cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"))
-        rows += [("", f"{name}  {value_text(v)}") for name, v in cause.parameters.items() if "[" not in name]
+        said = ", ".join(part for part in (cause.stage, None if cause.equivalent else sure) if part)
+        yield "cause", f"{cause.effect} ({said}){meaning}" if said else f"{cause.effect}{meaning}"
+        for name, value in cause.parameters.items():
+            yield "", f"{name}  {value_text(value)}"
         if cause.effect.startswith(PREFIX):
-            rows.append(("", f"to work with it: --reading {cause.effect.removeprefix(PREFIX)}"))
+            yield "", f"to work with it: --reading {cause.effect.removeprefix(PREFIX)}"
         if cause.equivalent:
-            rows.append(("", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"))
-    closing = [s for s in file.closing if s.closed is not None]
-    rows += [
-        ("" if k else "closed", f"{s.channel} {closed_text(s)}: {errors_text(s)}")
-        for k, s in enumerate(closing[:_CHANNELS])
-    ]
-    rows += [("" if k else "absorbed", moved_text(a)) for k, a in enumerate(moved(file.causes)[:_MOVED])]
-    return rows
-
-
-def _wrapped(first: str, text: str, rest: str) -> list[str]:
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
-    ) or [first.rstrip()]
+            yield "", f"not to be told from it: {', '.join(cause.equivalent)}; together: {sure}"
+    for k, s in enumerate([s for s in file.closing if s.closed is not None][:_CHANNELS]):
+        yield "" if k else "closed", f"{s.channel} {closed_text(s)}: {errors_text(s)}"
+    for k, a in enumerate(moved(file)[:_MOVED]):
+        without, beside = (numbers.measured(v.value, v.stderr, v.unit) for v in (a.without, a.with_effect))
+        bound = "; at its bound without" if a.without.status == "at-bound" else ""
+        yield "" if k else "absorbed", f"{a.coefficient} {without} without, {beside} with the effect{bound}"
