@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,26 +69,16 @@ class Refitted:
     ----------
     gains : ndarray, shape (folds,)
         Drop of each fold's held-out misfit against the model without it.
-    inside : ndarray, shape (folds,)
-        The same of the fits to all.
     """
 
     tried: Tried
     fit: Fit
     gains: Array
-    inside: Array
 
     @property
     def gain(self) -> float:
         """Over all folds."""
         return float(self.gains.sum())
-
-    @property
-    def size(self) -> float:
-        """How far the effect is from none, in typical sizes."""
-        known = {f"{self.tried.effect.name}/{p.name}": p for p in self.tried.parameters}
-        named = ((label.split("[")[0], v) for label, v in zip(self.fit.labels, self.fit.theta, strict=True))
-        return max((abs(v - known[n].start) / known[n].scale for n, v in named if n in known), default=0.0)
 
     @property
     def stderr(self) -> float:
@@ -157,35 +147,34 @@ def simulate(
 
 def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:
     """Compare all effects at all strengths, the base's numbers projected out."""
-    columns: list[list[Array]] = []
-    places: list[list[int]] = []
-    for tried in simulated:
-        places.append(list(range(len(columns), len(columns) + len(tried.points))))
-        columns += [changed for _, changed in tried.points]
+    columns = [changed for tried in simulated for _, changed in tried.points]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)
-    left = crossval.projected(inner)
-    total = inner.products.sum(axis=0)
-    found, left_out = [], {}
-    for tried, at in zip(simulated, places, strict=True):
-        effect, parameters, points = tried.effect, tried.parameters, tried.points
-        shared = [j for j, p in enumerate(parameters) if not p.per_trial]
-        if len(shared) < len(parameters):
-            best = _apart(context, base, noise_model, effect, parameters, points, plain)
+    left = crossval.projected(inner).diagonal()
+    whole = inner.products.sum(axis=0).diagonal()[inner.shared :]
+    found, left_out, first = [], {}, 0
+    for tried in simulated:
+        if any(p.per_trial for p in tried.parameters):
+            best = _apart(context, base, noise_model, tried)
         else:
-            best = _best(inner, effect, parameters, points, at, plain, left, total)
+            best = _best(inner, tried, first, plain, left, whole)
+        first += len(tried.points)
         if best is None:
-            broke = not tried.points
-            left_out[effect.name] = (
-                "the model broke down with it: the effect could not be judged"
-                if broke
-                else "it changes nothing that was measured in these trials"
+            left_out[tried.effect.name] = (
+                "it changes nothing that was measured in these trials"
+                if tried.points
+                else "the model broke down with it: the effect could not be judged"
             )
         else:
             found.append(best)
-            left_out.pop(effect.name, None)
+            left_out.pop(tried.effect.name, None)
     found.sort(key=lambda t: -t.gain)
     return Screen(found, left_out)
+
+
+def absorbed(left: float, whole: float) -> float:
+    """Share of a squared change that the nominal numbers imitate, from what is left of it without them."""
+    return float(np.clip(1.0 - left / whole, 0.0, 1.0)) if whole > 0 else 1.0
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
@@ -206,125 +195,110 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
 
 
 def _best(
-    inner: NormalEquations,
-    effect: Effect,
-    parameters: tuple[Parameter, ...],
-    points: list[tuple[Array, list[Array]]],
-    at: list[int],
-    plain: Array,
-    left: Array,
-    total: Array,
+    inner: NormalEquations, tried: Trialled, first: int, plain: Array, left: Array, whole: Array
 ) -> Tried | None:
-    """The best of an effect's tries, single ones and one per parameter together."""
-    best: Tried | None = None
-    leaders: dict[tuple[int, ...], tuple[float, int]] = {}
-    null = np.array([p.start for p in parameters])
-    s = inner.shared
+    """The best of an effect's tries, single ones and one per parameter together.
 
-    def consider(chosen: list[int]) -> None:
-        nonlocal best
+    Parameters
+    ----------
+    first : int
+        Where its columns begin among the further ones.
+    plain : ndarray, shape (folds,)
+        Held-out misfit without any effect.
+    left, whole : ndarray
+        Squared changes of the further columns, with and without the shared numbers projected out.
+    """
+    parameters, points = tried.parameters, tried.points
+    null = np.array([p.start for p in parameters])
+    lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+    def fitted(*chosen: int) -> tuple[Array, Array]:
+        """Gains of some tries together, and the factors of their changes."""
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
-        where = [at[i] for i in chosen]
+        where = [first + i for i in chosen]
         gains = plain - crossval.held_out(inner, where, prior)
-        factors = crossval.together(inner, where, prior)[s:]
-        inside = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
-        if len(chosen) == 1:
-            tried_at = points[chosen[0]][0]
-            moved = tuple(int(j) for j in np.flatnonzero(tried_at != null))
-            if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
-                leaders[moved] = (float(gains.sum()), chosen[0])
-            # a size out of bounds is no size: what the effect does there is what it does at the bound; and
-            # what has no size is there as a whole
-            allowed = _allowed(null, tried_at - null, float(factors[0]), *inside) if parameters else 1.0
-            if allowed != factors[0]:
-                gains = np.minimum(gains, plain - crossval.held_out_less(inner, where[0], allowed))
-                factors = np.array([allowed])
-        point = null + sum(f * (points[i][0] - null) for f, i in zip(factors, chosen, strict=True))
-        if best is None or gains.sum() > best.gain:
-            whole = float(total[s + where[0], s + where[0]])
-            own = float(left[where[0], where[0]])
-            signature = [
-                sum(f * points[i][1][k] for f, i in zip(factors, chosen, strict=True))
-                for k in range(len(points[0][1]))
-            ]
-            best = Tried(
-                effect,
-                parameters,
-                np.clip(point, *inside),
-                gains,
-                float(np.clip(1.0 - own / whole, 0.0, 1.0)) if whole > 0 else 1.0,
-                signature,  # type: ignore[arg-type]
-            )
+        return gains, crossval.together(inner, where, prior)[inner.shared :]
 
-    for i, _ in enumerate(points):
-        if total[s + at[i], s + at[i]] > NOTHING:
-            consider([i])
-    if len(leaders) > 1:
-        consider([i for _, i in leaders.values()])
-    if best is not None:
-        raw = [(float((plain - crossval.held_out_less(inner, at[i])).sum()), i) for i, _ in enumerate(points)]
-        helped = sorted(raw)[::-1][:STARTS]
-        best = replace(best, starts=[points[i][0] for _, i in helped])
-        if not effect.smooth and helped and helped[0][0] > best.gain:
-            best = replace(best, gains=plain - crossval.held_out_less(inner, at[helped[0][1]]))
-    return best
-
-
-def _apart(
-    context: FitContext,
-    base: Fit,
-    noise_model: NoiseModel,
-    effect: Effect,
-    parameters: tuple[Parameter, ...],
-    points: list[tuple[Array, list[Array]]],
-    plain: Array,
-) -> Tried | None:
-    """The best try of an effect some of whose parameters each trial has for itself."""
-    single = [j for j, p in enumerate(parameters) if p.per_trial]
-    null = np.array([p.start for p in parameters])
-    groups: dict[bytes, list[int]] = {}
+    found: list[tuple[Array, Array, tuple[int, ...]]] = []
+    leaders: dict[tuple[int, ...], tuple[float, int]] = {}
     for i, (point, _) in enumerate(points):
-        held = np.delete(point, single)
-        groups.setdefault(held.tobytes(), []).append(i)
-    best: Tried | None = None
-    for members in groups.values():
-        # one try for each parameter of its own suffices, the change is linear in it
-        kept: dict[tuple[int, ...], int] = {}
-        for i in members:
-            moved = tuple(j for j in single if points[i][0][j] != null[j])
-            if moved:
-                kept.setdefault(moved, i)
-        own = [points[i][1] for i in kept.values()]
-        if not own or sum(float(np.vdot(c, c)) for o in own for c in o) < NOTHING:
+        if not whole[first + i] > NOTHING:
             continue
-        gains = own_gains(context, base, noise_model, own)
+        gains, factors = fitted(i)
+        moved = tuple(np.flatnonzero(point != null).tolist())
+        if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
+            leaders[moved] = (float(gains.sum()), i)
+        # a size out of bounds is no size: what the effect does there is what it does at the bound; and
+        # what has no size is there as a whole
+        allowed = _allowed(null, point - null, float(factors[0]), lower, upper) if parameters else 1.0
+        if allowed != factors[0]:
+            gains = np.minimum(gains, plain - crossval.held_out_less(inner, first + i, allowed))
+            factors = np.array([allowed])
+        found.append((gains, factors, (i,)))
+    if len(leaders) > 1:
+        together = tuple(i for _, i in leaders.values())
+        found.append((*fitted(*together), together))
+    if not found:
+        return None
+    gains, factors, chosen = max(found, key=lambda one: one[0].sum())
+    parts = [(f, *points[i]) for f, i in zip(factors, chosen, strict=True)]
+    raw = [plain - crossval.held_out_less(inner, first + i) for i in range(len(points))]
+    helped = sorted(range(len(points)), key=lambda i: (raw[i].sum(), i))[::-1][:STARTS]
+    if not tried.effect.smooth and raw[helped[0]].sum() > gains.sum():
+        gains = raw[helped[0]]
+    return Tried(
+        tried.effect,
+        parameters,
+        np.clip(null + sum(f * (point - null) for f, point, _ in parts), lower, upper),
+        gains,
+        absorbed(left[first + chosen[0]], whole[first + chosen[0]]),
+        [np.asarray(sum(f * changed[k] for f, _, changed in parts)) for k in range(len(points[0][1]))],
+        [points[i][0] for i in helped],
+    )
+
+
+def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trialled) -> Tried | None:
+    """The best try of an effect some of whose parameters each trial has for itself."""
+    single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
+    null = [p.start for p in tried.parameters]
+    # of tries that share the other parameters one for each of its own suffices, the change is linear in it
+    groups: dict[bytes, dict[tuple[int, ...], tuple[Array, list[Array]]]] = {}
+    for point, changed in tried.points:
+        moved = tuple(j for j in single if point[j] != null[j])
+        if moved:
+            groups.setdefault(np.delete(point, single).tobytes(), {}).setdefault(moved, (point, changed))
+    best: Tried | None = None
+    for group in groups.values():
+        changes = [changed for _, changed in group.values()]
+        if sum(float(np.vdot(c, c)) for changed in changes for c in changed) < NOTHING:
+            continue
+        gains = own_gains(context, base, noise_model, changes)
         if best is None or gains.sum() > best.gain:
-            point = points[next(iter(kept.values()))][0]
-            signature = [np.sum([o[k] for o in own], axis=0) for k in range(len(context.trials))]
-            best = Tried(effect, parameters, point, gains, 0.0, signature)
+            point, _ = next(iter(group.values()))
+            signature = [np.sum(of_trial, axis=0) for of_trial in zip(*changes, strict=True)]
+            best = Tried(tried.effect, tried.parameters, point, gains, 0.0, signature)
     return best
 
 
 def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
     """Cosine between two effects' changes, the base's numbers projected out."""
-    inner = crossval.projected(
-        crossval.normal_equations(context, base, noise_model, [first.signature, second.signature])
-    )
-    norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
-    return float(inner[0, 1] / norm) if norm > 0 else 0.0
+    columns = [first.signature, second.signature]
+    return cosine(crossval.projected(crossval.normal_equations(context, base, noise_model, columns)), 0, 1)
+
+
+def cosine(inner: Array, i: int, j: int) -> float:
+    """Of two columns from the inner products of all; 0 where one of them is nothing."""
+    norm = np.sqrt(max(inner[i, i], 0.0) * max(inner[j, j], 0.0))
+    return float(inner[i, j] / norm) if norm > 0 else 0.0
 
 
 def own(fit: Fit, name: str, scale: float) -> list[Array]:
     """Derivatives of each trial to its own value of a parameter, per typical size."""
-    found = []
-    for k, rows in enumerate(fit.rows):
-        mine = [
-            j
-            for j, (label, (_, owner)) in enumerate(zip(fit.labels, fit.problem.slots, strict=True))
-            if owner == k and label.split("[")[0] == name
-        ]
-        found.append(rows[:, mine[0]] * scale if mine else np.zeros(len(rows)))
-    return found
+    slots = enumerate(zip(fit.labels, fit.problem.slots, strict=True))
+    column = {owner: j for j, (label, (_, owner)) in slots if label.split("[")[0] == name}
+    return [
+        rows[:, column[k]] * scale if k in column else np.zeros(len(rows)) for k, rows in enumerate(fit.rows)
+    ]
 
 
 def own_gains(

@@ -98,38 +98,40 @@ def diagnose(
         loaded = experiment_catalogue.load(trials, options)
         experiment = loaded.experiment
         model = experiment.model
-        effects, own, seed = options.effects, options.own_effects, options.seed
-        own_made = [e for path in own for e in effect_catalogue.from_file(path)]
+        own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # the noise is what the best of all leaves, whichever are asked for
-        known = [*effect_catalogue.catalogue(), *own_made]
-        named, read = readings.asked(effects, experiment)
-        asked = {*read, *(e.name for e in (*effect_catalogue.chosen(named), *own_made))} if effects else None
+        known = [*effect_catalogue.catalogue(), *own]
+        asked = None
+        if options.effects:
+            named, read = readings.asked(options.effects, experiment)
+            asked = {*read, *(e.name for e in (*effect_catalogue.chosen(named), *own))}
         begun = nominal.begun(loaded)
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
-        origin = provenance.collect([*experiment.inputs, *own], settings=options.settings())
+        inputs = [*experiment.inputs, *options.own_effects]
+        origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
         workers = options.jobs or os.cpu_count() or 1
+        given, seed = options.params, options.seed
         about: dict[str, Any] = {
             "model": model.name,
             "robot": experiment.robot.name,
             "experiment": experiment.name,
-            "params": "the robot file"
-            if options.params is None
-            else str(parameters_format.place(options.params)),
+            "params": str(parameters_format.place(given)) if given is not None else "the robot file",
             "trials": [t.id for t in experiment.trials],
             "provenance": origin,
         }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
-                at = power.begun(model, model.parameters, fitted, begun.prior, tried, seed=seed, jobs=workers)
-                rows, left_out = power.shown(at, [e for e in tried if asked is None or e.name in asked])
+                rows, left_out = power.shown(
+                    model, fitted, begun.prior, tried, asked, seed=seed, jobs=workers
+                )
             keep.done()
-            could = PowerFile(**about, effects=rows, left_out=dict(left_out))
+            could = PowerFile(**about, effects=rows, left_out=left_out)
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         others, alike = readings.others(experiment, fitted)
         state = search.run(
@@ -142,12 +144,12 @@ def diagnose(
                 state, validation, begun.given, fitted, seed=seed, progress=progress
             )
     folds = state.context.folds
-    prior = "from other trials" if not begun.own_data else "these trials: none but the bounds"
+    known_before = given is not None and not begun.own_data
+    of_these = "none but the bounds" if given is None else "these trials: none but the bounds"
+    parts = "folds of settings" if folds.whole else "stretches of trials"
     settings = {
-        "prior": "none but the bounds" if options.params is None else prior,
-        "held_out": "validation trials"
-        if validation
-        else ("folds of settings" if folds.whole else "stretches of trials"),
+        "prior": "from other trials" if known_before else of_these,
+        "held_out": "validation trials" if validation else parts,
         "folds": folds.labels if len(folds.labels) <= 30 else [],
     }
     said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]

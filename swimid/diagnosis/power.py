@@ -7,14 +7,16 @@ projected out, are held against the noise of the very trials, by the rule a diag
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
 from swimid.diagnosis import candidates, crossval, posterior
+from swimid.diagnosis.candidates import Trialled
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
 from swimid.diagnosis.power_file import Row
 from swimid.diagnosis.search import Search, context_of
@@ -25,27 +27,6 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 POWER = 0.9
 #: Share of a change that is left of rounding once the model's numbers are projected out.
 ROUNDING = 1e-9
-
-
-@dataclass(frozen=True)
-class _Column:
-    """An effect at one size: its distance from none in typical sizes, and what tells it."""
-
-    strength: float
-    place: int
-    parameter: Parameter
-    value: float
-
-
-@dataclass(frozen=True)
-class _Line:
-    """An effect along one direction of its parameters."""
-
-    effect: Effect
-    columns: tuple[_Column, ...]
-    kinds: int
-    shared: int
-    per_trial: int
 
 
 def needed(record: Record, kinds: int) -> float:
@@ -79,128 +60,127 @@ def told_apart(record: Record, cosine: float) -> bool:
     )
 
 
-def begun(
+class _Line(NamedTuple):
+    """An effect along one direction of its parameters.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        Says how large it is; the others that are not null say where and when.
+    values : ndarray, shape (n,)
+        Its values tried.
+    places : ndarray of int, shape (n,)
+        Of the changes they make, among all columns.
+    """
+
+    tried: Trialled
+    parameter: Parameter
+    values: Array
+    places: NDArray[np.intp]
+
+
+def shown(
     model: Model,
-    parameters: Sequence[Parameter],
     trials: Sequence[Trial],
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
+    asked: Collection[str] | None,
     *,
-    seed: int = 0,
-    jobs: int = 1,
-) -> Search:
-    """The model alone, with the noise that it and a generic description of what is left leave."""
-    context, noise_model, fit, _ = context_of(model, parameters, trials, prior, effects, jobs=jobs)
-    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed), jobs=jobs)
-    search.begin(context.start((), noise_model, fit))
-    search.learn(search.null)
-    return search
+    seed: int,
+    jobs: int,
+) -> tuple[list[Row], dict[str, str]]:
+    """What trials could show of each effect, and why nothing of some.
 
+    The noise is what the model alone and a generic description of what is left leave.
 
-def shown(search: Search, effects: Sequence[Effect]) -> tuple[list[Row], Mapping[str, str]]:
-    """What the trials of a search could show of each effect, and why nothing of some.
+    Parameters
+    ----------
+    prior : mapping of name to (mean, standard deviation)
+        What is known of the model's coefficients.
+    effects : sequence of Effect
+        All that apply, in every form.
+    asked : collection of str or None
+        Names of those asked about; None for all.
 
     Returns
     -------
     list of Row
         An effect each, in the order given.
-    mapping of name to reason
+    dict of name to reason
     """
-    context, base, noise_model = search.context, search.null.fit, search.noise_model
-    simulated = candidates.simulate(context, base, effects, jobs=search.jobs)
+    context, noise_model, fit, _ = context_of(model, model.parameters, trials, prior, effects, jobs=jobs)
+    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed), jobs=jobs)
+    search.begin(context.start((), noise_model, fit))
+    search.learn(search.null)
+    base, record = search.null.fit, search.record
+    wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
     lines: list[_Line] = []
     left_out: dict[str, str] = {}
-    for tried in simulated:
-        found = _lines(tried, columns, len(context.trials))
-        if not found:
-            left_out.setdefault(
-                tried.effect.name,
-                "it changes nothing that was measured in these trials"
-                if tried.points
-                else "the model breaks down with it",
-            )
+    for tried in candidates.simulate(context, base, wanted, jobs=search.jobs):
+        found = _lines(tried, columns)
         lines += found
-    inner = crossval.normal_equations(context, base, noise_model, columns)
+        if not found:
+            nothing = "it changes nothing that was measured in these trials"
+            left_out.setdefault(
+                tried.effect.name, nothing if tried.points else "the model breaks down with it"
+            )
+    inner = crossval.normal_equations(context, base, search.noise_model, columns)
     left = crossval.projected(inner)[:-1, :-1]
-    whole = inner.products.sum(axis=0)[inner.shared : -1, inner.shared : -1]
-    record = search.record
+    whole = inner.products.sum(axis=0).diagonal()[inner.shared : -1]
     best: dict[str, tuple[float, Row, int]] = {}
     for line in lines:
-        penalty = posterior.penalty(line.shared, line.per_trial, record.samples, len(context.trials))
-        drop = needed(record, line.kinds) + penalty
-        wanted = noncentrality(drop, line.shared + line.per_trial)
-        squares = np.array([max(left[c.place, c.place], 0.0) for c in line.columns])
-        total = np.array([whole[c.place, c.place] for c in line.columns])
-        seen = squares > ROUNDING * total
-        strength, at = _strength(line.columns, np.where(seen, squares, 0.0), wanted)
-        column = line.columns[at]
-        p = column.parameter
-        size = p.start + (column.value - p.start) * strength / column.strength
-        inside = p.lower <= size <= p.upper
-        absorbed = float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)) if total[at] > 0 else 1.0
-        name = line.effect.name
-        if name not in best or strength < best[name][0]:
+        effect, p, kinds = line.tried.effect, line.parameter, len(line.tried.parameters)
+        of_trials = sum(one.per_trial for one in line.tried.parameters)
+        shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
+        penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
+        needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
+        squares = np.maximum(left.diagonal()[line.places], 0.0)
+        total = whole[line.places]
+        strengths = np.abs(line.values - p.start) / p.scale
+        strength, at = _strength(strengths, np.where(squares > ROUNDING * total, squares, 0.0), needs)
+        if effect.name not in best or strength < best[effect.name][0]:
+            size = float(p.start + (line.values[at] - p.start) * strength / strengths[at])
             row = Row(
-                effect=name,
-                stage=line.effect.stage,
+                effect=effect.name,
+                stage=effect.stage,
                 parameter=p.name,
-                size=size if inside else None,
+                size=size if p.lower <= size <= p.upper else None,
                 unit=p.unit,
-                absorbed=absorbed,
+                absorbed=candidates.absorbed(squares[at], total[at]),
             )
-            best[name] = strength, row, column.place
-        left_out.pop(name, None)
+            best[effect.name] = strength, row, int(line.places[at])
     for name, (_, row, place) in best.items():
         if row.size is not None:
             row.alike = [
                 other
                 for other, (_, _, there) in best.items()
-                if other != name and not told_apart(record, _cosine(left, place, there))
+                if other != name and not told_apart(record, candidates.cosine(left, place, there))
             ]
-    return [row for _, row, _ in best.values()], left_out
+    return [row for _, row, _ in best.values()], {n: why for n, why in left_out.items() if n not in best}
 
 
-def _lines(tried: candidates.Trialled, columns: list[list[Array]], trials: int) -> list[_Line]:
+def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
     """The directions an effect is tried in; their changes are put to the columns."""
     null = np.array([p.start for p in tried.parameters])
-    groups: dict[tuple[int, ...], list[_Column]] = {}
+    groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
     for point, changed in tried.points:
-        moved = tuple(int(j) for j in np.flatnonzero(point != null))
-        size = sum(float(c @ c) for c in changed)
-        if not moved or not size > candidates.NOTHING:
-            continue
-        # the first parameter says how large it is; the rest say where and when
-        p, value = tried.parameters[moved[0]], float(point[moved[0]])
-        column = _Column(abs(value - p.start) / p.scale, len(columns), p, value)
-        groups.setdefault(moved, []).append(column)
-        columns.append(changed)
-    per_trial = sum(p.per_trial for p in tried.parameters)
-    kinds = len(tried.parameters)
+        moved = tuple(np.flatnonzero(point != null).tolist())
+        if moved and sum(float(c @ c) for c in changed) > candidates.NOTHING:
+            groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
+            columns.append(changed)
     return [
-        _Line(tried.effect, tuple(members), kinds, kinds - per_trial, per_trial * trials)
-        for members in groups.values()
+        _Line(tried, tried.parameters[moved[0]], *(np.array(part) for part in zip(*members, strict=True)))
+        for moved, members in groups.items()
     ]
 
 
-def _strength(columns: Sequence[_Column], squares: Array, wanted: float) -> tuple[float, int]:
-    """Distance from none at which the squared change is as wanted, and the column nearest to it.
+def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:
+    """Distance from none at which the squared change is as wanted, and the try nearest to it.
 
-    From there it goes by the square of the size.
+    From there it goes by the square of the size; infinite where there is none.
     """
-    nearest, best = 0, math.inf
-    for i, (c, square) in enumerate(zip(columns, squares, strict=True)):
-        if square <= 0:
-            continue
-        strength = c.strength * math.sqrt(wanted / square)
-        if abs(math.log(strength / c.strength)) < best:
-            nearest, best = i, abs(math.log(strength / c.strength))
-    if not math.isfinite(best):
-        return math.inf, 0
-    c = columns[nearest]
-    return c.strength * math.sqrt(wanted / squares[nearest]), nearest
-
-
-def _cosine(inner: Array, i: int, j: int) -> float:
-    norm = math.sqrt(max(inner[i, i], 0.0) * max(inner[j, j], 0.0))
-    return float(inner[i, j] / norm) if norm > 0 else 0.0
+    with np.errstate(divide="ignore"):
+        reached = strengths * np.sqrt(wanted / squares)
+    nearest = int(np.argmin(np.abs(np.log(reached / strengths))))
+    return float(reached[nearest]), nearest

@@ -567,9 +567,7 @@ class Search:
         found = []
         for h in sorted(hypotheses, key=lambda h: h.score):
             (last,) = [e for e in h.fit.effects if id(e) not in base.key]
-            found.append(
-                Refitted(self._tried(base, h, last), h.fit, base.misfits - h.misfits, base.inside - h.inside)
-            )
+            found.append(Refitted(self._tried(base, h, last), h.fit, base.misfits - h.misfits))
         return found
 
     def _tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
