@@ -40,10 +40,9 @@ def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]
     simulated = state.nominal.problem.simulations(state.nominal.theta)
     for trial, run in zip(raw, simulated, strict=True):
         for channel, mask in state.dropouts.masks.get(trial.id, {}).items():
-            if channel in run:
-                error = (trial.measured[channel] - run[channel])[mask]
-                total, count = found.get(channel, (0.0, 0))
-                found[channel] = total + float(np.nansum(error**2)), count + int(np.isfinite(error).sum())
+            error = (trial.measured[channel] - run[channel])[mask]
+            total, count = found.get(channel, (0.0, 0))
+            found[channel] = total + float(np.nansum(error**2)), count + int(np.isfinite(error).sum())
     return found
 
 
@@ -64,46 +63,37 @@ def among(
     ranges : mapping of channel to float
         Measured range, in the channel's unit.
     """
-    nominal = state.nominal
     closing = {s.channel: s for s in causes[0].shrinkage} if causes else {}
-    sound = by_channel(nominal, nominal.residuals)
-    failed = _squares(state, raw)
-    widened = {}
-    for channel in floor:
-        squares, count = failed.get(channel, (0.0, 0))
-        if not count:
+    sound = by_channel(state.nominal, state.nominal.residuals)
+    for channel, (squares, count) in _squares(state, raw).items():
+        if channel not in floor or not count:
             continue
-        own = sound[channel]
-        span = ranges[channel]
+        own, span = sound[channel], ranges[channel]
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
-        known = closing[channel].after if channel in closing else None
-        after = rms(own) / span if known is None else known
+        after = closing[channel].after if channel in closing else None
+        after = rms(own) / span if after is None else after
         level = min(floor[channel] / span, before, after)
-        widened[channel] = Shrinkage(
-            channel=channel,
-            before=before,
-            after=after,
-            shipped=before,
-            floor=level,
-            closed=shrinkage.closed(before, after, level),
+        closed = shrinkage.closed(before, after, level)
+        closing[channel] = Shrinkage(
+            channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )
     stretches = state.dropouts.stretches
-    kinds = sorted({kind for *_, kind in stretches})
+    kinds = ", ".join(sorted({s.kind for s in stretches}))
     samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
     effect = Cause(
         effect=MarkerDropout.name,
         probability=1.0 - (1.0 - state.posterior.acts) * state.posterior.outside,
         parameters={
             "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
-            "first_failure_s": Value(value=min(s[2] for s in stretches), unit="s"),
+            "first_failure_s": Value(value=min(s.begin for s in stretches), unit="s"),
         },
         stage=MarkerDropout.stage,
-        meaning=f"{MarkerDropout.meaning} ({', '.join(kinds)}; in {len({s[0] for s in stretches})} trials)",
+        meaning=f"{MarkerDropout.meaning} ({kinds}; in {len({s.trial for s in stretches})} trials)",
         sources=list(MarkerDropout.sources),
         gain=size,
     )
     of_all = {
-        "shrinkage": [*widened.values(), *(s for c, s in closing.items() if c not in widened)],
+        "shrinkage": list(closing.values()),
         "absorbed": causes[0].absorbed if causes else [],
         "extrapolation": causes[0].extrapolation if causes else [],
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,16 @@ OFF = 6.0
 BESIDE = 8
 
 
+class Stretch(NamedTuple):
+    """Samples of one trial and channel that failed one after another, s; the kind is that of the first."""
+
+    trial: str
+    channel: str
+    begin: float
+    end: float
+    kind: str
+
+
 @dataclass(frozen=True)
 class Dropouts:
     """Samples that failed.
@@ -32,11 +43,11 @@ class Dropouts:
     Attributes
     ----------
     masks : dict of trial id to dict of channel to ndarray of bool
-    stretches : list of (trial, channel, start s, end s, kind)
+    stretches : list of Stretch
     """
 
     masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
-    stretches: list[tuple[str, str, float, float, str]]
+    stretches: list[Stretch]
 
     @property
     def count(self) -> int:
@@ -45,11 +56,11 @@ class Dropouts:
 
     def confirmed(self, other: Dropouts) -> Dropouts:
         """Those stretches that another look, with a better model, finds as well."""
-        again = {(trial, channel) for trial, channel, *_ in other.stretches}
+        again = {s[:2] for s in other.stretches}
         kept = [
             s
             for s in self.stretches
-            if any(o[:2] == s[:2] and o[2] <= s[3] and o[3] >= s[2] for o in other.stretches)
+            if any(o[:2] == s[:2] and o.begin <= s.end and o.end >= s.begin for o in other.stretches)
         ]
         masks = {
             trial: {c: m & other.masks.get(trial, {}).get(c, np.zeros_like(m)) for c, m in by.items()}
@@ -88,48 +99,42 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
                 continue
             if np.isfinite(values).sum() < FEWEST:
                 continue
-            mask, kinds = _failed(values, model[channel])
+            kinds = _failed(values, model[channel])
+            mask = kinds != ""
             if mask.any():
                 masks.setdefault(trial.id, {})[channel] = mask
-                parts, count = label(mask)
-                for i in range(1, count + 1):
-                    rows = np.flatnonzero(parts == i)
-                    kind = kinds[rows[0]]
-                    stretches.append(
-                        (trial.id, channel, float(trial.time_s[rows[0]]), float(trial.time_s[rows[-1]]), kind)
-                    )
+            for rows in _runs(mask):
+                begin, end = trial.time_s[rows[[0, -1]]].tolist()
+                stretches.append(Stretch(trial.id, channel, begin, end, str(kinds[rows[0]])))
     return Dropouts(masks, stretches)
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Places of samples that follow one another."""
+    parts, count = label(mask)
+    return [np.flatnonzero(parts == i) for i in range(1, count + 1)]
 
 
 def _robust(x: Array) -> float:
     return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) else 0.0
 
 
-def _failed(values: Array, simulated: Array) -> tuple[NDArray[np.bool_], list[str]]:
-    """Mask of failed samples of one channel, and what kind each is."""
-    n = len(values)
-    mask = np.zeros(n, dtype=bool)
-    kinds = [""] * n
+def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
+    """How each sample of one channel failed; empty where it did not."""
+    kinds = np.full(len(values), "", dtype="U9")
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
     x, r = values[there], (values - simulated)[there]
-    steps = np.diff(r)
-    size = _robust(steps)
+    size = _robust(np.diff(r))
     if size <= 0:
-        return mask, kinds
-    same = np.concatenate(([False], np.diff(x) == 0.0))
-    parts, count = label(same)
-    for i in range(1, count + 1):
-        rows = np.flatnonzero(parts == i)
+        return kinds
+    for rows in _runs(np.concatenate(([False], np.diff(x) == 0.0))):
         if len(rows) + 1 >= FROZEN and np.ptp(simulated[there][rows[0] - 1 : rows[-1] + 1]) > MOVED * size:
-            mask[there[rows]] = True
-            for row in there[rows]:
-                kinds[row] = "frozen"
+            kinds[there[rows]] = "frozen"
     smooth = median_filter(r, size=5, mode="nearest")
-    spikes = np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))
-    for row in there[spikes]:
-        mask[row], kinds[row] = True, kinds[row] or "spike"
+    spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]
+    kinds[spikes[kinds[spikes] == ""]] = "spike"
     # a shift: between two jumps of the median-filtered residual, or from one to the end
-    well = ~mask[there]
+    well = kinds[there] == ""
     there, r = there[well], r[well]
     smooth = median_filter(r, size=5, mode="nearest")
     local = np.maximum(size, 1.4826 * median_filter(np.abs(np.diff(r)), size=25, mode="nearest"))
@@ -141,8 +146,7 @@ def _failed(values: Array, simulated: Array) -> tuple[NDArray[np.bool_], list[st
         for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
             level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound
             if abs(level - sound) > OFF * size:
-                for row in there[begin:end]:
-                    mask[row], kinds[row] = True, kinds[row] or "displaced"
+                kinds[there[begin:end]] = "displaced"
             elif end > begin:
                 sound = float(np.median(r[max(end - BESIDE, begin) : end]))
-    return mask, kinds
+    return kinds
