@@ -135,7 +135,7 @@ def bench_effects() -> None:
     assert isinstance(lanes, MultilinkModel)
     given = np.array([lanes.stated().get(p.name, p.start) for p in lanes.parameters])
     swims = [replace(trial, id=f"swim {k}", measured=scalar.simulate(given, trial)) for k in range(2)]
-    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3, 1.0)]
+    effects = [*catalogue.catalogue(), ResidualForce("surge", 0.05, 0.3)]
     lanes.prepare(simulated_s=math.inf, affected_s=math.inf)
     print(
         f"{BATCH} runs of {DURATION_S:g} s, ms CPU{'scalar':>26}{'as it runs':>12}"

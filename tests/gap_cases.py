@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis.drawings import Drawings, Overlay, Sketch
+from swimid.diagnosis.drawings import Drawings, Overlay
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -244,16 +244,7 @@ EXPLAINED = GapFile(
     settings={"seed": 0},
     provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
 )
-_SKETCHES = [
-    Sketch(
-        "surge force", "N", "speed", "m/s",
-        np.linspace(0, 0.3, 10), 0.1 * np.linspace(0, 0.3, 10), 40.0,
-    ),
-    Sketch(
-        "yaw moment", "N m", "phase", "rad",
-        np.linspace(0, 6.3, 12), np.zeros(12), 2.0,
-    ),
-]  # fmt: skip
+_FORCES = {"surge force": {"speed": 0.1}, "yaw moment": {"constant": 0.0}}
 
 # the others have less to draw: a page of every verdict is drawn in the tests
 _BRIEF = replace(
@@ -331,7 +322,7 @@ def drawings(gap: GapFile) -> Drawings:
     return Drawings(
         maps={"trial by channel": maps["trial by channel"]} if brief else maps,
         overlays=overlays[:1] if brief else overlays,
-        sketches=[] if brief else _SKETCHES,
+        forces={} if brief else _FORCES,
     )
 
 

@@ -67,7 +67,7 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
 def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     """Every form of every effect, and forces without physics, that the robot's own kernel has no room for."""
     every = catalogue.applicable(catalogue.catalogue(), model, own)
-    every += [ResidualForce(axis, 0.05, 0.3, 1.0) for axis in AXES]
+    every += [ResidualForce(axis, 0.05, 0.3) for axis in AXES]
     found = {}
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]

@@ -175,7 +175,7 @@ def answer(
     return ranked(file), Drawings(
         maps=places.maps(cells),
         overlays=shrinkage.overlays(held, units),
-        sketches=places.sketches(generic) if generic is not None and generic.found else [],
+        forces=generic.forces if generic is not None and generic.found else {},
     )
 
 

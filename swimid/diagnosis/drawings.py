@@ -9,28 +9,6 @@ from swimid.fitting.model import Array
 
 
 @dataclass(frozen=True)
-class Sketch:
-    """A residual force (or sensor term) against something that may drive it.
-
-    Attributes
-    ----------
-    name, unit : str
-        ``surge force``, N.
-    against, against_unit : str
-        ``speed``, ``phase``, ``time``, ...
-    x, y : ndarray, shape (bins,)
-    """
-
-    name: str
-    unit: str
-    against: str
-    against_unit: str
-    x: Array
-    y: Array
-    gain: float = 0.0
-
-
-@dataclass(frozen=True)
 class Overlay:
     """One channel of a held-out trial: measured, simulated before and after."""
 
@@ -51,8 +29,11 @@ class Drawings:
     ----------
     maps : mapping of title to (row labels, column labels, ratios)
         Heat maps of root-mean-square residual over floor: trial by channel, phase by trial ...
+    forces : mapping of place to (mapping of term to float)
+        Smooth forces (N) and moments (N m) that the model lacks, as :class:`swimid.diagnosis.remainder.Left`
+        has them.
     """
 
     maps: Mapping[str, tuple[list[str], list[str], Array]] = field(default_factory=dict)
     overlays: Sequence[Overlay] = ()
-    sketches: Sequence[Sketch] = ()
+    forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

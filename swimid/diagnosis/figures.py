@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from swimid.diagnosis import summary as words
-from swimid.diagnosis.drawings import Drawings, Overlay, Sketch
+from swimid.diagnosis.drawings import Drawings, Overlay
 from swimid.diagnosis.gap_file import Cell, GapFile
 from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
@@ -31,7 +32,7 @@ def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:
         *_ranked(file),
         *_shrinkage(file),
         *_overlays(drawings.overlays, bool(file.causes)),
-        *_sketches(drawings.sketches),
+        *_sketches(drawings.forces),
     ]
 
 
@@ -45,16 +46,13 @@ def _figure(id: str, title: str, caption: str, panels: Sequence[ev.Panel]) -> li
 
 def _maps(maps: Mapping[str, tuple[list[str], list[str], Array]]) -> list[ev.Figure]:
     panels, cut = [], False
-    for title, (rows, columns, values) in maps.items():
-        ratios = np.asarray(values, dtype=float)
-        if ratios.size == 0:
-            continue
+    for title, (rows, columns, ratios) in maps.items():
         if len(columns) > len(rows):
             rows, columns, ratios = columns, rows, ratios.T
         if len(rows) > MOST_ROWS:
             cut = True
-            worst = np.argsort(-np.nan_to_num(ratios, nan=-1.0).max(axis=1), kind="stable")[:MOST_ROWS]
-            kept = np.sort(worst)
+            worst = np.argsort(-np.nan_to_num(ratios, nan=-1.0).max(axis=1), kind="stable")
+            kept = np.sort(worst[:MOST_ROWS])
             rows, ratios = [rows[k] for k in kept], ratios[kept]
         heat = ev.Heat(rows=rows, columns=columns, values=list(ratios))
         panels.append(
@@ -217,15 +215,16 @@ def _label(name: str, unit: str) -> str:
 # ---------------------------------------------------------------- what is left
 
 
-def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
+def _sketches(forces: Mapping[str, Mapping[str, float]]) -> list[ev.Figure]:
     panels = [
         blocks.panel(
-            _label(s.against, s.against_unit),
-            _label(s.name, s.unit),
-            [ev.Trace(x=s.x, y=s.y)],
+            against,
+            _label(place, "N m" if place.endswith("moment") else "N"),
+            [curve],
             marks=[ev.Mark(at=0.0)],
         )
-        for s in sketches[:MOST_SKETCHES]
+        for place, terms in forces.items()
+        for against, curve in _curves(defaultdict(float, terms)).items()
     ]
     return _figure(
         "sketches",
@@ -234,5 +233,25 @@ def _sketches(sketches: Sequence[Sketch]) -> list[ev.Figure]:
         "over what may drive it. Its shape hints at the physics: "
         "straight through zero over speed is linear drag, a constant is a trim or a current. Good: "
         "flat about zero.",
-        panels,
+        panels[:MOST_SKETCHES],
     )
+
+
+def _curves(factor: Mapping[str, float]) -> dict[str, ev.Trace]:
+    """A smooth force over what may drive it, from the factors of its terms."""
+    speed, time = np.linspace(-0.2, 1.0, 25), np.linspace(0.0, 1.0, 21)
+    phase = np.linspace(0.0, 2.0 * np.pi, 49)
+    of_phase = (
+        factor["cos phase"] * np.cos(phase)
+        + factor["sin phase"] * np.sin(phase)
+        + factor["cos 2 phase"] * np.cos(2 * phase)
+        + factor["sin 2 phase"] * np.sin(2 * phase)
+    )
+    of_speed = factor["constant"] + factor["speed"] * speed + factor["speed squared"] * speed * np.abs(speed)
+    return {
+        _label("phase", "deg"): ev.Trace(x=np.degrees(phase), y=of_phase),
+        _label("speed over the fastest mean speed", "1"): ev.Trace(x=speed, y=of_speed),
+        _label("time over the trial's length", "1"): ev.Trace(
+            x=time, y=factor["constant"] + factor["time"] * time
+        ),
+    }

@@ -29,17 +29,17 @@ SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
-@traceable(on="base", constants=18)
+@traceable(on="base", constants=17)
 def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Axis, beat frequency (Hz), start and length of the trial, typical speed and yaw rate, factors."""
-    u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2] / constants[5]
+    """Axis, beat frequency (Hz), start and length of the trial, typical speed, factors."""
+    u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2]
     late = (t - constants[2]) / constants[3]
     phase = 2.0 * math.pi * constants[1] * t
     c, s = math.cos(phase), math.sin(phase)
-    f = constants[6] + constants[7] * u + constants[8] * u * abs(u) + constants[9] * v + constants[10] * r
-    f += constants[11] * late + constants[12] * c + constants[13] * s
-    f += constants[14] * (c * c - s * s) + constants[15] * 2.0 * c * s
-    f += (constants[16] * c + constants[17] * s) * late
+    f = constants[5] + constants[6] * u + constants[7] * u * abs(u) + constants[8] * v + constants[9] * r
+    f += constants[10] * late + constants[11] * c + constants[12] * s
+    f += constants[13] * (c * c - s * s) + constants[14] * 2.0 * c * s
+    f += (constants[15] * c + constants[16] * s) * late
     # of the axes 0, 1 and 2 the one that is asked for
     for axis in range(3):
         wrench[axis] += f * max(1.0 - abs(constants[0] - axis), 0.0)
@@ -62,7 +62,7 @@ def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untype
     wrench[0] += f + constants[8] * x + constants[9] * x * x + constants[10] * x**3 + constants[11] * late
 
 
-class _Generic(Effect):
+class Description(Effect):
     """A description without physics."""
 
     stage: ClassVar[Stage] = "fluid"
@@ -87,7 +87,7 @@ class _Generic(Effect):
         return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
 
 
-class ResidualForce(_Generic):
+class ResidualForce(Description):
     """A smooth force on the base link, or on the body of a rig, along one axis."""
 
     name: ClassVar[str] = "residual-force"
@@ -95,19 +95,19 @@ class ResidualForce(_Generic):
 
     terms = TERMS
 
-    def __init__(self, axis: str, size: float, speed: float, turn: float) -> None:
-        self.axis, self.size, self.speed, self.turn = axis, size, speed, turn
+    def __init__(self, axis: str, size: float, speed: float) -> None:
+        self.axis, self.size, self.speed = axis, size, speed
         self.prefix = f"{axis} "
         self.unit, kind = ("N m", "moment") if axis == "yaw" else ("N", "force")
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The force of one trial."""
-        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed, self.turn]
+        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
 
-class ResidualPush(_Generic):
+class ResidualPush(Description):
     """A smooth force on the body of a rig."""
 
     name: ClassVar[str] = "residual-push"
@@ -126,7 +126,7 @@ class ResidualPush(_Generic):
         return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
 
-class StrokeDeviation(_Generic):
+class StrokeDeviation(Description):
     """A smooth change of what the actuators do: harmonics of the command and their drift."""
 
     name: ClassVar[str] = "residual-stroke"
@@ -153,7 +153,7 @@ class StrokeDeviation(_Generic):
         return Hooks(command=(change,))
 
 
-class SensorTerm(_Generic):
+class SensorTerm(Description):
     """A smooth error of one channel."""
 
     name: ClassVar[str] = "residual-sensor"
@@ -191,7 +191,7 @@ class SensorTerm(_Generic):
         return Hooks(output=(change,))
 
 
-class StrokeTable(_Generic):
+class StrokeTable(Description):
     """A factor on the thrust of a table of steady runs: smooth in frequency, amplitude and order, and of each
     fin and each setting by itself.
     """
@@ -258,51 +258,36 @@ def beat_hz(trial: Trial) -> float:
     return 1.0 / length if length > 0 else 1.0
 
 
-def descriptions(model: Model, trials: Sequence[Trial]) -> list[_Generic]:
+def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
     """All descriptions that a model's hooks allow and its trials can tell."""
-    found: list[_Generic] = []
+    found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
     channels = sorted({c for t in trials for c in t.measured})
 
     def top(name: str, least: float) -> float:
-        values = []
-        for t in trials:
-            y = t.measured.get(name, np.empty(0))
-            y = y[np.isfinite(y)]
-            if len(y) > 1:
-                values.append(float(np.max(np.abs(y - y[0]))))
-        return max(float(max(values, default=least)), least)
+        """How far a channel goes from where it begins."""
+        series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
+        return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
 
     length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
-    distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
-    speed = max(distance / length, 1e-3)
     if "force" in model.offers and dynamic:
-        mass, arm, axes = _size(model, trials)
-        push = 0.02 * mass * speed**2 / max(arm, 1e-3)
         if model.body is None:
-            spans = [c for c in channels if not c.endswith(("_s", "_s2"))]
-            span = max((top(c, 1e-3) for c in spans), default=1.0)
+            span = max((top(c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))), default=1.0)
+            inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
+            mass = float(np.median(inertia)) if inertia else 1.0
             pushes = [abs(t.rig.pull) for t in trials]
             swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
             found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
-            axes = []
-        for axis in axes:
-            found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed, 1.0))
+        elif model.body.free:
+            arm = sum(model.body.lengths_m)
+            distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
+            speed = max(distance / length, 1e-3)
+            push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
+            for axis in AXES:
+                found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed))
     if "command" in model.offers and dynamic:
         found.append(StrokeDeviation())
-    table = any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials)
-    if "stroke" in model.offers and table:
+    if "stroke" in model.offers and any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials):
         found.append(StrokeTable(trials))
-    for channel in channels:
-        found.append(SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic))
+    found += [SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic) for channel in channels]
     return found
-
-
-def _size(model: Model, trials: Sequence[Trial]) -> tuple[float, float, list[str]]:
-    """Mass (kg), length (m) and the axes along which a residual force may act."""
-    body = model.body
-    if body is None:
-        inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
-        return float(np.median(inertia)) if inertia else 1.0, 1.0, ["surge"]
-    axes = ["surge", "sway", "yaw"] if body.free else []
-    return model.scales(trials).inertia, sum(body.lengths_m), axes

@@ -1,20 +1,18 @@
-"""Where the gap lies: channels, phase of the stroke, regime, time; and what it looks like without physics."""
+"""Where the gap lies: channels, phase of the stroke, regime, time."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.diagnosis import remainder
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.drawings import Sketch
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
-from swimid.diagnosis.remainder import Left
 from swimid.fitting.model import Array, Trial
 
 Mask = NDArray[np.bool_]
@@ -76,9 +74,14 @@ def _ranked(cells: Sequence[Cell | None]) -> list[Cell]:
     return sorted((c for c in cells if c is not None), key=lambda c: -(c.share or 0.0))
 
 
+def _bins(share: Array, count: int) -> Array:
+    """In which of so many equal parts of a whole each share of it lies."""
+    return np.minimum((share * count).astype(int), count - 1)
+
+
 def _eighth(trial: Trial) -> Array:
     """In which of the :data:`PHASES` of the stroke each sample is."""
-    return np.minimum(((trial.time_s * beat_hz(trial)) % 1.0 * PHASES).astype(int), PHASES - 1)
+    return _bins((trial.time_s * beat_hz(trial)) % 1.0, PHASES)
 
 
 def knobs(trial: Trial) -> dict[str, str]:
@@ -111,7 +114,7 @@ def regimes(where: Map) -> list[Cell]:
         for kind, label in knobs(trial).items():
             groups.setdefault((kind, label), []).append(k)
         groups[("trial", trial.id)] = [k]
-    kinds = {kind: sum(1 for other, _ in groups if other == kind) for kind, _ in groups}
+    kinds = Counter(kind for kind, _ in groups)
     few = len(where.trials) <= 30
     return _ranked(
         [
@@ -192,19 +195,14 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     if len(ids) <= 30 and any(len(t.time_s) > 5 for t in where.trials):
         grid = np.array([[ratio(c, [(k, where.every(k))]) for c in where.channels] for k in range(len(ids))])
         found["trial by channel"] = (ids, where.channels, grid)
-        thirds = []
+        overall = []
         for k, t in enumerate(where.trials):
-            part = np.minimum(
-                ((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9) * TIMES).astype(int), TIMES - 1
-            )
-            thirds.append(
-                [
-                    _overall(np.array([ratio(c, [(k, part == i)]) for c in where.channels]))
-                    for i in range(TIMES)
-                ]
+            part = _bins((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9), TIMES)
+            overall.append(
+                [_overall([ratio(c, [(k, part == i)]) for c in where.channels]) for i in range(TIMES)]
             )
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
-        found["trial by time"] = (ids, labels, np.array(thirds))
+        found["trial by time"] = (ids, labels, np.array(overall))
     if any(t.swim.beat is not None for t in where.trials):
         eighths = [_eighth(t) for t in where.trials]
         rows = [
@@ -216,37 +214,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     return found
 
 
-def sketches(left: Left) -> list[Sketch]:
-    """The residual force of each axis against speed, phase and time, as the generic description has it."""
-    found = []
-    for place, terms in remainder.force_terms(left).items():
-        unit = "N m" if place.endswith("moment") else "N"
-        gain = left.places.get(place, 0.0)
-        if gain <= 0:
-            continue
-        for against, against_unit, x, value in _curves(terms):
-            found.append(Sketch(place, unit, against, against_unit, x, value, gain))
-    return sorted(found, key=lambda s: -s.gain)
-
-
-def _curves(terms: Mapping[str, float]) -> list[tuple[str, str, Array, Array]]:
-    def get(name: str) -> float:
-        return terms.get(name, 0.0)
-
-    speed = np.linspace(-0.2, 1.0, 25)
-    time = np.linspace(0.0, 1.0, 21)
-    phase = np.linspace(0.0, 2.0 * np.pi, 49)
-    return [
-        ("phase", "deg", np.degrees(phase),
-         get("cos phase") * np.cos(phase) + get("sin phase") * np.sin(phase)
-         + get("cos 2 phase") * np.cos(2 * phase) + get("sin 2 phase") * np.sin(2 * phase)),
-        ("speed over the fastest mean speed", "1", speed,
-         get("constant") + get("speed") * speed + get("speed squared") * speed * np.abs(speed)),
-        ("time over the trial's length", "1", time, get("constant") + get("time") * time),
-    ]  # fmt: skip
-
-
-def _overall(ratios: Array) -> float:
+def _overall(ratios: Sequence[float]) -> float:
     """Of the channels that have samples there; NaN where none has."""
-    known = ratios[np.isfinite(ratios)]
+    known = np.array([ratio for ratio in ratios if math.isfinite(ratio)])
     return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.generic import TERMS, descriptions
+from swimid.diagnosis.generic import TERMS, Description, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import mapped
@@ -45,7 +46,6 @@ class Left:
     ----------
     gain : float
         Held-out drop of misfit, all terms together.
-    gains : ndarray, shape (folds,)
     threshold : float
         What noise alone gives at most once in forty.
     places : dict of place to float
@@ -54,25 +54,20 @@ class Left:
         Change of each trial by each term at its typical size, weighted.
     prior : list of float
         Inverse variances that were best.
-    names : list of (place, term)
-    factors : ndarray, shape (terms,)
-        Of all terms together, in their typical sizes, fitted to all trials.
-    sizes : ndarray, shape (terms,)
-        Typical sizes.
     freedom : float
         How many numbers fitted without a prior would take up as much of the noise as all terms do.
+    forces : dict of place to dict of term to float
+        Factors of the residual forces and moments that gain, all terms together fitted to all trials, N or
+        N m; the one that gains most first.
     """
 
     gain: float
-    gains: Array
     threshold: float
     places: dict[str, float]
     columns: list[list[Array]]
     prior: list[float]
-    names: list[tuple[str, str]]
-    factors: Array
-    sizes: Array
     freedom: float
+    forces: dict[str, dict[str, float]]
 
     @property
     def found(self) -> bool:
@@ -80,81 +75,71 @@ class Left:
         return self.gain > self.threshold
 
 
-@dataclass(frozen=True)
-class Generic:
-    """Changes by every generic term at its typical size."""
+class _Term(NamedTuple):
+    """A generic term: where it acts, what it is, its typical size, and what it changes at it."""
 
-    columns: list[list[Array]]
-    names: list[tuple[str, str]]
-    sizes: Array
+    place: str
+    name: str
+    size: float
+    changed: list[Array]
 
 
-def simulate(context: FitContext, base: Fit, *, jobs: int = 1) -> Generic:
-    """The changes all generic terms make."""
-    asked = []
-    for description in descriptions(context.model, context.trials):
+def _terms(context: FitContext, base: Fit, jobs: int) -> list[_Term]:
+    """All generic terms that change something and do not make the model break down."""
+
+    def of(description: Description) -> list[_Term]:
         parameters = description.parameters(context.model, context.trials)
-        asked.append((description, parameters, list(description.tries(parameters))))
-    done = mapped(lambda one: context.changes(base, one[0], one[2]), asked, jobs)
-    changes = [changed for of_each in done for changed in of_each]
-    work = [
-        (description, p)
-        for description, parameters, points in asked
-        for p, _ in zip(parameters, points, strict=True)
-    ]
-    kept = [
-        i
-        for i, c in enumerate(changes)
-        if all(within(part) for part in c) and sum(float(part @ part) for part in c) > 1e-9
-    ]
-    columns = [changes[i] for i in kept]
-    names = [(work[i][0].place, work[i][1].name) for i in kept]
-    return Generic(columns, names, np.array([work[i][1].scale for i in kept]))
+        changes = context.changes(base, description, description.tries(parameters))
+        return [
+            _Term(description.place, name, p.scale, changed)
+            for name, p, changed in zip(description.terms, parameters, changes, strict=True)
+            if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
+        ]
+
+    found = mapped(of, descriptions(context.model, context.trials), jobs)
+    return [term for of_each in found for term in of_each]
 
 
 def find(
-    context: FitContext, base: Fit, noise_model: NoiseModel, generic: Generic, *, rng: np.random.Generator
+    context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator, jobs: int = 1
 ) -> Left:
     """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
-    columns, names = generic.columns, generic.names
+    terms = _terms(context, base, jobs)
+    columns = [term.changed for term in terms]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)
     draws = crossval.noise_draws(inner, rng, DRAWS)
     plain_drawn = crossval.held_out(inner, draws=draws)
     every = list(range(len(columns)))
     samples = float(inner.samples.sum())
-    best, best_prior, freedom = np.zeros(len(plain)), [WIDTHS[0] ** -2] * len(columns), 0.0
+    gain, prior, freedom = 0.0, [WIDTHS[0] ** -2] * len(columns), 0.0
     largest = np.zeros(DRAWS)
     for width in WIDTHS:
-        prior = [width**-2] * len(columns)
-        used = _freedom(inner, prior)
+        tried = [width**-2] * len(columns)
+        used = _freedom(inner, tried)
         if used > MOST_USED * samples:
             break
-        gains = plain - crossval.held_out(inner, every, prior)
-        drawn = (plain_drawn - crossval.held_out(inner, every, prior, draws)).sum(axis=0)
+        gained = float((plain - crossval.held_out(inner, every, tried)).sum())
+        drawn = (plain_drawn - crossval.held_out(inner, every, tried, draws)).sum(axis=0)
         largest = np.maximum(largest, drawn)
-        if gains.sum() > best.sum():
-            best, best_prior, freedom = gains, prior, used
+        if gained > gain:
+            gain, prior, freedom = gained, tried, used
     places = {}
-    for place in dict.fromkeys(n for n, _ in names):
-        mine = [i for i, (n, _) in enumerate(names) if n == place]
-        alone = [
-            float((plain - crossval.held_out(inner, mine, [width**-2] * len(mine))).sum()) for width in WIDTHS
-        ]
-        places[place] = max(alone)
-    factors = crossval.together(inner, every, best_prior)[inner.shared :]
-    return Left(
-        float(best.sum()),
-        best,
-        max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples)),
-        places,
-        columns,
-        best_prior,
-        names,
-        factors,
-        generic.sizes,
-        freedom,
-    )
+    for place in dict.fromkeys(term.place for term in terms):
+        mine = [i for i, term in enumerate(terms) if term.place == place]
+        alone = (plain - crossval.held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
+        places[place] = max(float(gains.sum()) for gains in alone)
+    factors = crossval.together(inner, every, prior)[inner.shared :]
+    forces: dict[str, dict[str, float]] = {}
+    for place in sorted(places, key=lambda place: -places[place]):
+        if places[place] > 0 and place.endswith(("force", "moment")):
+            forces[place] = {
+                term.name: float(factor * term.size)
+                for term, factor in zip(terms, factors, strict=True)
+                if term.place == place and term.name in TERMS
+            }
+    least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
+    return Left(gain, least, places, columns, prior, freedom, forces)
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
@@ -236,23 +221,17 @@ def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, Low
     residuals : sequence of ndarray, shape (n_k,)
         Weighted, as :func:`swimid.diagnosis.floor.nuisance_residuals` leaves them.
     """
-    sums: dict[str, list[tuple[float, float, int]]] = {}
+    ratios = {}
     for channel, of_trials in problem.series(residuals).items():
+        parts = []
         for series in of_trials:
             steps = np.diff(series)
             there, moved = np.isfinite(series), np.isfinite(steps)
             if moved.sum() > 20:
-                sums.setdefault(channel, []).append(
-                    (
-                        float(np.mean(series[there] ** 2)),
-                        float(np.mean(steps[moved] ** 2) / 2),
-                        int(moved.sum()),
-                    )
-                )
-    ratios = {}
-    for channel, parts in sums.items():
-        whole, rough, weight = (np.array(x) for x in zip(*parts, strict=True))
-        ratios[channel] = float(np.sqrt((whole @ weight) / max(float(rough @ weight), 1e-300)))
+                parts.append((np.mean(series[there] ** 2), np.mean(steps[moved] ** 2) / 2, moved.sum()))
+        if parts:
+            whole, rough, weight = (np.array(x) for x in zip(*parts, strict=True))
+            ratios[channel] = float(np.sqrt((whole @ weight) / max(float(rough @ weight), 1e-300)))
     if not ratios:
         return {}
     least = min(max(min(ratios.values()), 1.0), SLOW)
@@ -268,14 +247,3 @@ def drifting(found: dict[str, LowFrequency]) -> list[str]:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)
     return [c for c, s in found.items() if s.ratio > SURE or (s.ratio > SLOW and s.ratio > AGAINST * least)]
-
-
-def force_terms(left: Left) -> dict[str, dict[str, float]]:
-    """Factors of the residual forces by axis and term, N or N m."""
-    found: dict[str, dict[str, float]] = {}
-    for (place, name), factor, size in zip(left.names, left.factors, left.sizes, strict=True):
-        if place.endswith(("force", "moment")):
-            term = name.split(" ", 1)[1]
-            if term in TERMS:
-                found.setdefault(place, {})[term] = float(factor * size)
-    return found

@@ -407,8 +407,7 @@ class Search:
         # hypothesis leaves: a generic description has it, too, and comes last
         stays = False
         for turn in range(TURNS if whole else 2):
-            generic = remainder.simulate(context, fit, jobs=self.jobs)
-            left = remainder.find(context, fit, noise_model, generic, rng=self.rng)
+            left = remainder.find(context, fit, noise_model, rng=self.rng, jobs=self.jobs)
             last = stays or turn == TURNS - 1
             columns: list[list[Array]] = []
             prior: list[float] = []
@@ -676,8 +675,7 @@ def run(
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(trials, simulated))
-        generic = remainder.simulate(context, state.base, jobs=jobs)
-        state.left = remainder.find(context, state.base, state.noise_model, generic, rng=rng)
+        state.left = remainder.find(context, state.base, state.noise_model, rng=rng, jobs=jobs)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
         state.low_frequency = remainder.low_frequency(state.base.problem, state.nuisance_residuals)
