@@ -14,7 +14,7 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.places import knobs
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 
 #: Proposals reported.
@@ -69,12 +69,6 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
-def sensors(model: Model, trials: Sequence[Trial]) -> list[tuple[str, str, str]]:
-    """Meaning, name and unit of the channels the model has and no trial measures."""
-    measured = {c for t in trials for c in t.measured}
-    return [(c.meaning or c.name, c.name, c.unit) for c in model.channels if c.name not in measured]
-
-
 def advise(
     context: FitContext,
     rivals: Sequence[Fit],
@@ -101,14 +95,14 @@ def advise(
     found = [(difference(t, floors, measured), f"run {words}") for words, t in proposals(context.trials)]
     template = max(context.trials, key=lambda t: len(t.time_s))
     sensed: dict[str, tuple[float, str]] = {}
-    for meaning, channel, unit in sensors(context.model, context.trials):
-        noise = typical_noise(channel, floors)
-        if noise is None:
+    for channel in context.model.channels:
+        name, noise = channel.name, typical_noise(channel.name)
+        if name in measured or noise is None:
             continue
-        size = difference(template, {**floors, channel: noise}, [channel])
-        words = f"log {meaning} ({channel}) as well, to {noise:.2g} {unit}"
+        size = difference(template, {name: noise}, [name])
+        words = f"log {channel.meaning or name} ({name}) as well, to {noise:.2g} {channel.unit}"
         # one joint of several stands for all
-        kind = channel[:5]
+        kind = name[:5]
         if kind not in sensed or size > sensed[kind][0]:
             sensed[kind] = size, words
     found += sensed.values()
@@ -117,15 +111,11 @@ def advise(
     return [Advice(text=words, separates=names, difference=size, now=now) for size, words in found[:MOST]]
 
 
-def typical_noise(channel: str, floors: Mapping[str, float]) -> float | None:
-    """What a common sensor of a channel gets to: an encoder 0.01 rad, a gyro 0.02 rad/s, a camera as here."""
-    if channel in floors:
-        return floors[channel]
+def typical_noise(channel: str) -> float | None:
+    """What a common sensor of a channel gets to: an encoder 0.01 rad, a gyro 0.02 rad/s; None of others."""
     if channel.startswith("joint") and channel.endswith("_rad"):
         return 0.01
-    if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s"):
-        return 0.02
-    return None
+    return 0.02 if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s") else None
 
 
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
@@ -150,26 +140,23 @@ def apart(
     channels: Sequence[str],
 ) -> float:
     """Predicted difference of two rivals on a trial, in units of the noise, all else refitted."""
-    blank = {c: np.zeros(len(trial.time_s)) for c in channels}
-    proposed = replace(trial, measured=blank)
-    runs, rows = [], None
-    for fit in (first, second):
+    proposed = replace(trial, measured={c: np.zeros(len(trial.time_s)) for c in channels})
+
+    def posed(fit: Fit) -> Problem:
         model = context.affected(fit.effects)
-        parameters = (*context.parameters, *model.parameters[len(context.parameters) :])
         values = {label: v for label, v in zip(fit.labels, fit.theta, strict=True) if "[" not in label}
+        parameters = (*context.parameters, *model.parameters[len(context.parameters) :])
         parameters = tuple(replace(p, start=values.get(p.name, p.start)) for p in parameters)
         problem = Problem(model, parameters, [proposed], jobs=1)
         for i, channel in enumerate(problem.channels[0]):
             problem.sd[0][i] = np.full(len(trial.time_s), max(floors.get(channel, 1.0), 1e-12))
-        theta = problem.start
-        runs.append(problem.trial_residuals(theta, 0))
-        if rows is None:
-            rows = -problem.trial_jacobians(theta)[0]
-            labels = problem.labels
-    assert rows is not None
-    difference = runs[0] - runs[1]
+        return problem
+
+    problem, other = posed(first), posed(second)
+    difference = problem.trial_residuals(problem.start, 0) - other.trial_residuals(other.start, 0)
     if not np.isfinite(difference).all() or np.max(np.abs(difference), initial=0.0) > 1e5:
         return 0.0
+    rows, labels = -problem.trial_jacobians(problem.start)[0], problem.labels
     normal = rows.T @ rows
     names, prior = known
     where = [labels.index(name) for name in names if name in labels]

@@ -124,19 +124,14 @@ class DetectionPower(FileResult[PowerFile]):
 
 def summary(file: PowerFile) -> str:
     """Plain text for the terminal."""
-    count = len(file.trials)
-    lines = [
-        f"{file.robot}, {file.experiment}: {count} trial{'' if count == 1 else 's'} against {file.params}"
-    ]
-    lines += ["", answer(file), ""]
+    trials = f"{len(file.trials)} trial{'' if len(file.trials) == 1 else 's'}"
+    lines = [f"{file.robot}, {file.experiment}: {trials} against {file.params}", "", answer(file), ""]
     width = max((len(r.effect) for r in file.effects), default=6)
     for r in file.effects:
-        if r.size is None:
-            said = "not within its bounds"
-        else:
-            said = f"{r.parameter} {numbers.number(r.size, 2, r.unit)}"
+        size = numbers.number(r.size, 2, r.unit)
+        said = "not within its bounds" if r.size is None else f"{r.parameter} {size}"
         if r.absorbed is not None and r.absorbed > 0.9:
-            said += f", {numbers.number(100.0 * r.absorbed, 3)} % imitated by the model's numbers"
+            said += f", {numbers.percent(r.absorbed)} imitated by the model's numbers"
         if r.alike:
             said += f"; never told from {', '.join(r.alike)}"
         lines.append(f"  {r.effect:<{width}}  {said}")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.effects.base import Stage
+from swimid.effects.base import STAGES, Stage
 from swimid.effects.reading import PREFIX, OtherReading
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.experiment import Experiment
@@ -140,9 +140,10 @@ def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], se
 
 def _stage(places: Sequence[str]) -> Stage:
     """The part of the chain that a reading is about, of several the first."""
-    stages = [next((stage for word, stage in PLACES if word in place), "structure") for place in places]
-    order: tuple[Stage, ...] = ("actuation", "structure", "fluid", "sensing")
-    return next((stage for stage in order if stage in stages), "structure")
+    stages: list[Stage] = [
+        next((stage for word, stage in PLACES if word in place), "structure") for place in places
+    ]
+    return min(stages, key=STAGES.index, default="structure")
 
 
 def _comparable(model: Model, nominal: Model) -> bool:
