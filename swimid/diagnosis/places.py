@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
@@ -15,9 +15,10 @@ from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
 from swimid.fitting.model import Array, Trial
 
-Mask = NDArray[np.bool_]
 #: Bins of the stroke's phase, and of the time of a trial.
 PHASES, TIMES = 8, 6
+#: Of more trials than this none is shown by itself.
+MOST_TRIALS = 30
 #: The start-up lasts this many beats, or this share of a trial without a beat.
 START_BEATS, START_SHARE = 3.0, 0.2
 #: A change point must lower the squared residual by this share of the excess.
@@ -39,39 +40,37 @@ class Map:
         self, context: FitContext, fit: Fit, residuals: Sequence[Array], floors: Mapping[str, float]
     ) -> None:
         self.trials = context.trials
-        self.excess: list[dict[str, Array]] = []
-        for k, residual in enumerate(residuals):
-            series = split(fit, k, residual)
-            self.excess.append({c: (r / max(floors.get(c, 1.0), 1e-300)) ** 2 for c, r in series.items()})
-        self.channels = sorted({c for by in self.excess for c in by})
-        values = [v[np.isfinite(v)] - 1.0 for by in self.excess for v in by.values()]
-        self.total = max(float(np.concatenate(values).sum()) if values else 0.0, 1e-12)
+        parts = []
+        for k, (trial, residual) in enumerate(zip(self.trials, residuals, strict=True)):
+            time = trial.time_s
+            known = {
+                "trial": k,
+                "time_s": time,
+                "phase": _bins((time * beat_hz(trial)) % 1.0, PHASES),
+                "part": _bins((time - time[0]) / max(float(np.ptp(time)), 1e-9), TIMES),
+            }
+            for channel, series in split(fit, k, residual).items():
+                square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
+                parts.append(pd.DataFrame({**known, "channel": channel, "square": square}))
+        #: A row for each sample of each channel; what was not measured has no ``square``.
+        self.samples = pd.concat(parts, ignore_index=True)
+        self.total = max(float(np.sum(self.samples["square"].dropna().to_numpy() - 1.0)), 1e-12)
 
-    def values(self, pick: list[tuple[int, Mask]], channels: Collection[str]) -> Array:
-        """Of some samples: trial and mask over its samples."""
-        parts = [v[m & np.isfinite(v)] for k, m in pick for c, v in self.excess[k].items() if c in channels]
-        return np.concatenate(parts) if parts else np.empty(0)
+    def cells(self, kind: str, labels: pd.Series) -> list[Cell]:
+        """The gap in the samples of each label, all channels together; those without one are in none."""
+        return [
+            Cell(
+                kind=kind,
+                label=str(label),
+                ratio=_root_mean(squares),
+                share=float(np.clip(np.sum(squares.to_numpy() - 1.0) / self.total, 0.0, 1.0)),
+            )
+            for label, squares in self.samples["square"].dropna().groupby(labels, sort=False)
+        ]
 
-    def cell(self, kind: str, label: str, pick: list[tuple[int, Mask]]) -> Cell | None:
-        """The gap in some samples, all channels together."""
-        values = self.values(pick, self.channels)
-        if not len(values):
-            return None
-        share = float(np.sum(values - 1.0)) / self.total
-        return Cell(
-            kind=kind,
-            label=label,
-            ratio=float(np.sqrt(np.mean(values))),
-            share=float(np.clip(share, 0.0, 1.0)),
-        )
-
-    def every(self, k: int) -> Mask:
-        """All samples of a trial."""
-        return np.ones(len(self.trials[k].time_s), dtype=bool)
-
-
-def _ranked(cells: Sequence[Cell | None]) -> list[Cell]:
-    return sorted((c for c in cells if c is not None), key=lambda c: -(c.share or 0.0))
+    def of_trials(self, values: Sequence[Any]) -> pd.Series:
+        """What each trial has, for each sample."""
+        return self.samples["trial"].map(dict(enumerate(values)))
 
 
 def _bins(share: Array, count: int) -> Array:
@@ -79,9 +78,12 @@ def _bins(share: Array, count: int) -> Array:
     return np.minimum((share * count).astype(int), count - 1)
 
 
-def _eighth(trial: Trial) -> Array:
-    """In which of the :data:`PHASES` of the stroke each sample is."""
-    return _bins((trial.time_s * beat_hz(trial)) % 1.0, PHASES)
+def _root_mean(squares: pd.Series) -> float:
+    return float(np.sqrt(np.mean(squares.to_numpy())))
+
+
+def _ranked(cells: Sequence[Cell]) -> list[Cell]:
+    return sorted(cells, key=lambda c: -(c.share or 0.0))
 
 
 def knobs(trial: Trial) -> dict[str, str]:
@@ -109,61 +111,49 @@ def knobs(trial: Trial) -> dict[str, str]:
 
 def regimes(where: Map) -> list[Cell]:
     """The gap by what was set, and by trial."""
-    groups: dict[tuple[str, str], list[int]] = {}
-    for k, trial in enumerate(where.trials):
-        for kind, label in knobs(trial).items():
-            groups.setdefault((kind, label), []).append(k)
-        groups[("trial", trial.id)] = [k]
-    kinds = Counter(kind for kind, _ in groups)
-    few = len(where.trials) <= 30
-    return _ranked(
-        [
-            where.cell(kind, label, [(k, where.every(k)) for k in members])
-            for (kind, label), members in groups.items()
-            if kinds[kind] > 1 and (kind != "trial" or few)
-        ]
-    )
+    settings = pd.DataFrame([{**knobs(t), "trial": t.id} for t in where.trials])
+    found = []
+    for kind in settings:
+        labels = settings[kind]
+        if labels.nunique() > 1 and (kind != "trial" or len(labels) <= MOST_TRIALS):
+            found += where.cells(str(kind), where.of_trials(labels))
+    return _ranked(found)
 
 
 def phases(where: Map) -> list[Cell]:
     """The gap by phase of the stroke; empty without a beat."""
     if not any(t.swim.beat is not None for t in where.trials):
         return []
-    cells = []
-    for i in range(PHASES):
-        pick = [(k, _eighth(t) == i) for k, t in enumerate(where.trials)]
-        low, high = round(360 * i / PHASES), round(360 * (i + 1) / PHASES)
-        cells.append(where.cell("phase", f"{low}-{high} deg", pick))
-    return _ranked(cells)
+    edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
+    labels = {i: f"{edges[i]}-{edges[i + 1]} deg" for i in range(PHASES)}
+    return _ranked(where.cells("phase", where.samples["phase"].map(labels)))
 
 
 def times(where: Map) -> list[Cell]:
     """Start-up against steady, and change points of single trials."""
-    early, late = [], []
-    for k, t in enumerate(where.trials):
+    ends = []
+    for t in where.trials:
         if len(t.time_s) < 10:
             return []
         span = float(t.time_s[-1] - t.time_s[0])
         beat = t.swim.beat is not None
         start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
-        first = t.time_s <= t.time_s[0] + start
-        early.append((k, first))
-        late.append((k, ~first))
-    cells = [where.cell("time", "start-up", early), where.cell("time", "steady", late)]
+        ends.append(t.time_s[0] + start)
+    time = where.samples["time_s"]
+    early = time <= where.of_trials(ends)
+    cells = where.cells("time", early.map({True: "start-up", False: "steady"}))
     for k, t in enumerate(where.trials):
         at = _change(where, k)
         if at is not None:
-            cells.append(where.cell("change", f"{t.id} from {at:.3g} s", [(k, t.time_s >= at)]))
+            late = (where.samples["trial"] == k) & (time >= at)
+            cells += where.cells("change", late.map({True: f"{t.id} from {at:.3g} s"}))
     return _ranked(cells)
 
 
 def _change(where: Map, k: int) -> float | None:
     """When a trial's residual grows at once, if it does."""
-    series = [np.nan_to_num(v - 1.0) for v in where.excess[k].values()]
-    lengths = {len(s) for s in series}
-    if len(lengths) != 1 or not series:
-        return None
-    x = np.sum(series, axis=0)
+    squares = where.samples["square"][where.samples["trial"] == k].to_numpy()
+    x = np.sum(np.nan_to_num(squares - 1.0).reshape(-1, len(where.trials[k].time_s)), axis=0)
     n = len(x)
     edge = max(n // 10, 5)
     if n < 40 or x.sum() <= 3.0 * n:
@@ -186,35 +176,25 @@ def _change(where: Map, k: int) -> float | None:
 def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
     """Heat maps of root-mean-square residual over floor."""
     found: dict[str, tuple[list[str], list[str], Array]] = {}
+    channels = sorted(where.samples["channel"].unique())
+    samples = where.samples.dropna(subset="square")
 
-    def ratio(channel: str, pick: list[tuple[int, Mask]]) -> float:
-        values = where.values(pick, [channel])
-        return float(np.sqrt(np.mean(values))) if len(values) else math.nan
+    def ratios(*by: str) -> pd.Series:
+        return samples.groupby(list(by))["square"].agg(_root_mean)
+
+    def grid(of: pd.Series, rows: Sequence[Any], columns: Sequence[Any]) -> Array:
+        return of.unstack().reindex(index=rows, columns=columns).to_numpy()
 
     ids = [t.id for t in where.trials]
-    if len(ids) <= 30 and any(len(t.time_s) > 5 for t in where.trials):
-        grid = np.array([[ratio(c, [(k, where.every(k))]) for c in where.channels] for k in range(len(ids))])
-        found["trial by channel"] = (ids, where.channels, grid)
-        overall = []
-        for k, t in enumerate(where.trials):
-            part = _bins((t.time_s - t.time_s[0]) / max(float(np.ptp(t.time_s)), 1e-9), TIMES)
-            overall.append(
-                [_overall([ratio(c, [(k, part == i)]) for c in where.channels]) for i in range(TIMES)]
-            )
+    if len(ids) <= MOST_TRIALS and any(len(t.time_s) > 5 for t in where.trials):
+        every = range(len(ids))
+        found["trial by channel"] = ids, channels, grid(ratios("trial", "channel"), every, channels)
+        # channels count alike, however many samples they have
+        whole = (ratios("trial", "part", "channel") ** 2).groupby(["trial", "part"]).agg(_root_mean)
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
-        found["trial by time"] = (ids, labels, np.array(overall))
+        found["trial by time"] = ids, labels, grid(whole, every, range(TIMES))
     if any(t.swim.beat is not None for t in where.trials):
-        eighths = [_eighth(t) for t in where.trials]
-        rows = [
-            [ratio(channel, [(k, own == i) for k, own in enumerate(eighths)]) for i in range(PHASES)]
-            for channel in where.channels
-        ]
         labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
-        found["channel by phase"] = (where.channels, labels, np.array(rows))
+        by_phase = grid(ratios("channel", "phase"), channels, range(PHASES))
+        found["channel by phase"] = channels, labels, by_phase
     return found
-
-
-def _overall(ratios: Sequence[float]) -> float:
-    """Of the channels that have samples there; NaN where none has."""
-    known = np.array([ratio for ratio in ratios if math.isfinite(ratio)])
-    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
