@@ -33,8 +33,6 @@ class Tried:
 
     Attributes
     ----------
-    effect : Effect
-    parameters : tuple of Parameter
     point : ndarray
         Its parameters where the screen expects them.
     gains : ndarray, shape (folds,)
@@ -179,9 +177,8 @@ def absorbed(left: float, whole: float) -> float:
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
     """Largest distance of a point from null, in typical sizes."""
-    return (
-        max((abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True)), default=1.0) or 1.0
-    )
+    sizes = (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True))
+    return max(sizes, default=1.0) or 1.0
 
 
 def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:

@@ -93,14 +93,7 @@ class RandomEffect:
 
 
 class TrialEffect(Effect):
-    """One parameter of an effect, with a value for each trial.
-
-    Parameters
-    ----------
-    kind : RandomEffect
-        Which parameter, and how much it differs.
-    effect : Effect
-    """
+    """One parameter of an effect, with a value for each trial."""
 
     name: ClassVar[str] = "chance"
     stage: ClassVar[Stage] = "sensing"

@@ -108,26 +108,23 @@ def see(
     kinds : list of RandomEffect
         What may differ, with the spread the trials show: the noise model has as much of it as may be chance.
     """
-    apart = tells_noise(context)
-    columns, kinds = random_effect_columns(context, fit, effects) if apart else ([], [])
-    # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
-    still = nuisance_residuals(fit, residuals, columns) if apart else residuals
-    unknowns += len(kinds) * len(residuals) if apart else 0
+    problem = fit.problem
     plain = replace(noise_model, random_effects=(), long_memory=None)
-    noise_model = coloured(fit.problem, still, plain, unknowns=unknowns)
-    if not apart:
+    if not tells_noise(context):
         # few trials do not tell what is slow in noise from a gap
-        return replace(
-            brief(noise_model, fit.problem, still, list(noise_model.colour)), long_memory=noise_model
-        ), []
-    noise_model = brief(
-        noise_model, fit.problem, still, remainder.drifting(remainder.low_frequency(fit.problem, still))
-    )
+        whole = coloured(problem, residuals, plain, unknowns=unknowns)
+        return replace(brief(whole, problem, residuals, list(whole.colour)), long_memory=whole), []
+    # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
+    columns, kinds = random_effect_columns(context, fit, effects)
+    still = nuisance_residuals(fit, residuals, columns)
+    noise_model = coloured(problem, still, plain, unknowns=unknowns + len(kinds) * len(residuals))
+    slow = remainder.drifting(remainder.low_frequency(problem, still))
+    noise_model = brief(noise_model, problem, still, slow)
     if common is None:
         return noise_model, []
     own = [fit.own(k) for k in range(len(context.trials))]
     shown = random_effects.spread(
-        partial(noise_model.whiten, fit.problem),
+        partial(noise_model.whiten, problem),
         residuals,
         own,
         columns,
@@ -157,16 +154,10 @@ def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> Noise
         begin = context.start(leading.effects, noise_model, leading)
         leading = context.fit(leading.effects, noise_model, [begin], iterations=FEW, tolerance=COARSE)
         scatter = leading.scatter()
-        shown = [scatter.get(kind.label, 0.0) / kind.size for kind in noise_model.random_effects]
-        strained = [
-            size > STRAINED * kind.sd for size, kind in zip(shown, noise_model.random_effects, strict=True)
-        ]
-        if not any(strained):
+        shown = [(kind, scatter.get(kind.label, 0.0) / kind.size) for kind in noise_model.random_effects]
+        if not any(size > STRAINED * kind.sd for kind, size in shown):
             break
-        wider = [
-            kind.scattering(size) if grows else kind
-            for kind, size, grows in zip(noise_model.random_effects, shown, strained, strict=True)
-        ]
+        wider = (kind.scattering(size) if size > STRAINED * kind.sd else kind for kind, size in shown)
         noise_model = replace(noise_model, random_effects=tuple(wider))
     return noise_model
 
