@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis.drawings import Drawings, Overlay
+from swimid.diagnosis.figures import Drawings, Overlay
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,

@@ -17,7 +17,7 @@ from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import summary as diagnose_summary
 from swimid.diagnosis.diagnosed import Diagnosis
-from swimid.diagnosis.drawings import Drawings
+from swimid.diagnosis.figures import Drawings
 from swimid.diagnosis.gap_file import GapFile, HeldOut, Value, ranked
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected

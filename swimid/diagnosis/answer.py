@@ -21,7 +21,7 @@ from swimid.diagnosis import (
 )
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
-from swimid.diagnosis.drawings import Drawings
+from swimid.diagnosis.figures import Drawings
 from swimid.diagnosis.floor import by_channel, enough, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds, setting
 from swimid.diagnosis.gap_file import (

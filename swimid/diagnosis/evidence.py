@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from swimid.diagnosis import figures as diagnose_figures
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis import summary as words
-from swimid.diagnosis.drawings import Drawings
+from swimid.diagnosis.figures import Drawings, figures
 from swimid.diagnosis.gap_file import GapFile, Score
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -54,7 +53,7 @@ def evidence(
     sources : sequence of str
         Of the robot, to cite.
     """
-    references = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
+    cited = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
     named = [source for cause in file.causes for source in cause.sources]
     said, tests = verdict(file), checks(file)
     against = [notice.text for notice in notices if notice.code in CONTRADICTING]
@@ -70,10 +69,10 @@ def evidence(
         verdict=said,
         checks=tests,
         tables=tables(file),
-        figures=diagnose_figures.figures(file, drawings),
+        figures=figures(file, drawings),
         notices=list(notices),
         methods=methods(file),
-        references=list(dict.fromkeys([*sources, *references, *named])),
+        references=list(dict.fromkeys([*sources, *cited, *named])),
         provenance=dict(file.provenance),
     )
 

@@ -6,11 +6,11 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from swimid.diagnosis import summary as words
-from swimid.diagnosis.drawings import Drawings, Overlay
 from swimid.diagnosis.gap_file import Cell, GapFile
 from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
@@ -22,6 +22,37 @@ MOST_EFFECTS, MOST_PANELS, MOST_SKETCHES, MOST_ROWS = 10, 4, 6, 24
 _POINTS = 800
 
 _ALONE = ev.Mark(at=1.0, label="noise alone")
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One channel of a held-out trial: measured, simulated before and after."""
+
+    trial: str
+    channel: str
+    unit: str
+    time_s: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """What a gap file has no room for.
+
+    Attributes
+    ----------
+    maps : mapping of title to (row labels, column labels, ratios)
+        Heat maps of root-mean-square residual over floor: trial by channel, phase by trial ...
+    forces : mapping of place to (mapping of term to float)
+        Smooth forces (N) and moments (N m) that the model lacks, as :class:`swimid.diagnosis.remainder.Left`
+        has them.
+    """
+
+    maps: Mapping[str, tuple[list[str], list[str], Array]] = field(default_factory=dict)
+    overlays: Sequence[Overlay] = ()
+    forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:

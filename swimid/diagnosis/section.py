@@ -86,8 +86,8 @@ def _about(file: GapFile | power.PowerFile) -> list[tuple[str, str]]:
     return [(name, value) for name, value in (*named, ("Parameters", file.params), trials) if value]
 
 
-def _number(value: float | None, digits: int = 3, unit: str = "") -> Cell:
-    return Cell(numbers.number(value, digits, unit), numeric=True)
+def _number(value: float | None, unit: str = "") -> Cell:
+    return Cell(numbers.number(value, 3, unit), numeric=True)
 
 
 def _percent(value: float | None, digits: int = 3) -> Cell:
@@ -192,7 +192,7 @@ def _channels(file: GapFile) -> Grid:
     rows = [
         [
             Cell(c.channel, "code"),
-            _number(c.rmse, 3, c.unit),
+            _number(c.rmse, c.unit),
             *(_percent(v) for v in (c.shipped, c.nrmse, c.floor)),
             _percent(c.share, 2),
         ]

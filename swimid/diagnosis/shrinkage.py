@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.drawings import Overlay
+from swimid.diagnosis.figures import Overlay
 from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import start_states

@@ -115,8 +115,6 @@ def error_of(channel: ChannelGap) -> str:
 
 def closed_text(s: Shrinkage) -> str:
     """What is closed of a channel's gap: ``89 % (95 %: 81 … 94 %)``."""
-    if s.closed is None:
-        return "no gap in it to close"
     share = numbers.percent(s.closed, 2)
     return share if None in s.ci95 else f"{share} (95 %: {interval_text(s)})"
 
