@@ -279,15 +279,10 @@ class TestTendonFish:
         model = MultilinkModel(robot_format.read("tfish"))
         trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
         run = model.trajectory(values_of(model), trial)
-        found, slopes = engine.sampled(BETWEEN, run.begin_s, run.step_s, run.states, run.rates)
+        found = engine.sampled(BETWEEN, run.begin_s, run.step_s, run.states, run.rates)
         grid_error = np.abs(run.states[:: round(0.02 / run.step_s)] - reference[0]).max(axis=0)
         between_error = np.abs(found - reference[1]).max(axis=0)
         assert (between_error < np.r_[np.full(7, 1.1), 3.0] * grid_error).all()
-        # the slopes are those of the values
-        step = 1e-6
-        late, _ = engine.sampled(BETWEEN + step, run.begin_s, run.step_s, run.states, run.rates)
-        early, _ = engine.sampled(BETWEEN - step, run.begin_s, run.step_s, run.states, run.rates)
-        np.testing.assert_allclose((late - early) / (2 * step), slopes, atol=1e-7)
         # an uneven record, whose samples lie on no grid
         order = np.argsort(np.r_[GRID, BETWEEN])
         uneven = np.abs(swim(np.r_[GRID, BETWEEN][order]) - np.vstack([*reference])[order]).max(axis=0)

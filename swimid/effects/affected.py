@@ -82,7 +82,7 @@ class Affected(Model):
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
         """Simulate several runs (see :meth:`Model.simulate_many`)."""
         own = len(self.model.parameters)
-        acting = [unless_broken(self.hooks, values, trial) for values, trial in runs]
+        acting = unless_broken(self.hooks, runs)
         asked = zip(runs, acting, strict=True)
         simulated = iter(
             self.model.hooked_many(

@@ -179,7 +179,7 @@ class Hooks:
 
     def happened(self, time_s: Array) -> Array:
         """When what a log shows at these times happened, s."""
-        return time_s - (self.clock_s + self.clock_drift * time_s)
+        return time_s - (self.clock_s + self.clock_drift * time_s) if self.late else time_s
 
     def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
         """The channels after all sensing hooks."""

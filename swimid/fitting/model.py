@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -367,14 +367,14 @@ class Model(ABC):
 
         A model that runs faster side by side overrides this.
         """
-        simulated = []
-        for values, trial, hooks in runs:
-            if hooks is NONE:
-                one = unless_broken(self.simulate, values, trial)
-            else:
-                one = unless_broken(self.hooked, values, trial, hooks)
-            simulated.append(self.broken_down(trial) if one is None else one)
-        return simulated
+
+        def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+            return self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
+
+        return [
+            self.broken_down(trial) if one is None else one
+            for one, (_, trial, _) in zip(unless_broken(simulated, runs), runs, strict=True)
+        ]
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
         """The channels of a simulation that came to nothing."""
@@ -430,13 +430,19 @@ class Model(ABC):
         return names.index(name)
 
 
-def unless_broken(compute: Callable[..., Outcome], *arguments: Any) -> Outcome | None:
-    """What a function computes, without numpy's warnings; None where a simulation breaks down in it."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...]]) -> list[Outcome | None]:
+    """What a function computes of each run's arguments, without numpy's warnings; None where that run breaks
+    down in it.
+    """
+
+    def one(arguments: tuple[Any, ...]) -> Outcome | None:
         try:
             return compute(*arguments)
         except (ArithmeticError, np.linalg.LinAlgError):
             return None
+
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return [one(arguments) for arguments in runs]
 
 
 def chosen(

@@ -54,6 +54,17 @@ class Drive:
     table: Array
     angles: Array
     rates: Array
+    _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
+
+    def sampled(self, time_s: Array, begin_s: float, step_s: float) -> Array:
+        """Angles at any times, shape (n, driven joints), on a grid that begins there; the last are kept."""
+        key = time_s.tobytes()
+        found = self._kept.get(key)
+        if found is None:
+            found = sampled(time_s, begin_s, step_s, self.angles, self.rates)
+            self._kept.clear()
+            self._kept[key] = found
+        return found
 
 
 @dataclass(frozen=True)
@@ -323,10 +334,10 @@ class LinkedModel(Swimmer):
         """Several runs, side by side where the robot's kernel is compiled (see :meth:`Model.hooked_many`)."""
         if not self.side_by_side:
             return super().hooked_many(runs)
-        simulated = [
-            None if one is None else unless_broken(self._at_samples, *run, one[1])
-            for one, run in zip(self._each(runs), runs, strict=True)
-        ]
+        each = self._each(runs)
+        begun = [(*run, one[1]) for run, one in zip(runs, each, strict=True) if one is not None]
+        seen = iter(unless_broken(self._at_samples, begun))
+        simulated = [None if one is None else next(seen) for one in each]
         return [
             self.broken_down(trial) if one is None else one
             for one, (_, trial, _) in zip(simulated, runs, strict=True)
@@ -348,7 +359,7 @@ class LinkedModel(Swimmer):
 
     def _each(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[tuple[Run, Trajectory] | None]:
         """What was asked and its trajectory, of each run; None where it breaks down before it begins."""
-        asked = [unless_broken(self._asked, *run) for run in runs]
+        asked = unless_broken(self._asked, runs)
         trajectories = iter(self._trajectories([one for one in asked if one is not None]))
         return [None if one is None else (one, next(trajectories)) for one in asked]
 
@@ -409,7 +420,7 @@ class LinkedModel(Swimmer):
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
         """The channels of a run."""
         time = hooks.happened(trial.time_s - self._value(values, "clock_offset"))
-        states, _ = sampled(time, run.begin_s, run.step_s, run.states, run.rates)
+        states = sampled(time, run.begin_s, run.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
         if self.free_base:
             found.update(self._seen(values, trial, states))
@@ -420,9 +431,9 @@ class LinkedModel(Swimmer):
             found[axis.column] = states[:, self.coordinates + k]
             found[axis.rate] = states[:, rates + k]
         if self.driven:
-            driven, _ = sampled(time, run.begin_s, run.step_s, run.drive.angles, run.drive.rates)
+            driven = run.drive.sampled(time, run.begin_s, run.step_s)
             for k, axis in enumerate(self.driven):
-                found[axis.column] = driven[:, k]
+                found[axis.column] = driven[:, k].copy()  # of an array that is kept
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
@@ -543,11 +554,17 @@ class LinkedModel(Swimmer):
     ) -> Drive:
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
         told = self._told(trial, begin, step, steps, phase)
-        motions = []
+        motions: list[Motion] = []
+        actual: list[Array] = []
         for k, (motion, servo) in enumerate(zip(told, servos, strict=True)):
             if servo is None:
                 if hooks.command:
-                    motion = drive.deviated(motion, hooks.actuated(half, motion[0], k), 0.5 * step)
+                    actual.append(hooks.actuated(half, motion[0], k))
+                    # joints that do the same are the same motion
+                    if k and motion is told[k - 1] and np.array_equal(actual[-2], actual[-1]):
+                        motion = motions[-1]
+                    else:
+                        motion = drive.deviated(motion, actual[-1], 0.5 * step)
                 motions.append(motion)
                 continue
             fine = begin + 0.25 * step * np.arange(4.0 * steps + 1.0)
@@ -567,14 +584,23 @@ class LinkedModel(Swimmer):
         """What each driven joint is told to do, at every half step; where a servo follows, every quarter."""
 
         def motions() -> list[Motion]:
-            found = []
+            found: list[Motion] = []
             for k, (axis, servo) in enumerate(zip(self.driven, self._servos, strict=True)):
+                if k and self._alike(k, trial.swim):
+                    found.append(found[-1])
+                    continue
                 part = 0.5 if servo is None else 0.25
                 time = begin + part * step * np.arange(steps / part + 1.0)
                 found.append(joint_motion(axis, k, trial.swim, time, phase))
             return found
 
         return self._cached(self._motions, KEPT, (trial.id, begin, step, steps, phase), motions)
+
+    def _alike(self, k: int, swim: SwimInput) -> bool:
+        """Whether a beat moves a driven joint as the one before it."""
+        if swim.joints is not None or swim.stroke is not None or swim.beat is None:
+            return False
+        return swim.beat.lag_rad == 0.0 and self.driven[k - 1].driven == self.driven[k].driven
 
     def _cached(
         self, kept: dict[tuple[Any, ...], Kept], most: int, key: tuple[Any, ...], make: Callable[[], Kept]

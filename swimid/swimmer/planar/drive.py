@@ -179,6 +179,9 @@ def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) ->
     """
     found = np.empty((count, len(motions), 5))
     for k, (motion, mount) in enumerate(zip(motions, mounts_rad, strict=True)):
+        if k and motion is motions[k - 1] and mount == mounts_rad[k - 1]:
+            found[:, k] = found[:, k - 1]
+            continue
         _column(found, k, *(np.ascontiguousarray(part, dtype=float) for part in motion), mount)
     return found
 

@@ -639,7 +639,7 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
-    """States and rates at any times of the run, by cubic Hermite interpolation.
+    """States at any times of the run, by cubic Hermite interpolation.
 
     Parameters
     ----------
@@ -651,12 +651,11 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
 
     Returns
     -------
-    values, slopes : ndarray, shape (m, k)
-        The error of the values is of fourth order in the step, as that of the integration.
+    ndarray, shape (m, k)
+        Its error is of fourth order in the step, as that of the integration.
     """
     count, size = len(time), states.shape[1]
     values = np.empty((count, size))
-    slopes = np.empty((count, size))
     last = states.shape[0] - 1
     for i in range(count):
         place = min(max((time[i] - begin) / step, 0.0), float(last))
@@ -667,18 +666,14 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
             k = min(k + int(f + 0.5), last)
             for j in range(size):
                 values[i, j] = states[k, j]
-                slopes[i, j] = rates[k, j]
             continue
         h00, h10 = (1.0 + 2.0 * f) * (1.0 - f) ** 2, f * (1.0 - f) ** 2
         h01, h11 = f * f * (3.0 - 2.0 * f), f * f * (f - 1.0)
-        d00, d10 = 6.0 * f * (f - 1.0), (1.0 - f) * (1.0 - 3.0 * f)
-        d11 = f * (3.0 * f - 2.0)
         for j in range(size):
             a, b = states[k, j], states[k + 1, j]
             da, db = step * rates[k, j], step * rates[k + 1, j]
             values[i, j] = h00 * a + h10 * da + h01 * b + h11 * db
-            slopes[i, j] = (d00 * (a - b) + d10 * da + d11 * db) / step
-    return values, slopes
+    return values
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

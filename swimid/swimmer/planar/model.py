@@ -191,12 +191,11 @@ class MultilinkModel(LinkedModel):
         return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
-        start, _ = _flows(hooks, np.array([begin_s]))
-        moved, speed = _flows(hooks, time_s)
+        moved, speed = _flows(hooks, np.append(begin_s, time_s))
         x, y, heading = self.pose
-        found[x] = found[x] + moved[:, 0] - start[0, 0]
-        found[y] = found[y] + moved[:, 1] - start[0, 1]
-        u, v = _turned(speed[:, 0], speed[:, 1], -found[heading])
+        found[x] = found[x] + moved[1:, 0] - moved[0, 0]
+        found[y] = found[y] + moved[1:, 1] - moved[0, 1]
+        u, v = _turned(speed[1:, 0], speed[1:, 1], -found[heading])
         along, across, _ = self.velocity
         found[along], found[across] = found[along] + u, found[across] + v
 
