@@ -141,6 +141,7 @@ class LinkedModel(Swimmer):
         self._drives: dict[tuple[Any, ...], Drive] = {}
         self._motions: dict[tuple[Any, ...], list[Motion]] = {}
         self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
+        self._commands: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
         self._lock = threading.Lock()
         #: Coefficients that were not refused, the last of them.
         self._sound: bytes | None = None
@@ -412,6 +413,7 @@ class LinkedModel(Swimmer):
             for name in names:
                 self._kept.pop(name, None)
                 self._grids.pop(name, None)
+                self._commands.pop(name, None)
             kept: dict[tuple[Any, ...], Any]
             for kept in (self._drives, self._motions):  # type: ignore[assignment]
                 for key in [key for key in kept if key[0] in names]:
