@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import groupby
 
 import numba
 import numpy as np
@@ -178,16 +179,19 @@ def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) ->
     Angle, rate, acceleration, and cosine and sine of the angle with the joint's mounting angle.
     """
     found = np.empty((count, len(motions), 5))
-    for k, (motion, mount) in enumerate(zip(motions, mounts_rad, strict=True)):
-        if k and motion is motions[k - 1] and mount == mounts_rad[k - 1]:
-            found[:, k] = found[:, k - 1]
-            continue
-        _column(found, k, *(np.ascontiguousarray(part, dtype=float) for part in motion), mount)
+    joints = zip(motions, mounts_rad, range(len(motions)), strict=True)
+    # joints of one motion side by side are written together
+    for _, group in groupby(joints, key=lambda joint: (id(joint[0]), joint[1])):
+        (motion, mount, first), *others = group
+        parts = (np.ascontiguousarray(part, dtype=float) for part in motion)
+        _columns(found, first, first + 1 + len(others), *parts, mount)
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _column(found, k, angle, rate, acceleration, mount):  # type: ignore[no-untyped-def]
+def _columns(found, first, end, angle, rate, acceleration, mount):  # type: ignore[no-untyped-def]
     for i in range(len(found)):
-        found[i, k, 0], found[i, k, 1], found[i, k, 2] = angle[i], rate[i], acceleration[i]
-        found[i, k, 3], found[i, k, 4] = math.cos(angle[i] + mount), math.sin(angle[i] + mount)
+        c, s = math.cos(angle[i] + mount), math.sin(angle[i] + mount)
+        for k in range(first, end):
+            found[i, k, 0], found[i, k, 1], found[i, k, 2] = angle[i], rate[i], acceleration[i]
+            found[i, k, 3], found[i, k, 4] = c, s
