@@ -487,14 +487,18 @@ class FitContext:
             parts = [whitened(k, problem.trial_residuals(theta, k)) for k in range(len(problem.trials))]
             return np.concatenate([*parts, root @ (theta - mean)])
 
-        def jacobian(theta: Array) -> Array:
-            parts = [whitened(k, rows) for k, rows in enumerate(problem.trial_jacobians(theta))]
-            return np.concatenate([*parts, root])
-
         own: list[tuple[slice, NDArray[np.intp]]] = []
         for k, masks in enumerate(problem.masks):
             begin = own[-1][0].stop if own else 0
             own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), problem.taken[k][1]))
+        count = own[-1][0].stop if own else 0
+
+        def jacobian(theta: Array) -> Array:
+            found = np.zeros((count + len(root), len(theta)))
+            found[count:] = root
+            for k, rows in enumerate(problem.own_jacobians(theta)):
+                found[own[k]] = whitened(k, rows)
+            return found
 
         def secant(rows: Array, off: Array, step: Array, weights: Array) -> Array:
             # no trial's rows depend on what another has for itself

@@ -90,6 +90,7 @@ class Problem:
             self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
         of_trials = list(zip(self.trials, self.channels, strict=True))
         self.masks = [[np.isfinite(t.measured[c]) for c in names] for t, names in of_trials]
+        self._complete = [all(mask.all() for mask in masks) for masks in self.masks]
         self.sd = [[np.ones(len(t.time_s)) for _ in names] for t, names in of_trials]
         self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
         self.evaluations = 0
@@ -109,6 +110,7 @@ class Problem:
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: dict[str, list[Array]] = {}
+        self._weights: dict[int, tuple[list[Array], Array]] = {}
         self._typical_s = math.inf
         self._pool: ThreadPoolExecutor | None = None
 
@@ -186,6 +188,15 @@ class Problem:
         Forward differences, accurate to about 1e-6, or central ones at twice the cost. Those
         of an earlier point are used again within :data:`NEAR` of it.
         """
+        found = []
+        for k, rows in enumerate(self.own_jacobians(theta, central=central)):
+            whole = np.zeros((len(rows), len(theta)))
+            whole[:, self.taken[k][1]] = rows
+            found.append(whole)
+        return found
+
+    def own_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
+        """The same to the numbers that each trial takes (:attr:`taken`) alone; to the others it is zero."""
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
@@ -234,7 +245,12 @@ class Problem:
 
     def sample_weights(self, k: int) -> Array:
         """Factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
-        return self.at_samples(k, [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)])
+        parts = [*self.damping[k], *self.sd[k]]
+        known = self._weights.get(k)
+        if known is None or any(a is not b for a, b in zip(known[0], parts, strict=True)):
+            each = [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)]
+            known = self._weights[k] = parts, self.at_samples(k, each)
+        return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
         """Values of channels where a trial was measured, in the order of its residuals, shape (n_k,)."""
@@ -242,7 +258,9 @@ class Problem:
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
         """What is known of each channel of a trial, where that was measured, shape (n_k,)."""
-        kept = [part[mask] for part, mask in zip(parts, self.masks[k], strict=True)]
+        kept = parts
+        if not self._complete[k]:
+            kept = [part[mask] for part, mask in zip(parts, self.masks[k], strict=True)]
         return np.concatenate(kept) if kept else np.empty(0)
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
@@ -262,7 +280,7 @@ class Problem:
         return found
 
     def _derivatives(self, theta: Array, central: bool) -> list[Array]:
-        """Derivative of the simulated samples of each trial, shape (n_k, p) each."""
+        """Derivative of each trial's simulated samples to the numbers it takes, shape (n_k, m_k) each."""
         if self._slopes is not None:
             where, was_central, known = self._slopes
             if (was_central or not central) and self._near(theta, where, known):
@@ -274,29 +292,28 @@ class Problem:
         steps = np.where(theta + steps > self.upper, -steps, steps)
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
         points: list[tuple[Array, int]] = []
-        places: list[tuple[int, int]] = []
-        slopes = [np.zeros((len(y), len(theta))) for y in here]
-        for j, (_, owner) in enumerate(self.slots):
-            if self.labels[j] in self._held:
-                for k, rows in enumerate(self._held[self.labels[j]]):
-                    slopes[k][:, j] = rows
-                continue
-            for k in range(len(self.trials)) if owner is None else [owner]:
-                for sign in (1, -1) if both[j] else (1,):
+        # runs of one trial side by side read one table of its drive
+        for k, (_, numbers) in enumerate(self.taken):
+            for j in numbers:
+                for sign in () if self.labels[j] in self._held else (1, -1) if both[j] else (1,):
                     moved = theta.copy()
                     moved[j] += sign * steps[j]
                     points.append((moved, k))
-                places.append((k, j))
-        moves = iter(zip(points, self.simulated(points), strict=True))
-        for k, j in places:
-            (ahead_at, _), simulated = next(moves)
-            ahead, back, back_at = self.stacked(k, simulated), here[k], theta
-            if both[j]:
-                (back_at, _), simulated = next(moves)
-                back = self.stacked(k, simulated)
+        moves = iter(self.simulated(points))
+        width = (theta + steps) - np.where(both, theta - steps, theta)
+        slopes = []
+        for k, (_, numbers) in enumerate(self.taken):
+            columns = np.empty((len(numbers), len(here[k])))
             with np.errstate(over="ignore", invalid="ignore"):
-                column = (ahead - back) / (ahead_at[j] - back_at[j])
-            slopes[k][:, j] = np.where(np.isfinite(column), column, 0.0)
+                for column, j in zip(columns, numbers, strict=True):
+                    if self.labels[j] in self._held:
+                        column[:] = self._held[self.labels[j]][k]
+                        continue
+                    ahead = self.stacked(k, next(moves))
+                    back = self.stacked(k, next(moves)) if both[j] else here[k]
+                    column[:] = (ahead - back) / width[j]
+            columns[~np.isfinite(columns)] = 0.0
+            slopes.append(np.ascontiguousarray(columns.T))
         self.jacobians += 1
         self._slopes = (theta.copy(), central, slopes)
         return slopes
@@ -305,7 +322,7 @@ class Problem:
         """Whether the step between two points is small against the noise of the estimates."""
         moved, left, samples = 0.0, 0.0, 0
         for k, rows in enumerate(slopes):
-            change = rows @ (theta - where) * self.sample_weights(k)
+            change = rows @ (theta - where)[self.taken[k][1]] * self.sample_weights(k)
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)
