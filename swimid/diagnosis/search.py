@@ -51,6 +51,8 @@ COMBINED = 3
 #: Simulations of each trial that a diagnosis takes, about, and of these with effects that bring forces or
 #: elements: 13,300 and 3,620 of each of the six of ``sample_logs/gap``.
 RUNS, AFFECTED = 13000, 3600
+#: Simulations of each trial that a hypothesis takes, about: a share of those.
+FITTED = 250
 
 Key = frozenset[int]
 
@@ -183,10 +185,15 @@ def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> 
 
 
 def prepared(
-    model: Model, trials: Sequence[Trial], progress: Progress = silent, checkpoint: Checkpoint | None = None
+    model: Model,
+    trials: Sequence[Trial],
+    progress: Progress = silent,
+    checkpoint: Checkpoint | None = None,
+    *,
+    share: float = 1.0,
 ) -> None:
-    """Compile a model where it pays, before it is simulated as often as a diagnosis does."""
-    lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
+    """Compile a model where it pays, before it is simulated as often as in a diagnosis, or a share of it."""
+    lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
@@ -296,6 +303,7 @@ class Search:
 
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> list[Hypothesis]:
         """Each parent with one more effect, fitted jointly: all, or those that promise most."""
+        context = self.context
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
         for parent in parents:
             for t in self.screened(parent).tried:
@@ -307,6 +315,11 @@ class Search:
         work = [(parent, t) for _, parent, t in order[:most]]
 
         new = [(p, t) for p, t in work if p.key | {id(t.effect)} not in self.pool]
+        for parent, tried in new:
+            model = context.affected((*parent.fit.acting, tried.effect)).model
+            # a robot that is read otherwise
+            if model is not context.model and model.together == 1:
+                prepared(model, context.trials, share=FITTED / RUNS)
 
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)
@@ -317,7 +330,7 @@ class Search:
                 continue
             effects = (*parent.fit.effects, tried.effect)
             self.checkpoint.put(self._name(effects), found.theta)
-            fit = self.context.fitted(effects, self.noise_model, found)
+            fit = context.fitted(effects, self.noise_model, found)
             h = self.judged(fit, tried, parent)
             self.pool[h.key] = h
             self.step(tried.effect.name)
