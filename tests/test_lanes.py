@@ -319,7 +319,7 @@ def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
     assert fish.kernel.fits(tables)
-    nought = np.argwhere((tables["drag"] == 0.0) & ~fish.kernel._taken["drag"])[0]
+    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernel._fixed["drag"]))[0]
     filled = tables["drag"].copy()
     filled[tuple(nought)] = 0.1
     assert not fish.kernel.fits({**tables, "drag": filled})

@@ -90,10 +90,9 @@ class Kernel:
         self._fixed = _fixed(tables, coefficients)
         for name, columns in engine.filled.items():
             self._fixed[name][:, columns] = np.nan
-        self._taken = {name: np.isnan(fixed) for name, fixed in self._fixed.items()}
-        self._places = [
-            (name, np.flatnonzero(taken.reshape(-1))) for name, taken in self._taken.items() if taken.any()
-        ]
+        entries = self._entries(self._fixed)
+        self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
+        self._structure = entries[self._known]
         self._lock = threading.RLock()
         self._rooms: list[Array] = []
         self._traced: Traced | None = None
@@ -102,13 +101,13 @@ class Kernel:
     def fits(self, tables: Mapping[str, Any]) -> bool:
         """Whether a run's tables have this robot's structure: an effect may have filled in a zero."""
         for name, example in self._example.items():
-            given, fixed = tables[name], self._fixed.get(name)
-            if fixed is None:
-                if not np.array_equal(given, example):
+            given = tables[name]
+            if name in self._fixed:
+                if np.shape(given) != np.shape(example):
                     return False
-            elif np.shape(given) != fixed.shape or not (self._taken[name] | (given == fixed)).all():
+            elif given is not example and not np.array_equal(given, example):
                 return False
-        return True
+        return bool((self._entries(tables)[self._known] == self._structure).all())
 
     def traced(self) -> Traced:
         """The equations as operations."""
@@ -259,7 +258,11 @@ class Kernel:
 
     def numbers(self, tables: Mapping[str, Any]) -> Array:
         """What of a run's tables the kernel takes as numbers, shape (parameters,)."""
-        return np.concatenate([np.reshape(tables[name], -1)[places] for name, places in self._places])
+        return self._entries(tables)[self._taken]
+
+    def _entries(self, tables: Mapping[str, Any]) -> Array:
+        """All numbers of the tables, one after another."""
+        return np.concatenate([np.reshape(tables[name], -1) for name in self._fixed])
 
 
 def _references(arrays: Sequence[Array]) -> list[int]:
