@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trial, Trials
-from swimid.fitting.hooks import Stroke
+from swimid.fitting.hooks import Command, Stroke
 
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3
@@ -40,16 +40,30 @@ class Actuation(Effect, ABC):
         """What becomes of the commands, and of a steady beat."""
         value = float(values[0])
 
-        def command(time_s: Array, angle: Array, joint: int) -> Array:
+        def command(time_s: Array, angle: Array) -> Array:
             return bridged(lambda time, whole: self.followed(value, time, whole), time_s, angle)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         return Hooks(
-            command=(command,) if model.commanded(trial) else (),
+            command=(every_joint(command),) if model.commanded(trial) else (),
             stroke=(beaten,) if "stroke" in self.needs else (),
         )
+
+
+def every_joint(change: Callable[[Array, Array], Array]) -> Command:
+    """A hook that does the same to every joint: joints that are told the same cost it once."""
+    last: tuple[Array, Array, Array] | None = None
+
+    def command(time_s: Array, angle: Array, joint: int) -> Array:
+        nonlocal last
+        known = last
+        if known is None or known[0] is not time_s or known[1] is not angle:
+            known = last = time_s, angle, change(time_s, angle)
+        return known[2]
+
+    return command
 
 
 def held_back(signal: Array, half: Array) -> Array:

@@ -43,10 +43,10 @@ class AmplitudeOffset(_commands.Actuation):
         moved = [axis.driven is not None and axis.driven.gain != 0 for axis in driven]
         begin = model.onset(trial)
 
+        trimmed = _commands.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+
         def command(time_s: Array, angle: Array, joint: int) -> Array:
-            if moved and not moved[joint]:
-                return angle
-            return angle + offset * eased(time_s - begin, EASE_S)
+            return angle if moved and not moved[joint] else trimmed(time_s, angle, joint)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))

@@ -58,7 +58,7 @@ class Slip(_commands.Actuation):
             ramp = max(ramp, SAMPLES * float(np.median(samples)))
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
-        def command(time_s: Array, angle: Array, joint: int) -> Array:
+        def command(time_s: Array, angle: Array) -> Array:
             return angle * (1.0 - loss * eased(time_s - first, ramp))
 
-        return Hooks(command=(command,) if model.commanded(trial) else ())
+        return Hooks(command=(_commands.every_joint(command),) if model.commanded(trial) else ())

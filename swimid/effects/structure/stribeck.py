@@ -100,7 +100,7 @@ class Stribeck(Effect):
             rate = np.gradient(angle, time_s)
             return _commands.held_back(angle, rise * np.exp(-np.square(rate / slow)))
 
-        def command(time_s: Array, angle: Array, joint: int) -> Array:
+        def command(time_s: Array, angle: Array) -> Array:
             return _commands.bridged(stuck, time_s, angle)
 
-        return Hooks(command=(command,) if model.commanded(trial) else ())
+        return Hooks(command=(_commands.every_joint(command),) if model.commanded(trial) else ())
