@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import ncx2
+from scipy.special import chndtrinc
 
 from swimid.diagnosis import candidates, crossval, posterior
 from swimid.diagnosis.candidates import Trialled
@@ -38,18 +37,6 @@ def needed(record: Record, kinds: int) -> float:
     # u grows with the gap: beyond so many times it nothing is enough
     room = 1.0 - CALIBRATED.form * share
     return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
-
-
-def noncentrality(drop: float, numbers: int) -> float:
-    """What squared change, in units of the noise, lowers the cost by so much with 90 % power."""
-    if not math.isfinite(drop):
-        return math.inf
-
-    def missed(size: float) -> float:
-        return float(ncx2.cdf(drop, numbers, size)) - (1.0 - POWER)
-
-    high = 4.0 * drop + 40.0 + 4.0 * numbers
-    return float(brentq(missed, 1e-9, high)) if missed(1e-9) > 0 else 0.0
 
 
 def told_apart(record: Record, cosine: float) -> bool:
@@ -134,7 +121,9 @@ def shown(
         of_trials = sum(one.per_trial for one in line.tried.parameters)
         shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
         penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
-        needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
+        drop = needed(record, kinds) + penalty
+        # the noncentrality of a chi-square that is larger with this power
+        needs = float(chndtrinc(drop, shared + per_trial, 1.0 - POWER)) if math.isfinite(drop) else math.inf
         squares = np.maximum(left.diagonal()[line.places], 0.0)
         total = whole[line.places]
         strengths = np.abs(line.values - p.start) / p.scale
