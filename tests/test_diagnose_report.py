@@ -95,6 +95,13 @@ def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     assert "next Swim at 1.0 Hz" in text
 
 
+def test_the_summary_says_that_little_of_the_gap_closes() -> None:
+    hardly = [replace(s, closed=0.4) for s in cases.BACKLASH.shrinkage]
+    file = replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, shrinkage=hardly)])
+    text = flat(diagnose_summary.summary(ranked(file)))
+    assert "servo-backlash explains it, though less than half closes in cross-validation over trials" in text
+
+
 def test_the_summary_does_not_choose_where_the_data_cannot() -> None:
     text = flat(said("ambiguous"))
     assert "these trials cannot tell current from tether or linear-drag" in text

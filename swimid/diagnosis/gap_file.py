@@ -292,8 +292,7 @@ class GapFile(yamlio.ResultFile):
             return "good" if sure and not self.single and not self.at_bound else "caution"
         if self.verdict == "explained":
             weak = self.bounded or self.stuck or self.unpredicted or self.single or self.lost
-            first = self.closing[:1]
-            return "caution" if weak or any(s.half_closed is False for s in first) else "good"
+            return "caution" if weak or self.mostly_open else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
 
@@ -329,6 +328,11 @@ class GapFile(yamlio.ResultFile):
     def closing(self) -> list[Shrinkage]:
         """Errors on held-out data with all causes together, by channel, that with most of the gap first."""
         return self.causes[0].shrinkage if self.causes else []
+
+    @property
+    def mostly_open(self) -> bool:
+        """Whether in the channel with most of the gap the causes close less than half of it."""
+        return any(s.half_closed is False for s in self.closing[:1])
 
     @property
     def absorbed(self) -> list[Absorbed]:

@@ -55,6 +55,8 @@ def verdict_sentence(file: GapFile) -> str:
         return "No gap above the noise floor: the model describes these trials as well as their noise allows."
     if file.verdict == "explained":
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
+        if file.mostly_open:
+            return f"The model has a gap, and {both} it, though less than half closes {held_out_text(file)}."
         return f"The model has a gap, and {both} it {held_out_text(file)}."
     if file.verdict == "ambiguous":
         rivals = [
